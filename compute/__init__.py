@@ -1,0 +1,1 @@
+"""Science: arrays in, arrays out. No I/O, no clock, no database."""

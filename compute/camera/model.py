@@ -1,0 +1,75 @@
+"""The calibrated 1D camera in its metric form: seven parameters and where they act."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Vector3 = tuple[float, float, float]
+
+PARAMETERS: Final = (
+    "principal_distance_px",
+    "principal_point_px",
+    "rotation_x_rad",
+    "rotation_y_rad",
+    "rotation_z_rad",
+    "offset_x_mm",
+    "offset_z_mm",
+)
+"""Order of the seven parameters in every Jacobian and covariance; the rotation is a small left
+rotation in the sensor's frame (``R <- exp([w]x) R``)."""
+
+PARAMETER_COUNT: Final = len(PARAMETERS)
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """One calibrated linear sensor: ``p = p0 + c x/z`` with ``(x, z)`` in the sensor's frame.
+
+    The frame has x along the sensor, y along the slit (the lens's axis) and z towards the scene;
+    ``x = r1 . X + offset_x_mm`` and ``z = r3 . X + offset_z_mm`` for a world point X [mm], with
+    r1, r3 the first and third row of the rotation. A shift along the slit changes no reading,
+    so it is no parameter.
+
+    Args:
+        name: the sensor's name in its device.
+        pixels: number of pixels; readings lie in ``[-0.5, pixels - 0.5]``.
+        principal_distance_px: c, the lens's distance from the sensor [px], positive.
+        principal_point_px: p0, the reading on the axis [px].
+        rotation_vector_rad: axis times angle of R_sensor_world, world to sensor [rad].
+        offset_x_mm: x of the world's origin in the sensor's frame [mm].
+        offset_z_mm: z of the world's origin in the sensor's frame [mm].
+        cubic_per_px2: D of thesis [5.2]; a reading p is first corrected to
+            ``p + D (p - p0)^3`` ([5.12]). Zero in the metric calibration.
+    """
+
+    name: str
+    pixels: int
+    principal_distance_px: float
+    principal_point_px: float
+    rotation_vector_rad: Vector3
+    offset_x_mm: float
+    offset_z_mm: float
+    cubic_per_px2: float = 0.0
+
+    @cached_property
+    def rotation(self) -> NDArray[np.float64]:
+        """R_sensor_world, shape (3, 3)."""
+        matrix: NDArray[np.float64] = Rotation.from_rotvec(self.rotation_vector_rad).as_matrix()
+        return matrix
+
+    def moved(self, step: NDArray[np.float64]) -> "SensorModel":
+        """Return the model after a step of the seven parameters, in the order of PARAMETERS."""
+        turned = Rotation.from_rotvec(step[2:5]) * Rotation.from_rotvec(self.rotation_vector_rad)
+        x, y, z = turned.as_rotvec()
+        return replace(
+            self,
+            principal_distance_px=self.principal_distance_px + float(step[0]),
+            principal_point_px=self.principal_point_px + float(step[1]),
+            rotation_vector_rad=(float(x), float(y), float(z)),
+            offset_x_mm=self.offset_x_mm + float(step[5]),
+            offset_z_mm=self.offset_z_mm + float(step[6]),
+        )

@@ -1,0 +1,72 @@
+"""The domain's exceptions: one base, one class for each thing that can be wrong with data."""
+
+from typing import ClassVar
+
+
+class LumilineError(Exception):
+    """Base of every error that tells a user what was wrong with what they gave.
+
+    ``detail`` says what was wrong, with the value, and what would be right. ``code`` is a stable
+    name (the last part of a problem type's URI); ``context`` holds the values by name.
+    """
+
+    code: ClassVar[str] = "error"
+
+    def __init__(self, detail: str, **context: object) -> None:
+        super().__init__(detail)
+        self.detail = detail
+        self.context = context
+
+
+class TooFewPoints(LumilineError):
+    """Fewer observations than the model has parameters, or than planes that make a point."""
+
+    code = "too-few-points"
+
+
+class DegeneratePoints(LumilineError):
+    """Control points lie (almost) in one plane, which leaves the camera matrix rank 5 of 7."""
+
+    code = "coplanar-points"
+
+
+class NonFiniteValue(LumilineError):
+    """A value is NaN or infinite."""
+
+    code = "non-finite-value"
+
+
+class UnknownSensor(LumilineError):
+    """A reading names a sensor that the device does not have."""
+
+    code = "unknown-sensor"
+
+
+class DuplicatePoint(LumilineError):
+    """A control point, or a reading of a point by one sensor, is given twice."""
+
+    code = "duplicate-point"
+
+
+class ReadingOutsideSensor(LumilineError):
+    """A reading lies outside the sensor's pixels."""
+
+    code = "reading-outside-sensor"
+
+
+class NoConvergence(LumilineError):
+    """An iteration did not converge, or left the domain of its model."""
+
+    code = "no-convergence"
+
+
+class InvalidParameter(LumilineError):
+    """A parameter is outside the range in which it means something."""
+
+    code = "invalid-parameter"
+
+
+class InvalidRecording(LumilineError):
+    """A recorded file is not one of ours, is cut short, or contradicts itself."""
+
+    code = "invalid-recording"

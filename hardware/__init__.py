@@ -1,0 +1,1 @@
+"""Sources of line scans behind one small protocol: simulated, replay."""

@@ -1,0 +1,1 @@
+"""From observations of control points to camera models with covariance."""

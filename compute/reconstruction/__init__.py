@@ -1,0 +1,1 @@
+"""From readings of several sensors to 3D points with covariance."""

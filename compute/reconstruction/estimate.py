@@ -1,0 +1,94 @@
+"""Reconstructed points: a batch as arrays, one point as a value."""
+
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.model import Vector3
+
+
+class PointFlag(IntFlag):
+    """Why a point is missing or to be used with care."""
+
+    NONE = 0
+    TOO_FEW_SENSORS = 1
+    """Fewer than three sensors saw it: no position."""
+    DEGENERATE = 2
+    """The planes meet in a line, not in a point: no position."""
+    NO_CONVERGENCE = 4
+    """The iteration left the cameras' field or did not settle: no position."""
+    NO_REDUNDANCY = 8
+    """Exactly three sensors: the residual is zero and says nothing."""
+    INCONSISTENT = 16
+    """The residual is larger than the readings' noise explains."""
+    AMBIGUOUS = 32
+    """Another correspondence between the sensors fits nearly as well."""
+
+
+@dataclass(frozen=True)
+class PointEstimate:
+    """One reconstructed point.
+
+    Args:
+        position_mm: X, Y, Z in the world frame [mm]; None where there is no position.
+        covariance_mm2: its covariance [mm^2], the calibration's own included.
+        residual_sigma: root of chi2 per degree of freedom; None without redundancy.
+        sensors: names of the sensors used.
+        flags: names of the flags that hold, in lower case with hyphens.
+    """
+
+    position_mm: Vector3 | None
+    covariance_mm2: tuple[Vector3, Vector3, Vector3] | None
+    residual_sigma: float | None
+    sensors: tuple[str, ...]
+    flags: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PointBatch:
+    """N reconstructed points as arrays; NaN where there is no position.
+
+    Args:
+        position_mm: shape (N, 3) [mm].
+        covariance_mm2: shape (N, 3, 3) [mm^2].
+        chi2: weighted sum of squared residuals, shape (N,).
+        used: which sensors each point comes from, shape (N, S).
+        flags: PointFlag values, int32, shape (N,).
+    """
+
+    position_mm: NDArray[np.float64]
+    covariance_mm2: NDArray[np.float64]
+    chi2: NDArray[np.float64]
+    used: NDArray[np.bool_]
+    flags: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.position_mm)
+
+    def residual_sigma(self) -> NDArray[np.float64]:
+        """Root of chi2 per degree of freedom, shape (N,); NaN without redundancy."""
+        freedom = self.used.sum(axis=1) - 3
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(freedom > 0, np.sqrt(self.chi2 / np.maximum(freedom, 1)), np.nan)
+
+    def estimate(self, index: int, names: tuple[str, ...]) -> PointEstimate:
+        """Return one point as a value; ``names`` are the sensors' names in order."""
+        flags = PointFlag(int(self.flags[index]))
+        sigma = float(self.residual_sigma()[index])
+        found = bool(np.isfinite(self.position_mm[index]).all())
+        rows = self.covariance_mm2[index].tolist()
+        return PointEstimate(
+            tuple(self.position_mm[index].tolist()) if found else None,  # type: ignore[arg-type]
+            tuple(tuple(row) for row in rows) if found else None,  # type: ignore[arg-type]
+            sigma if found and np.isfinite(sigma) else None,
+            tuple(name for name, used in zip(names, self.used[index], strict=True) if used),
+            flag_names(flags),
+        )
+
+
+def flag_names(flags: PointFlag) -> tuple[str, ...]:
+    """Return the flags that hold, as clients see them: ``too-few-sensors``, ..."""
+    return tuple(str(flag.name).lower().replace("_", "-") for flag in flags)

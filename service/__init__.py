@@ -1,0 +1,1 @@
+"""The tracking service: REST, websocket streams, database, live pipeline, command line."""

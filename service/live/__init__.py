@@ -1,0 +1,1 @@
+"""The live pipeline: driver -> ring -> peaks -> points -> hub -> streams."""

@@ -21,7 +21,8 @@ class SensorFit:
         rms_px: root mean square of the residuals [px].
         max_px: largest absolute residual [px].
         sigma_px: standard deviation of one reading [px] that the covariance rests on.
-        sigma_source: where it comes from: given with the readings, or from the residuals.
+        sigma_source: where it comes from: given with the readings (their root mean square),
+            estimated from the residuals, or, with neither, assumed (a pixel's quantisation).
         chi2_per_dof: weighted sum of squares per degree of freedom, about 1 when the given
             standard deviations are right; None without redundancy or without given ones.
     """
@@ -31,7 +32,7 @@ class SensorFit:
     rms_px: float
     max_px: float
     sigma_px: float
-    sigma_source: Literal["given", "residuals"]
+    sigma_source: Literal["given", "residuals", "assumed"]
     chi2_per_dof: float | None
 
 

@@ -26,6 +26,14 @@ PARAMETER_COUNT: Final = len(PARAMETERS)
 
 
 @dataclass(frozen=True)
+class SensorGeometry:
+    """What is known of a sensor before calibration: its name and number of pixels."""
+
+    name: str
+    pixels: int
+
+
+@dataclass(frozen=True)
 class SensorModel:
     """One calibrated linear sensor: ``p = p0 + c x/z`` with ``(x, z)`` in the sensor's frame.
 

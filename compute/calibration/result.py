@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.model import SensorModel, Vector3
+from compute.camera.model import SensorModel, Vector3, vector3
 
 Method = Literal["metric", "dlt-iterative"]
 
@@ -57,16 +57,11 @@ class AxisErrors:
         deviation = rows.std(axis=0, ddof=1) if len(rows) > 1 else np.zeros(3)
         return cls(
             len(rows),
-            _vector(absolute.mean(axis=0)),
-            _vector(absolute.max(axis=0)),
-            _vector(rows.mean(axis=0)),
-            _vector(deviation),
+            vector3(absolute.mean(axis=0)),
+            vector3(absolute.max(axis=0)),
+            vector3(rows.mean(axis=0)),
+            vector3(deviation),
         )
-
-
-def _vector(row: NDArray[np.float64]) -> Vector3:
-    x, y, z = (float(value) for value in row)
-    return x, y, z
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from compute.camera.model import SensorGeometry, SensorModel, Vector3
+from compute.camera.model import SensorGeometry, SensorModel, Vector3, vector3
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 
@@ -142,9 +142,9 @@ def collinearity_parameters_of(model: SensorModel) -> CollinearityParameters:
     return CollinearityParameters(
         model.principal_distance_px,
         model.principal_point_px,
-        _vector(centre),
-        _vector(rotation[0]),
-        _vector(-rotation[2]),
+        vector3(centre),
+        vector3(rotation[0]),
+        vector3(-rotation[2]),
     )
 
 
@@ -160,8 +160,3 @@ def model_from_collinearity(
     rows = -np.array([first, axis])
     matrix = np.column_stack([rows, -rows @ np.array(parameters.centre_mm)])
     return model_from_matrix(matrix, sensor, seen_mm)
-
-
-def _vector(values: Array) -> Vector3:
-    x, y, z = (float(value) for value in values)
-    return x, y, z

@@ -10,6 +10,13 @@ from scipy.spatial.transform import Rotation
 
 Vector3 = tuple[float, float, float]
 
+
+def vector3(row: NDArray[np.float64]) -> Vector3:
+    """Return an array of three values as plain floats."""
+    x, y, z = row.tolist()
+    return x, y, z
+
+
 PARAMETERS: Final = (
     "principal_distance_px",
     "principal_point_px",

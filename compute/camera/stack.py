@@ -58,9 +58,7 @@ class CameraStack:
 
     def corrected(self, readings_px: Array) -> Array:
         """Return readings (..., S) with the cubic distortion term added, thesis [5.12]."""
-        return (
-            readings_px + self.cubic_per_px2 * (readings_px - self.principal_point_px) ** 3
-        )
+        return readings_px + self.cubic_per_px2 * (readings_px - self.principal_point_px) ** 3
 
     def correction_slope(self, readings_px: Array) -> Array:
         """Return d corrected / d reading, shape (..., S): scales a reading's deviation."""
@@ -72,17 +70,19 @@ class CameraStack:
         NaN where the point does not lie in front of the lens. A reading may lie outside the
         sensor: the line of pixels has an end, the projection has none.
         """
-        sensor = np.einsum("sij,nj->nsi", self.rotation, points_mm)
-        depth = sensor[..., 2] + self.offset_mm[:, 1]
-        depth = np.where(depth > 0.0, depth, np.nan)
-        u = (sensor[..., 0] + self.offset_mm[:, 0]) / depth
+        u, _ = self._field(points_mm)
         return self.principal_point_px + self.principal_distance_px * u
+
+    def _field(self, points_mm: Array) -> tuple[Array, Array]:
+        """Return u = x/z and the depth z [mm], both (N, S); NaN at and behind the lens."""
+        sensor: Array = np.einsum("sij,nj->nsi", self.rotation[:, ::2], points_mm)
+        sensor += self.offset_mm
+        depth = np.where(sensor[..., 1] > 0.0, sensor[..., 1], np.nan)
+        return sensor[..., 0] / depth, depth
 
     def linearised(self, points_mm: Array) -> tuple[Array, Array]:
         """Project points (N, 3) and return readings (N, S) and d reading / d point (N, S, 3)."""
-        sensor = np.einsum("sij,nj->nsi", self.rotation[:, ::2], points_mm) + self.offset_mm
-        depth = np.where(sensor[..., 1] > 0.0, sensor[..., 1], np.nan)
-        u = sensor[..., 0] / depth
+        u, depth = self._field(points_mm)
         gain = self.principal_distance_px / depth
         slope = gain[..., None] * (self.rotation[:, 0] - u[..., None] * self.rotation[:, 2])
         return self.principal_point_px + self.principal_distance_px * u, slope
@@ -90,18 +90,26 @@ class CameraStack:
     def parameter_jacobian(self, points_mm: Array) -> Array:
         """Return d reading / d parameters, shape (N, S, 7), in the order of PARAMETERS."""
         rotated = np.einsum("sij,nj->nsi", self.rotation, points_mm)
-        a, b, d = rotated[..., 0], rotated[..., 1], rotated[..., 2]
-        depth = d + self.offset_mm[:, 1]
-        depth = np.where(depth > 0.0, depth, np.nan)
-        u = (a + self.offset_mm[:, 0]) / depth
-        gain = self.principal_distance_px / depth
-        jacobian = np.empty((*u.shape, PARAMETER_COUNT))
-        jacobian[..., 0] = u
-        jacobian[..., 1] = 1.0
-        # A left rotation w moves R X by w x R X; only its x and z components are read.
-        jacobian[..., 2] = -gain * u * b
-        jacobian[..., 3] = gain * (d + u * a)
-        jacobian[..., 4] = -gain * b
-        jacobian[..., 5] = gain
-        jacobian[..., 6] = -gain * u
-        return jacobian
+        u, depth = self._field(points_mm)
+        return reading_slopes(rotated, u, self.principal_distance_px / depth)
+
+
+def reading_slopes(rotated_mm: Array, u: Array, gain: Array) -> Array:
+    """Return d reading / d parameters, shape (..., 7), in the order of PARAMETERS.
+
+    Args:
+        rotated_mm: R X, the points turned but not shifted, shape (..., 3) [mm].
+        u: tangent of the field angle along the sensor, x/z, shape (...).
+        gain: c / depth, shape (...) [px/mm].
+    """
+    a, b, d = rotated_mm[..., 0], rotated_mm[..., 1], rotated_mm[..., 2]
+    jacobian = np.empty((*u.shape, PARAMETER_COUNT))
+    jacobian[..., 0] = u
+    jacobian[..., 1] = 1.0
+    # A left rotation w moves R X by w x R X; only its x and z components are read.
+    jacobian[..., 2] = -gain * u * b
+    jacobian[..., 3] = gain * (d + u * a)
+    jacobian[..., 4] = -gain * b
+    jacobian[..., 5] = gain
+    jacobian[..., 6] = -gain * u
+    return jacobian

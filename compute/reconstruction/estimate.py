@@ -6,7 +6,7 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.model import Vector3
+from compute.camera.model import Vector3, vector3
 
 
 class PointFlag(IntFlag):
@@ -79,10 +79,10 @@ class PointBatch:
         flags = PointFlag(int(self.flags[index]))
         sigma = float(self.residual_sigma()[index])
         found = bool(np.isfinite(self.position_mm[index]).all())
-        rows = self.covariance_mm2[index].tolist()
+        first, second, third = (vector3(row) for row in self.covariance_mm2[index])
         return PointEstimate(
-            tuple(self.position_mm[index].tolist()) if found else None,  # type: ignore[arg-type]
-            tuple(tuple(row) for row in rows) if found else None,  # type: ignore[arg-type]
+            vector3(self.position_mm[index]) if found else None,
+            (first, second, third) if found else None,
             sigma if found and np.isfinite(sigma) else None,
             tuple(name for name, used in zip(names, self.used[index], strict=True) if used),
             flag_names(flags),

@@ -149,7 +149,8 @@ def _calibration_share(
     gain = np.einsum("nij,nsj->nis", inverse, weighted)
     slopes = np.nan_to_num(cameras.parameter_jacobian(position))
     spread = np.einsum("nis,nsp->nisp", gain, slopes).reshape(len(position), 3, -1)
-    return np.einsum("nip,pq,njq->nij", spread, covariance, spread, optimize=True)
+    share: Array = spread @ covariance @ spread.transpose(0, 2, 1)
+    return share
 
 
 def _chi2_limits(sensors: int) -> Array:

@@ -1,0 +1,69 @@
+"""How well a calibration reproduces control points: fitted, and points that it never saw."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.result import Calibration, Method
+from compute.calibration.run import calibrate
+from compute.camera.model import SensorGeometry
+from compute.errors import LumilineError
+from compute.reconstruction.points import reconstruct
+
+Array = NDArray[np.float64]
+
+
+def reading_sigma(calibration: Calibration, readings_px: Array, sigma_px: Array | None) -> Array:
+    """Return standard deviations (N, S) [px]: the given ones, else the calibration's own."""
+    if sigma_px is not None:
+        return sigma_px
+    own = np.array([fit.sigma_px for fit in calibration.sensors])
+    return np.broadcast_to(own, readings_px.shape)
+
+
+def fitted_errors(
+    calibration: Calibration, points_mm: Array, readings_px: Array, sigma_px: Array | None = None
+) -> Array:
+    """Reconstruct the control points and return given minus reconstructed, shape (N, 3) [mm].
+
+    NaN for a point that fewer than three sensors saw. The sign is the thesis's (Appendix F).
+    """
+    sigma = reading_sigma(calibration, readings_px, sigma_px)
+    found = reconstruct(calibration.models, readings_px, sigma)
+    return points_mm - found.position_mm
+
+
+def leave_one_out(
+    points_mm: Array,
+    readings_px: Array,
+    sensors: Sequence[SensorGeometry],
+    sigma_px: Array | None = None,
+    method: Method = "metric",
+) -> Array:
+    """Calibrate N times without one point and return its errors, shape (N, 3) [mm].
+
+    NaN where the rest does not calibrate every sensor, or fewer than three sensors saw the
+    point.
+    """
+    errors = np.full(points_mm.shape, np.nan)
+    for index in range(len(points_mm)):
+        rest = np.arange(len(points_mm)) != index
+        try:
+            calibration = calibrate(
+                points_mm[rest],
+                readings_px[rest],
+                sensors,
+                None if sigma_px is None else sigma_px[rest],
+                method,
+            )
+        except LumilineError:
+            continue
+        one = slice(index, index + 1)
+        errors[one] = fitted_errors(
+            calibration,
+            points_mm[one],
+            readings_px[one],
+            None if sigma_px is None else sigma_px[one],
+        )
+    return errors

@@ -1,0 +1,143 @@
+"""Geometric refinement of one sensor's seven parameters, with their covariance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from compute.calibration.starts import starting_matrices
+from compute.camera.dlt import model_from_matrix
+from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
+from compute.camera.stack import CameraStack, reading_slopes
+from compute.errors import NoConvergence
+
+Array = NDArray[np.float64]
+
+PENALTY_PX = 1e6
+"""Residual of a point that a trial camera has behind it: the search turns back."""
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedSensor:
+    """A refined camera and the inverse of its normal matrix, shape (7, 7), for unit weights."""
+
+    model: SensorModel
+    cofactor: Array
+    residuals_px: Array
+    """Fitted minus measured reading, shape (N,)."""
+
+
+def refine(
+    points_mm: Array, readings_px: Array, sigma_px: Array, sensor: SensorGeometry
+) -> RefinedSensor:
+    """Minimise the sum of squared residuals over sigma from several starts; keep the lowest.
+
+    Args:
+        points_mm: control points that the sensor saw, shape (N, 3).
+        readings_px: its readings, shape (N,) [px].
+        sigma_px: their standard deviations, shape (N,) [px], or ones.
+        sensor: its geometry.
+
+    Raises:
+        DegeneratePoints: more than one camera fits.
+        NoConvergence: no start led to a minimum with all points in front of the lens.
+    """
+    weights = 1.0 / sigma_px
+    seen = points_mm.mean(axis=0)
+    best: tuple[float, SensorModel] | None = None
+    for matrix in starting_matrices(points_mm, readings_px, weights, sensor.name):
+        start = model_from_matrix(matrix, sensor, seen)
+        found = _minimise(start, points_mm, readings_px, weights)
+        if found is not None and (best is None or found[0] < best[0]):
+            best = found
+    if best is None:
+        raise NoConvergence(
+            f"sensor {sensor.name}: no camera with all {len(points_mm)} control points in front "
+            "of it fits the readings; look for exchanged or wrong labels",
+            sensor=sensor.name,
+        )
+    model = best[1]
+    cameras = CameraStack.of([model])
+    jacobian = cameras.parameter_jacobian(points_mm)[:, 0] * weights[:, None]
+    residuals = cameras.project(points_mm)[:, 0] - readings_px
+    return RefinedSensor(model, cofactor(jacobian), residuals)
+
+
+def cofactor(jacobian: Array) -> Array:
+    """Return (J'J)^-1, shape (7, 7), through QR with scaled columns."""
+    scale = np.linalg.norm(jacobian, axis=0)
+    triangle = np.linalg.qr(jacobian / scale, mode="r")
+    inverse = np.linalg.inv(triangle) / scale[:, None]
+    product: Array = inverse @ inverse.T
+    return product
+
+
+def _minimise(
+    start: SensorModel, points_mm: Array, readings_px: Array, weights: Array
+) -> tuple[float, SensorModel] | None:
+    """Levenberg-Marquardt from one start; the cost and the model, or None if it failed."""
+
+    rotation = start.rotation
+    principal_distance, principal_point = start.principal_distance_px, start.principal_point_px
+    offset_x, offset_z = start.offset_x_mm, start.offset_z_mm
+
+    def frame(step: Array) -> tuple[Array, Array, Array]:
+        """Points in the trial's frame before the shift, and u and depth; arrays of (N,)."""
+        turned = points_mm @ (rotation_matrix(step[2:5]) @ rotation).T
+        depth = turned[:, 2] + (offset_z + step[6])
+        depth = np.where(depth > 0.0, depth, np.nan)
+        return turned, (turned[:, 0] + (offset_x + step[5])) / depth, depth
+
+    def residuals(step: Array) -> Array:
+        _, u, _ = frame(step)
+        fitted = principal_point + step[1] + (principal_distance + step[0]) * u
+        return np.where(np.isnan(u), PENALTY_PX, fitted - readings_px) * weights
+
+    def jacobian(step: Array) -> Array:
+        turned, u, depth = frame(step)
+        gain = (principal_distance + step[0]) / depth
+        slopes = reading_slopes(turned, u, gain)
+        # The step's rotation vector counts from the start, the slopes' from the trial.
+        slopes[:, 2:5] = slopes[:, 2:5] @ left_jacobian(step[2:5])
+        return np.nan_to_num(slopes) * weights[:, None]
+
+    result = least_squares(
+        residuals,
+        np.zeros(PARAMETER_COUNT),
+        jac=jacobian,
+        method="lm",
+        x_scale="jac",
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+        max_nfev=1000,
+    )
+    model = start.moved(result.x)
+    behind = np.isnan(CameraStack.of([model]).project(points_mm)).any()
+    if behind or model.principal_distance_px <= 0.0 or not np.isfinite(result.cost):
+        return None
+    return float(result.cost), model
+
+
+def rotation_matrix(rotation_vector: Array) -> Array:
+    """Return exp([w]x), shape (3, 3); scipy's Rotation costs more than the whole residual."""
+    matrix: Array = np.eye(3) + _cross(rotation_vector) @ left_jacobian(rotation_vector)
+    return matrix
+
+
+def left_jacobian(rotation_vector: Array) -> Array:
+    """Return the left Jacobian of SO(3), shape (3, 3): exp((w + dw)^) = exp((J dw)^) exp(w^)."""
+    angle = float(np.linalg.norm(rotation_vector))
+    cross = _cross(rotation_vector)
+    if angle < 1e-5:
+        first, second = 0.5, 1.0 / 6.0
+    else:
+        first = (1.0 - np.cos(angle)) / angle**2
+        second = (angle - np.sin(angle)) / angle**3
+    return np.eye(3) + first * cross + second * (cross @ cross)
+
+
+def _cross(vector: Array) -> Array:
+    x, y, z = vector.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,0 +1,125 @@
+"""Calibrate a device: every sensor's model from control points, with a joint covariance."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.checks import check_observations
+from compute.calibration.iterative import iterative_dlt
+from compute.calibration.metric import RefinedSensor, cofactor, refine
+from compute.calibration.result import Calibration, Method, SensorFit
+from compute.camera.dlt import model_from_matrix
+from compute.camera.model import PARAMETER_COUNT, SensorGeometry
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter, NoConvergence
+
+Array = NDArray[np.float64]
+
+SIGMA_FLOOR_PX = 1e-6
+"""Smallest deviation estimated from residuals: exact data still leave rounding."""
+QUANTISATION_PX = 1.0 / np.sqrt(12.0)
+
+
+def calibrate(
+    points_mm: Array,
+    readings_px: Array,
+    sensors: Sequence[SensorGeometry],
+    sigma_px: Array | None = None,
+    method: Method = "metric",
+) -> Calibration:
+    """Calibrate S sensors from N control points.
+
+    "metric" solves a normalised DLT and refines the seven metric parameters geometrically.
+    "dlt-iterative" is the thesis's [5.1]-[5.12] as published, for comparison; its covariance is
+    that of a metric camera with its residuals and leaves out D.
+
+    Args:
+        points_mm: control points, shape (N, 3) [mm].
+        readings_px: readings, shape (N, S) [px]; NaN where a sensor did not see the point.
+        sensors: the device's sensors in order.
+        sigma_px: standard deviations of the readings, shape (N, S) [px]. None: one deviation
+            for each sensor, estimated from its residuals.
+        method: "metric" or "dlt-iterative".
+
+    Raises:
+        TooFewPoints, DegeneratePoints, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor,
+        InvalidParameter: the observations are not fit for it.
+        NoConvergence: no camera was found.
+    """
+    points = np.asarray(points_mm, dtype=np.float64)
+    readings = np.asarray(readings_px, dtype=np.float64)
+    deviations = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
+    check_observations(points, readings, sensors, deviations)
+    if method not in ("metric", "dlt-iterative"):
+        raise InvalidParameter(f'method is "{method}"; it must be "metric" or "dlt-iterative"')
+
+    fits = []
+    residuals = np.full(readings.shape, np.nan)
+    covariance = np.zeros((PARAMETER_COUNT * len(sensors),) * 2)
+    for column, sensor in enumerate(sensors):
+        seen = np.isfinite(readings[:, column])
+        sigma = None if deviations is None else deviations[seen, column]
+        solve = refine if method == "metric" else _published
+        refined = solve(
+            points[seen],
+            readings[seen, column],
+            np.ones(int(seen.sum())) if sigma is None else sigma,
+            sensor,
+        )
+        fit, variance = _assess(refined, sigma)
+        block = slice(column * PARAMETER_COUNT, (column + 1) * PARAMETER_COUNT)
+        covariance[block, block] = refined.cofactor * variance
+        residuals[seen, column] = refined.residuals_px
+        fits.append(fit)
+    return Calibration(
+        method,
+        tuple(fits),
+        tuple(tuple(row) for row in covariance.tolist()),
+        tuple(
+            tuple(None if np.isnan(value) else float(value) for value in row) for row in residuals
+        ),
+    )
+
+
+def _published(
+    points_mm: Array, readings_px: Array, sigma_px: Array, sensor: SensorGeometry
+) -> RefinedSensor:
+    """Fit as the thesis does, then look at the result as at any camera."""
+    fitted = iterative_dlt(points_mm, readings_px, sensor.name)
+    depth = fitted.matrix[1, :3] @ points_mm.T + fitted.matrix[1, 3]
+    if not ((depth > 0).all() or (depth < 0).all()):
+        raise NoConvergence(
+            f"sensor {sensor.name}: the iterative DLT ended with control points on both sides "
+            "of the lens; use the metric method",
+            sensor=sensor.name,
+        )
+    model = model_from_matrix(
+        fitted.matrix, sensor, points_mm.mean(axis=0), cubic_per_px2=fitted.cubic_per_px2
+    )
+    cameras = CameraStack.of([model])
+    residuals = (cameras.project(points_mm) - cameras.corrected(readings_px[:, None]))[:, 0]
+    jacobian = cameras.parameter_jacobian(points_mm)[:, 0] / sigma_px[:, None]
+    return RefinedSensor(model, cofactor(jacobian), residuals)
+
+
+def _assess(refined: RefinedSensor, sigma_px: Array | None) -> tuple[SensorFit, float]:
+    """Return the fit's figures and the factor from cofactor to covariance."""
+    residuals = refined.residuals_px
+    freedom = len(residuals) - PARAMETER_COUNT
+    rms = float(np.sqrt((residuals**2).mean()))
+    worst = float(np.abs(residuals).max())
+    if sigma_px is not None:
+        chi2 = float(((residuals / sigma_px) ** 2).sum())
+        sigma = float(np.sqrt((sigma_px**2).mean()))
+        ratio = chi2 / freedom if freedom > 0 else None
+        fit = SensorFit(refined.model, len(residuals), rms, worst, sigma, "given", ratio)
+        return fit, 1.0
+    if freedom > 0:
+        sigma = max(float(np.sqrt((residuals**2).sum() / freedom)), SIGMA_FLOOR_PX)
+        fit = SensorFit(refined.model, len(residuals), rms, worst, sigma, "residuals", None)
+        return fit, sigma**2
+    fit = SensorFit(
+        refined.model, len(residuals), rms, worst, float(QUANTISATION_PX), "assumed", None
+    )
+    return fit, float(QUANTISATION_PX**2)

@@ -25,13 +25,13 @@ def reading_sigma(calibration: Calibration, readings_px: Array, sigma_px: Array 
 def fitted_errors(
     calibration: Calibration, points_mm: Array, readings_px: Array, sigma_px: Array | None = None
 ) -> Array:
-    """Reconstruct the control points and return given minus reconstructed, shape (N, 3) [mm].
+    """Reconstruct the control points and return reconstructed minus given, shape (N, 3) [mm].
 
     NaN for a point that fewer than three sensors saw. The sign is the thesis's (Appendix F).
     """
     sigma = reading_sigma(calibration, readings_px, sigma_px)
     found = reconstruct(calibration.models, readings_px, sigma)
-    return points_mm - found.position_mm
+    return found.position_mm - points_mm
 
 
 def leave_one_out(

@@ -38,7 +38,7 @@ class SensorFit:
 
 @dataclass(frozen=True)
 class AxisErrors:
-    """Statistics of differences X, Y, Z between given and reconstructed points [mm]."""
+    """Statistics of differences X, Y, Z, reconstructed minus given points [mm]."""
 
     points: int
     mean_absolute_mm: Vector3

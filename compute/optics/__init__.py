@@ -1,0 +1,1 @@
+"""Forward physics: from points of light to what a line sensor counts."""

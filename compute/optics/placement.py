@@ -1,0 +1,88 @@
+"""A line sensor placed in the world: where its lens is, where it looks, along what it measures."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from compute.camera.model import SensorModel, Vector3
+from compute.errors import InvalidParameter
+
+__all__ = ["PlacedSensor", "SensorModel", "Vector3", "place_sensor"]
+
+
+@dataclass(frozen=True)
+class PlacedSensor:
+    """A camera model with what it does not tell: the lens's place along the slit, the pitch.
+
+    Args:
+        model: where a point of light is read.
+        lens_position_mm: the lens's centre in the world frame [mm].
+        pitch_um: pixel pitch [um].
+    """
+
+    model: SensorModel
+    lens_position_mm: Vector3
+    pitch_um: float
+
+
+def place_sensor(
+    name: str,
+    *,
+    lens_position_mm: Vector3,
+    aim_mm: Vector3,
+    measured_direction: Vector3,
+    principal_distance_mm: float,
+    pixels: int,
+    pitch_um: float,
+) -> PlacedSensor:
+    """Place a sensor by its position and aim, its principal point in the middle of its pixels.
+
+    The frame's z axis points from the lens to ``aim_mm``; its x axis, along the pixels, is
+    ``measured_direction`` made perpendicular to z; the slit is y = z x x (Figure 5.2 of the
+    thesis shows four such sensors).
+
+    Args:
+        name: the sensor's name in its device.
+        lens_position_mm: the lens's centre in the world frame [mm].
+        aim_mm: a point on the sensor's axis, imaged on the middle of the pixels [mm].
+        measured_direction: world direction along which readings grow; any length.
+        principal_distance_mm: the lens's distance from the pixels [mm].
+        pixels: number of pixels.
+        pitch_um: pixel pitch [um].
+
+    Raises:
+        InvalidParameter: the aim lies on the lens, or the measured direction on the axis.
+    """
+    position = np.asarray(lens_position_mm, dtype=np.float64)
+    axis = np.asarray(aim_mm, dtype=np.float64) - position
+    distance = float(np.linalg.norm(axis))
+    if distance == 0.0:
+        raise InvalidParameter(
+            f"sensor {name} is aimed at its own lens {lens_position_mm}; aim it at another point",
+            aim_mm=aim_mm,
+        )
+    axis /= distance
+    along = np.asarray(measured_direction, dtype=np.float64)
+    length = float(np.linalg.norm(along))
+    across = along - (along @ axis) * axis
+    if np.linalg.norm(across) <= 1e-6 * length:
+        raise InvalidParameter(
+            f"sensor {name} measures along {measured_direction}, which is its viewing direction "
+            f"{tuple(axis.tolist())}; give a direction across it",
+            measured_direction=measured_direction,
+        )
+    across /= np.linalg.norm(across)
+    rotation = np.stack([across, np.cross(axis, across), axis])
+    offset = -rotation @ position
+    x, y, z = (float(value) for value in Rotation.from_matrix(rotation).as_rotvec())
+    model = SensorModel(
+        name=name,
+        pixels=pixels,
+        principal_distance_px=principal_distance_mm / (pitch_um * 1e-3),
+        principal_point_px=(pixels - 1) / 2,
+        rotation_vector_rad=(x, y, z),
+        offset_x_mm=float(offset[0]),
+        offset_z_mm=float(offset[2]),
+    )
+    return PlacedSensor(model, lens_position_mm, pitch_um)

@@ -1,0 +1,127 @@
+"""The simulated device as a driver: exposes on its own clock, keeps few frames, loses the rest."""
+
+import math
+import time
+from collections.abc import Iterator
+from threading import Event
+from typing import Final
+
+from hardware.driver import DeviceDescription, SensorDescription
+from hardware.frame import FrameFlag, LineFrame
+from hardware.simulated.bar import sensor_bar
+from hardware.simulated.renderer import BATCH, FrameRenderer
+from hardware.simulated.settings import SimulationSettings
+
+FIFO_S: Final = 0.25
+"""What the device's memory holds; older exposures that nobody fetched are lost."""
+
+
+class SimulatedDriver:
+    """A bar of four line sensors looking at a scene; see ``SimulationSettings``.
+
+    The device starts exposing, and its clock at zero, when ``frames`` is first asked for one.
+    In real time a frame is handed out at the middle of its exposure, whose host time is read
+    from the host's clock; a host that comes late finds at most FIFO_S of frames, the first of
+    them flagged OVERFLOW after a jump of the sequence number. Not in real time nothing is
+    lost, and the host times go along with the device's clock from the start.
+
+    Args:
+        name: the device's name.
+        settings: the simulation.
+    """
+
+    def __init__(self, name: str, settings: SimulationSettings) -> None:
+        self._settings = settings
+        self._renderer = FrameRenderer(settings)
+        self._fifo_frames = max(2, math.ceil(FIFO_S * settings.frame_rate_hz))
+        self._closed: Event | None = None
+        self._description = DeviceDescription(
+            name=name,
+            sensors=tuple(
+                SensorDescription(sensor.model.name, sensor.model.pixels, sensor.pitch_um)
+                for sensor in sensor_bar()
+            ),
+            frame_rate_hz=settings.frame_rate_hz,
+            bits=settings.bits,
+            electrons_per_count=settings.electrons_per_count,
+            read_noise_electrons=settings.read_noise_electrons,
+            offset_counts=settings.offset_counts,
+            markers=settings.strobed_markers,
+        )
+
+    @property
+    def description(self) -> DeviceDescription:
+        """What the device is."""
+        return self._description
+
+    def open(self) -> None:
+        """Make the device ready; a new run of ``frames`` begins at sequence number zero."""
+        self.close()
+        self._closed = Event()
+
+    def close(self) -> None:
+        """End ``frames`` at once; may be called from any thread, and twice."""
+        if self._closed is not None:
+            self._closed.set()
+
+    def frames(self) -> Iterator[LineFrame]:
+        """Yield frames until the scene ends or ``close`` is called.
+
+        Raises:
+            RuntimeError: the driver was never opened.
+        """
+        closed = self._closed
+        if closed is None:
+            raise RuntimeError("the driver is not open; call open() before frames()")
+        return self._run(closed)
+
+    def _run(self, closed: Event) -> Iterator[LineFrame]:
+        number = 0
+        batch = self._renderer.batch(number)  # before the first exposure, which is then in time
+        start_host_ns = time.time_ns()
+        start_ns = time.monotonic_ns()
+        sequence, end = 0, self._settings.frames
+        while (end is None or sequence < end) and not closed.is_set():
+            flags = FrameFlag.NONE
+            if self._settings.realtime:
+                oldest = self._exposed(time.monotonic_ns() - start_ns) - self._fifo_frames
+                if oldest > sequence:
+                    sequence, flags = oldest, FrameFlag.OVERFLOW
+            if number != sequence // BATCH:
+                number = sequence // BATCH
+                batch = self._renderer.batch(number)
+            device_ns = self._renderer.time_ns(sequence)
+            host_ns = start_host_ns + device_ns
+            if self._settings.realtime:
+                due_ns = start_ns + device_ns
+                if not _wait_until(due_ns, closed):
+                    return
+                # Read anew for each frame: the host's clock may have been set meanwhile.
+                host_ns = time.time_ns() - (time.monotonic_ns() - due_ns)
+            index = sequence % BATCH
+            if batch.saturated[index]:
+                flags |= FrameFlag.SATURATED
+            yield LineFrame(
+                device=self._description.name,
+                sequence=sequence,
+                exposure_device_ns=device_ns,
+                exposure_host_ns=host_ns,
+                marker=self._renderer.marker(sequence),
+                lines=batch.lines[index],
+                flags=flags,
+            )
+            sequence += 1
+
+    def _exposed(self, elapsed_ns: int) -> int:
+        """Return how many exposures were made in that time since the start."""
+        exposed = math.floor(elapsed_ns * 1e-9 * self._settings.frame_rate_hz + 0.5)
+        end = self._settings.frames
+        return exposed if end is None else min(exposed, end)
+
+
+def _wait_until(due_ns: int, closed: Event) -> bool:
+    """Wait until a time of the monotonic clock; False, and at once, when the event is set."""
+    left_ns = due_ns - time.monotonic_ns()
+    if left_ns > 0:
+        return not closed.wait(left_ns * 1e-9)
+    return not closed.is_set()

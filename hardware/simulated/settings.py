@@ -1,0 +1,77 @@
+"""Settings of the simulated device."""
+
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import ConfigDict, Field
+
+from compute.errors import InvalidParameter
+from hardware.simulated.bounds import check_bounds
+from hardware.simulated.scenes import RotatingBar, Scene
+
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """What the simulated device shows, and how its sensors see it.
+
+    Args:
+        scene: the markers and their motion.
+        frame_rate_hz: exposures per second.
+        illumination: "strobed" lights marker n modulo M in exposure n, "simultaneous" all.
+        spot_sigma_px: standard deviation of a light line's shape [px].
+        signal_electrons: mean electrons of a line from a marker in the middle of the working
+            volume, 1500 mm in front of the bar.
+        distance_falloff: whether light falls with the square of the distance.
+        ambient_electrons: mean electrons of ambient light in each pixel and exposure.
+        read_noise_electrons: standard deviation of the read noise.
+        full_well_electrons: electrons that a pixel holds at most.
+        electrons_per_count: gain of the conversion.
+        offset_counts: the count without light.
+        bits: resolution of the conversion.
+        seed: seed of the noise; the same settings and seed give the same frames, bit by bit.
+        duration_s: length of the scene [s], at least one exposure; None: endless.
+        realtime: True: a frame is delivered when it is exposed; False: as soon as it is asked
+            for. The lines are the same.
+
+    Raises:
+        InvalidParameter: a value is outside of its bounds.
+    """
+
+    scene: Scene = field(default_factory=RotatingBar)
+    frame_rate_hz: Annotated[float, Field(ge=0.01, le=10_000.0)] = 1000.0
+    illumination: Literal["strobed", "simultaneous"] = "strobed"
+    spot_sigma_px: Annotated[float, Field(ge=0.1, le=100.0)] = 2.0
+    signal_electrons: Annotated[float, Field(ge=0.0, le=1e8)] = 100_000.0
+    distance_falloff: bool = True
+    ambient_electrons: Annotated[float, Field(ge=0.0, le=20_000.0)] = 400.0
+    read_noise_electrons: Annotated[float, Field(ge=0.0, le=500.0)] = 30.0
+    full_well_electrons: Annotated[float, Field(ge=100.0, le=1e7)] = 60_000.0
+    electrons_per_count: Annotated[float, Field(ge=0.5, le=1e4)] = 12.0
+    offset_counts: Annotated[float, Field(ge=0.0, le=200.0)] = 64.0
+    bits: Annotated[int, Field(ge=8, le=16)] = 12
+    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
+    duration_s: Annotated[float, Field(gt=0.0, le=1e7)] | None = None
+    realtime: bool = True
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if self.illumination not in ("strobed", "simultaneous"):
+            raise InvalidParameter(
+                f"illumination is {self.illumination!r}; it must be 'strobed' or 'simultaneous'",
+                illumination=self.illumination,
+            )
+
+    @property
+    def frames(self) -> int | None:
+        """Number of exposures in the duration; None: endless."""
+        if self.duration_s is None:
+            return None
+        # A fraction of a frame forgives the rounding of a product meant to be whole.
+        return max(1, int(self.duration_s * self.frame_rate_hz + 5e-7))
+
+    @property
+    def strobed_markers(self) -> int:
+        """Number of strobed markers, 0 when they are lit together."""
+        return self.scene.markers if self.illumination == "strobed" else 0

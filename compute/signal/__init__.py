@@ -1,0 +1,1 @@
+"""From raw line scans to sub-pixel peak positions with their standard deviations."""

@@ -1,0 +1,95 @@
+"""CentroidSettings: what counts as a peak, and where it is cut; and the definition of a peak."""
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Final
+
+from compute.errors import InvalidParameter
+
+LEVEL_UNIT: Final = 64
+"""Levels are integers in units of 1/64 count, so that every device takes the same decisions."""
+
+FRACTION_UNIT: Final = 65536
+"""The threshold's fraction is an integer in units of 1/65536, for the same reason."""
+
+SAMPLE_GROUPS: Final = 32
+"""Groups of pixels that the background is taken from; a line with fewer pixels has fewer."""
+
+GROUP_PIXELS: Final = 8
+"""Consecutive pixels in a group."""
+
+MIN_PIXELS: Final = 64
+MAX_PIXELS: Final = 65536
+"""Lengths of a line: eight groups at least, and 64-bit sums of the first moment at most."""
+
+
+@dataclass(frozen=True)
+class CentroidSettings:
+    """How peaks are found in a line: threshold and centre of gravity, thesis [4.1] and 4.2.2.
+
+    The definition, which the kernel and the reference both implement:
+
+    - *Background.* The line is sampled in up to 32 groups of 8 pixels, evenly spread; the
+      background b is the first quartile of the groups' means. It stands as long as peaks cover
+      less than three quarters of the line, and is read in one pass over a few pixels. It lies
+      0.25 standard deviations of a pixel below the mean of an empty line.
+    - *Noise.* The standard deviation s of a pixel at b by the noise model, or the difference
+      between the groups' first quartile and first sixteenth where that is larger: ambient light
+      that varies along the line raises the limit and makes no peaks.
+    - *Peak.* A pixel m with ``v_m >= b + detection_sigma s`` is a peak's maximum when no pixel
+      is higher (and none further left as high) in the run of pixels around it that lie above
+      its own threshold ``T = b + threshold_fraction (v_m - b)``. A faint peak beside a bright
+      one is found when the signal between them falls below a third of the faint one.
+    - *Position.* The centre of gravity of ``v - T`` over the run (thesis 4.3 subtracts the
+      threshold). A pixel's weight is then zero where it enters the run; with [4.1] over the
+      bare values, each pixel that crosses the threshold makes the position jump.
+
+    Args:
+        threshold_fraction: a peak's threshold as a fraction of its maximum above background.
+        detection_sigma: least maximum above background in standard deviations of the noise.
+        min_width_px: fewest pixels above a peak's own threshold; 2 leaves out hot pixels.
+        max_peaks: room for peaks of one line; the brightest are kept.
+
+    Raises:
+        InvalidParameter: a value outside its range.
+    """
+
+    threshold_fraction: float = 1.0 / 3.0
+    detection_sigma: float = 6.0
+    min_width_px: int = 2
+    max_peaks: int = 16
+
+    def __post_init__(self) -> None:
+        if not 0.05 <= self.threshold_fraction <= 0.95:
+            raise InvalidParameter(
+                f"threshold_fraction is {self.threshold_fraction}; it must lie in 0.05 .. 0.95",
+                threshold_fraction=self.threshold_fraction,
+            )
+        if not (isfinite(self.detection_sigma) and 3.0 <= self.detection_sigma <= 1000.0):
+            raise InvalidParameter(
+                f"detection_sigma is {self.detection_sigma}; it must lie in 3 .. 1000",
+                detection_sigma=self.detection_sigma,
+            )
+        if not 1 <= self.min_width_px <= MAX_PIXELS:
+            raise InvalidParameter(
+                f"min_width_px is {self.min_width_px}; it must lie in 1 .. {MAX_PIXELS}",
+                min_width_px=self.min_width_px,
+            )
+        if not 1 <= self.max_peaks <= 1024:
+            raise InvalidParameter(
+                f"max_peaks is {self.max_peaks}; it must lie in 1 .. 1024",
+                max_peaks=self.max_peaks,
+            )
+
+    @property
+    def fraction_units(self) -> int:
+        """threshold_fraction as an integer in units of 1/FRACTION_UNIT."""
+        return round(self.threshold_fraction * FRACTION_UNIT)
+
+
+def sample_starts(pixels: int) -> tuple[int, ...]:
+    """Return the first pixel of each group that the background is taken from."""
+    groups = min(SAMPLE_GROUPS, pixels // GROUP_PIXELS)
+    step = (pixels - GROUP_PIXELS) // (groups - 1)
+    # A multiple of 8 pixels keeps the groups on the boundaries of 16-byte loads.
+    return tuple(g * step // GROUP_PIXELS * GROUP_PIXELS for g in range(groups))

@@ -1,0 +1,81 @@
+"""The application factory: settings in, a FastAPI application with its lifespan out."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Final
+
+from anyio.to_thread import run_sync
+from fastapi import FastAPI
+
+from service.body_limit import BodyLimit
+from service.calibrations.router import router as calibrations
+from service.database.engine import Database
+from service.database.migrate import migrate
+from service.database.seed import seed
+from service.devices.operation import Operation
+from service.devices.router import router as devices
+from service.live.manager import LiveManager
+from service.openapi import install_openapi
+from service.problem_handlers import install_problem_handlers
+from service.reconstructions.router import router as reconstructions
+from service.server import router as server
+from service.settings import Settings
+from service.version import package_version
+
+DESCRIPTION: Final = """
+Calibrates linear (1D) optical sensors and reconstructs 3D points from their readings.
+
+Lengths are in mm, angles in rad, times in UTC; positions on a sensor in pixels, with the centre
+of the first pixel at 0. Errors are problem documents (RFC 9457); `GET /problems` lists their
+types. Every example below works as it stands on a new server, which has the simulated device
+`sim`.
+"""
+
+
+def create_app(settings: Settings, live: LiveManager | None = None) -> FastAPI:
+    """Return the application; nothing is opened or started before its lifespan begins.
+
+    Args:
+        settings: the settings.
+        live: takes the live pipeline's place, closed with the application all the same.
+    """
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        database = Database(settings.effective_database_url)
+        try:
+            await run_sync(_prepare, settings, database)
+            manager = live if live is not None else LiveManager()
+            try:
+                operation = Operation(database, manager, settings.recordings_dir)
+                app.state.database, app.state.live = database, manager
+                app.state.operation = operation
+                await run_sync(operation.autostart)
+                yield
+            finally:
+                app.state.live = None
+                await run_sync(manager.close)
+        finally:
+            await run_sync(database.close)
+
+    app = FastAPI(
+        title="Lumiline",
+        version=package_version(),
+        summary="Tracking server for linear optical sensors",
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        redirect_slashes=False,
+    )
+    app.state.settings = settings
+    app.add_middleware(BodyLimit, limit_bytes=settings.body_limit_bytes)
+    install_problem_handlers(app)
+    for router in (devices, calibrations, reconstructions, server):
+        app.include_router(router)
+    install_openapi(app)
+    return app
+
+
+def _prepare(settings: Settings, database: Database) -> None:
+    settings.recordings_dir.mkdir(parents=True, exist_ok=True)
+    if migrate(database):
+        seed(database)

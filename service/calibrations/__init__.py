@@ -1,0 +1,1 @@
+"""Calibrations: made from control points, immutable, activated and retired."""

@@ -1,0 +1,141 @@
+"""REST resource /api/v1/calibrations."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Path, Query, Response
+from starlette.status import HTTP_201_CREATED
+
+from compute.errors import (
+    DegeneratePoints,
+    DuplicatePoint,
+    InvalidParameter,
+    NoConvergence,
+    ReadingOutsideSensor,
+    TooFewPoints,
+    UnknownSensor,
+)
+from service.calibrations import store
+from service.calibrations.examples import NEW_CALIBRATIONS
+from service.calibrations.run import run_calibration
+from service.calibrations.schema import (
+    CalibrationDocument,
+    CalibrationSummary,
+    NewCalibration,
+    State,
+)
+from service.dependencies import DatabaseDep, OperationDep
+from service.devices.store import get_device, sensors_of_row
+from service.errors import (
+    CalibrationActive,
+    CalibrationExists,
+    CalibrationRetired,
+    UnknownCalibration,
+    UnknownDevice,
+)
+from service.json_body import FromJson, JsonRoute
+from service.openapi import problems
+from service.schema import SLUG_PATTERN, CalibrationPath, DeviceFilter, Limit, Offset, Page
+
+router = APIRouter(prefix="/api/v1/calibrations", tags=["calibrations"], route_class=JsonRoute)
+
+NewCalibrationBody = Annotated[NewCalibration, FromJson(), Body(openapi_examples=NEW_CALIBRATIONS)]
+RetiredPath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The calibration's id.",
+        openapi_examples={"box": {"summary": "one that is not active", "value": "sim-box"}},
+    ),
+]
+
+
+@router.get("", operation_id="list-calibrations", summary="List calibrations")
+def list_calibrations(
+    database: DatabaseDep,
+    device: DeviceFilter = None,
+    state: Annotated[State | None, Query(description="Only those in this state.")] = None,
+    limit: Limit = 50,
+    offset: Offset = 0,
+) -> Page[CalibrationSummary]:
+    """Calibrations without their numbers, newest first."""
+    with database.read() as session:
+        rows, total = store.list_calibrations(session, device, state, limit, offset)
+        items = [store.summary(session, row) for row in rows]
+    return Page(items=items, total=total, limit=limit, offset=offset)
+
+
+@router.post(
+    "",
+    operation_id="create-calibration",
+    summary="Calibrate a device",
+    status_code=HTTP_201_CREATED,
+    responses=problems(
+        UnknownDevice,
+        CalibrationExists,
+        TooFewPoints,
+        DegeneratePoints,
+        DuplicatePoint,
+        UnknownSensor,
+        ReadingOutsideSensor,
+        InvalidParameter,
+        NoConvergence,
+    ),
+)
+def create_calibration(
+    request: NewCalibrationBody, database: DatabaseDep, response: Response
+) -> CalibrationDocument:
+    """Calibrate every sensor from control points. The calibration is stored, not activated.
+
+    Each sensor needs at least seven points that do not lie in one plane. The control points are
+    reconstructed with the result, and each by a calibration without it (at most 100 points).
+    """
+    with database.read() as session:
+        sensors = sensors_of_row(get_device(session, request.device))
+    outcome = run_calibration(request, sensors)
+    with database.write() as session:
+        get_device(session, request.device, lock=True)
+        row = store.add_calibration(session, request.device, outcome, request.note, request.id)
+        made = store.document(session, row)
+    response.headers["Location"] = f"/api/v1/calibrations/{made.id}"
+    return made
+
+
+@router.get(
+    "/{calibration_id}",
+    operation_id="get-calibration",
+    summary="Read a calibration",
+    responses=problems(UnknownCalibration),
+)
+def get_calibration(calibration_id: CalibrationPath, database: DatabaseDep) -> CalibrationDocument:
+    """One calibration: models, joint covariance, residuals, control-point errors."""
+    with database.read() as session:
+        return store.document(session, store.get_calibration(session, calibration_id))
+
+
+@router.post(
+    "/{calibration_id}/activate",
+    operation_id="activate-calibration",
+    summary="Activate a calibration",
+    responses=problems(UnknownCalibration, CalibrationRetired),
+)
+def activate_calibration(
+    calibration_id: CalibrationPath, operation: OperationDep
+) -> CalibrationSummary:
+    """Make this the active calibration of its device, live from the next frame on.
+
+    The move is written into the device's history of activations. To roll back, activate the
+    previous one again.
+    """
+    return operation.activate(calibration_id)
+
+
+@router.post(
+    "/{calibration_id}/retire",
+    operation_id="retire-calibration",
+    summary="Retire a calibration",
+    responses=problems(UnknownCalibration, CalibrationActive),
+)
+def retire_calibration(calibration_id: RetiredPath, database: DatabaseDep) -> CalibrationSummary:
+    """Take a calibration out of use for good. It stays readable; it cannot be activated again."""
+    with database.write() as session:
+        return store.summary(session, store.retire(session, calibration_id))

@@ -1,0 +1,110 @@
+"""Calibrations as clients send and receive them."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag
+
+from compute.calibration.result import AxisErrors, Calibration, Method
+from compute.camera.model import Vector3
+from service.schema import Document, Given, Moment, Name, Note, Position, Slug
+
+MAX_POINTS = 10_000
+LEAVE_ONE_OUT_POINTS = 100
+"""Most control points for which a calibration is checked by leaving out each one."""
+
+State = Literal["active", "available", "retired"]
+Provenance = Literal["fitted", "nominal"]
+
+
+class Reading(Given):
+    """One reading with its standard deviation."""
+
+    position_px: float = Field(description="Peak position; 0 is the centre of the first pixel.")
+    sigma_px: float = Field(ge=1e-6, le=1e4, description="Its standard deviation.")
+
+
+def _reading_kind(value: Any) -> str:
+    return "with-deviation" if isinstance(value, dict | Reading) else "position"
+
+
+ReadingValue = Annotated[
+    Annotated[float, Tag("position")] | Annotated[Reading, Tag("with-deviation")],
+    Discriminator(_reading_kind),
+]
+Readings = Annotated[
+    dict[Name, ReadingValue],
+    Field(
+        max_length=64,
+        description="By sensor: the peak's position [px], or it and its standard deviation. "
+        "Leave out sensors that did not see the point.",
+    ),
+]
+
+
+class ControlPoint(Given):
+    """A point of known position and what the sensors read of it."""
+
+    name: Name
+    position_mm: Position = Field(description="X, Y, Z in the world frame [mm].")
+    readings: Readings
+
+
+class NewCalibration(Given):
+    """Control points from which a device is calibrated."""
+
+    id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
+    device: Slug
+    method: Method = Field(
+        default="metric",
+        description="`metric`: seven parameters, refined geometrically. `dlt-iterative`: the "
+        "published direct linear transformation with a cubic term, for comparison.",
+    )
+    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS)]
+    note: Note = ""
+
+
+class PointErrors(Document):
+    """Differences between given and reconstructed control points."""
+
+    statistics: AxisErrors | None = Field(description="Null when no point could be had.")
+    differences_mm: list[Vector3 | None] = Field(
+        description="Given minus reconstructed, in the order of the points; null: no position."
+    )
+
+
+class ControlPointErrors(Document):
+    """How well a calibration reproduces its control points."""
+
+    fitted: PointErrors | None = Field(description="The points that made it; null without any.")
+    leave_one_out: PointErrors | None = Field(
+        description="Each point by a calibration that never saw it; null without any point, or "
+        f"with more than {LEAVE_ONE_OUT_POINTS}."
+    )
+
+
+class CalibrationSummary(Document):
+    """A calibration without its numbers."""
+
+    id: str
+    device: str
+    state: State
+    provenance: Provenance = Field(
+        description="`fitted`: from control points. `nominal`: a design's values, not measured."
+    )
+    method: Method
+    note: str
+    point_count: int
+    content_hash: str = Field(
+        description="SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) of the object "
+        "of the members device, provenance, points and result."
+    )
+    created_at: Moment
+    retired_at: Moment | None
+
+
+class CalibrationDocument(CalibrationSummary):
+    """A calibration, whole."""
+
+    points: list[ControlPoint]
+    result: Calibration
+    errors: ControlPointErrors

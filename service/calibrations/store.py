@@ -1,0 +1,202 @@
+"""Calibrations in the database: created, read, activated, retired; never changed."""
+
+import secrets
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from sqlalchemy import ColumnElement, func, select
+from sqlalchemy.orm import Session
+
+from service.calibrations.run import Outcome
+from service.calibrations.schema import CalibrationDocument, CalibrationSummary, State
+from service.database.models import ActivationRow, ActiveCalibrationRow, CalibrationRow, DeviceRow
+from service.errors import (
+    CalibrationActive,
+    CalibrationExists,
+    CalibrationRetired,
+    UnknownCalibration,
+)
+
+
+def get_calibration(session: Session, calibration_id: str) -> CalibrationRow:
+    """Return a calibration; raises UnknownCalibration."""
+    row = session.get(CalibrationRow, calibration_id)
+    if row is None:
+        raise UnknownCalibration(
+            f'there is no calibration "{calibration_id}"; GET /api/v1/calibrations lists them',
+            calibration=calibration_id,
+        )
+    return row
+
+
+def active_id(session: Session, device_id: str) -> str | None:
+    """Return the id of the device's active calibration, None without one."""
+    pointer = session.get(ActiveCalibrationRow, device_id)
+    return pointer.calibration_id if pointer is not None else None
+
+
+def list_calibrations(
+    session: Session, device_id: str | None, state: State | None, limit: int, offset: int
+) -> tuple[Sequence[CalibrationRow], int]:
+    """Return a page of calibrations, newest first, and how many the filter matches."""
+    active = select(ActiveCalibrationRow.calibration_id)
+    conditions: list[ColumnElement[bool]] = []
+    if device_id is not None:
+        conditions.append(CalibrationRow.device_id == device_id)
+    if state == "active":
+        conditions.append(CalibrationRow.id.in_(active))
+    elif state == "retired":
+        conditions.append(CalibrationRow.retired_at.is_not(None))
+    elif state == "available":
+        conditions += [CalibrationRow.retired_at.is_(None), CalibrationRow.id.not_in(active)]
+    total = session.scalar(select(func.count()).select_from(CalibrationRow).where(*conditions))
+    rows = session.scalars(
+        select(CalibrationRow)
+        .where(*conditions)
+        .order_by(CalibrationRow.created_at.desc(), CalibrationRow.id)
+        .limit(limit)
+        .offset(offset)
+    ).all()
+    return rows, total or 0
+
+
+def add_calibration(
+    session: Session, device_id: str, outcome: Outcome, note: str, calibration_id: str | None = None
+) -> CalibrationRow:
+    """Store a calibration; it is available, not active. Raises CalibrationExists."""
+    if calibration_id is not None and session.get(CalibrationRow, calibration_id) is not None:
+        raise CalibrationExists(
+            f'calibration "{calibration_id}" exists already and is never overwritten; choose '
+            "another id, or leave it out",
+            calibration=calibration_id,
+        )
+    row = CalibrationRow(
+        id=calibration_id or f"cal-{secrets.token_hex(8)}",
+        device_id=device_id,
+        method=outcome.result.method,
+        provenance=outcome.content["provenance"],
+        note=note,
+        point_count=len(outcome.content["points"]),
+        content=outcome.content,
+        errors=outcome.errors,
+        content_hash=outcome.content_hash,
+        created_at=datetime.now(UTC),
+        retired_at=None,
+    )
+    session.add(row)
+    session.flush()
+    return row
+
+
+def activate(session: Session, calibration_id: str, actor: str | None = None) -> CalibrationRow:
+    """Point the device to this calibration and write the move down; both or neither.
+
+    Activating what is active already changes nothing and writes nothing.
+
+    Raises:
+        UnknownCalibration, CalibrationRetired.
+    """
+    row = get_calibration(session, calibration_id)
+    # Two activations for one device wait for one another here (SQLite: at the transaction's begin).
+    session.execute(select(DeviceRow.id).where(DeviceRow.id == row.device_id).with_for_update())
+    session.refresh(row)
+    if row.retired_at is not None:
+        raise CalibrationRetired(
+            f'calibration "{row.id}" was retired on {row.retired_at:%Y-%m-%d}; activate one that '
+            "is available",
+            calibration=row.id,
+        )
+    pointer = session.get(ActiveCalibrationRow, row.device_id, populate_existing=True)
+    previous = pointer.calibration_id if pointer is not None else None
+    if previous == row.id:
+        return row
+    if pointer is None:
+        session.add(ActiveCalibrationRow(device_id=row.device_id, calibration_id=row.id))
+    else:
+        pointer.calibration_id = row.id
+    session.add(
+        ActivationRow(
+            device_id=row.device_id,
+            calibration_id=row.id,
+            previous_calibration_id=previous,
+            activated_at=datetime.now(UTC),
+            actor=actor,
+        )
+    )
+    session.flush()
+    return row
+
+
+def retire(session: Session, calibration_id: str) -> CalibrationRow:
+    """Retire a calibration for good; retiring it again changes nothing.
+
+    Raises:
+        UnknownCalibration, CalibrationActive.
+    """
+    row = get_calibration(session, calibration_id)
+    session.execute(select(DeviceRow.id).where(DeviceRow.id == row.device_id).with_for_update())
+    session.refresh(row)
+    if active_id(session, row.device_id) == row.id:
+        raise CalibrationActive(
+            f'calibration "{row.id}" is the active one of device "{row.device_id}"; activate '
+            "another one before retiring it",
+            calibration=row.id,
+            device=row.device_id,
+        )
+    if row.retired_at is None:
+        row.retired_at = datetime.now(UTC)
+        session.flush()
+    return row
+
+
+def activations(
+    session: Session, device_id: str, limit: int, offset: int
+) -> tuple[Sequence[ActivationRow], int]:
+    """Return a page of a device's activations, newest first, and how many there are."""
+    condition = ActivationRow.device_id == device_id
+    total = session.scalar(select(func.count()).select_from(ActivationRow).where(condition))
+    rows = session.scalars(
+        select(ActivationRow)
+        .where(condition)
+        .order_by(ActivationRow.id.desc())
+        .limit(limit)
+        .offset(offset)
+    ).all()
+    return rows, total or 0
+
+
+def state_of(session: Session, row: CalibrationRow) -> State:
+    """Return the calibration's state."""
+    if row.retired_at is not None:
+        return "retired"
+    return "active" if active_id(session, row.device_id) == row.id else "available"
+
+
+def summary(session: Session, row: CalibrationRow) -> CalibrationSummary:
+    """Return the calibration without its numbers."""
+    return CalibrationSummary.model_validate(_members(session, row))
+
+
+def document(session: Session, row: CalibrationRow) -> CalibrationDocument:
+    """Return the calibration, whole."""
+    numbers = {
+        "points": row.content["points"],
+        "result": row.content["result"],
+        "errors": row.errors,
+    }
+    return CalibrationDocument.model_validate(_members(session, row) | numbers)
+
+
+def _members(session: Session, row: CalibrationRow) -> dict[str, object]:
+    return {
+        "id": row.id,
+        "device": row.device_id,
+        "state": state_of(session, row),
+        "provenance": row.provenance,
+        "method": row.method,
+        "note": row.note,
+        "point_count": row.point_count,
+        "content_hash": row.content_hash,
+        "created_at": row.created_at,
+        "retired_at": row.retired_at,
+    }

@@ -1,0 +1,63 @@
+"""The command line `lumiline`: one command per job, each in its own module of this package.
+
+A command's module is imported when the command runs, so that `lumiline --help` stays quick.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.version import package_version
+
+app = typer.Typer(
+    name="lumiline",
+    help="Tracking server for linear (1D) optical sensors.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_show_locals=False,
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(package_version())
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Tracking server for linear (1D) optical sensors."""
+
+
+@app.command()
+def serve(
+    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port to listen on; 0: a free one.")] = None,
+    data_dir: Annotated[Path | None, typer.Option(help="Database and recordings.")] = None,
+    device: Annotated[
+        str | None, typer.Option(help="Where the pipeline computes: cpu, cuda:0, ...")
+    ] = None,
+) -> None:
+    """Run the service. Options win over LUMILINE_... variables and lumiline.toml."""
+    from service.cli.serve import run
+
+    run(host=host, port=port, data_dir=data_dir, compute_device=device)
+
+
+@app.command()
+def openapi() -> None:
+    """Print the OpenAPI document."""
+    from service.cli.openapi import run
+
+    run()
+
+
+def main() -> None:
+    """Run the command line."""
+    app()

@@ -1,0 +1,43 @@
+"""`lumiline serve`: runs the service under uvicorn."""
+
+from typing import Any
+
+import typer
+from pydantic import ValidationError
+
+from service.settings import Settings
+
+
+def run(**given: Any) -> None:
+    """Run until interrupted.
+
+    Args:
+        given: settings from the command line; None: not given.
+    """
+    settings = load_settings(**given)
+    import uvicorn
+
+    from service.app import create_app
+
+    uvicorn.run(
+        create_app(settings),
+        host=settings.host,
+        port=settings.port,
+        log_level=settings.log_level,
+        # The stream sends binary frames of high entropy at a high rate: compressing them costs
+        # time and memory for each client, and gains nothing.
+        ws_per_message_deflate=False,
+    )
+
+
+def load_settings(**given: Any) -> Settings:
+    """Return the settings; ends the command with a clear message when one is wrong."""
+    try:
+        return Settings(**{name: value for name, value in given.items() if value is not None})
+    except ValidationError as error:
+        for item in error.errors():
+            name = ".".join(str(part) for part in item["loc"])
+            typer.echo(f"setting {name}: {item['msg']}, got {item['input']!r}", err=True)
+    except (FileNotFoundError, ValueError) as error:
+        typer.echo(f"settings: {error}", err=True)
+    raise typer.Exit(2)

@@ -1,0 +1,1 @@
+"""The service's database: typed models, engine and transactions, migrations, first content."""

@@ -1,0 +1,1 @@
+"""Devices: what is read, by which driver, and what it is doing."""

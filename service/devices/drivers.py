@@ -1,0 +1,65 @@
+"""Makes the driver that a device's source describes; drivers' libraries load only here."""
+
+from pathlib import Path
+
+from hardware.driver import Driver
+from service.devices.schema import ExternalSource, ReplaySource, Sensor, Source
+from service.errors import DeviceWithoutDriver, UnknownRecording
+
+
+def make_driver(device_id: str, source: Source, recordings_dir: Path) -> Driver:
+    """Return the device's driver, not opened.
+
+    Raises:
+        DeviceWithoutDriver: the device is an external one.
+        UnknownRecording: the recording is not there.
+    """
+    if isinstance(source, ExternalSource):
+        raise DeviceWithoutDriver(
+            f'device "{device_id}" is external and has no driver to start; post its readings to '
+            "/api/v1/reconstructions",
+            device=device_id,
+        )
+    if isinstance(source, ReplaySource):
+        from hardware.replay import ReplayDriver
+
+        return ReplayDriver(
+            device_id, recording_path(source.recording, recordings_dir), source.speed
+        )
+    from hardware.simulated.driver import SimulatedDriver
+
+    return SimulatedDriver(device_id, source.settings)
+
+
+def recording_path(name: str, recordings_dir: Path) -> Path:
+    """Return the path of a recording, which lies below ``recordings_dir`` after all links.
+
+    Raises:
+        UnknownRecording: there is no such file there.
+    """
+    folder = recordings_dir.resolve()
+    path = (folder / name).resolve()
+    if not path.is_relative_to(folder) or not path.is_file():
+        raise UnknownRecording(
+            f'there is no recording "{name}"; put the file into the data directory\'s folder '
+            "recordings",
+            recording=name,
+        )
+    return path
+
+
+def sensors_of(device_id: str, source: Source, recordings_dir: Path) -> list[Sensor]:
+    """Return the sensors that a source has: given with an external one, else its driver's.
+
+    Raises:
+        LumilineError: the driver cannot be opened.
+    """
+    if isinstance(source, ExternalSource):
+        return source.sensors
+    driver = make_driver(device_id, source, recordings_dir)
+    try:
+        driver.open()
+        described = driver.description.sensors
+    finally:
+        driver.close()
+    return [Sensor(sensor.name, sensor.pixels, sensor.pitch_um) for sensor in described]

@@ -1,0 +1,132 @@
+"""What needs the database and the running devices together, one change of a device at a time."""
+
+import logging
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sqlalchemy import select
+
+from compute.errors import LumilineError
+from service.calibrations import store as calibrations
+from service.calibrations.run import result_of
+from service.calibrations.schema import CalibrationSummary
+from service.database.engine import Database
+from service.database.models import DeviceRow
+from service.devices import store
+from service.devices.drivers import make_driver, sensors_of
+from service.devices.schema import Device, DeviceChange, NewDevice
+from service.live.manager import DeviceStatus, LiveManager
+
+_log = logging.getLogger(__name__)
+
+
+class Operation:
+    """Starts, stops and recalibrates devices so that the database and the live side agree."""
+
+    def __init__(self, database: Database, live: LiveManager, recordings_dir: Path) -> None:
+        self._database = database
+        self._live = live
+        self._recordings_dir = recordings_dir
+        self._locks: dict[str, threading.Lock] = {}
+        self._guard = threading.Lock()
+
+    @contextmanager
+    def _exclusive(self, device_id: str) -> Iterator[None]:
+        """Keep other changes of this device waiting; other devices go on."""
+        with self._guard:
+            lock = self._locks.setdefault(device_id, threading.Lock())
+        with lock:
+            yield
+
+    def create(self, request: NewDevice) -> Device:
+        """Create a device; its sensors come from its driver where it has one.
+
+        Raises:
+            DeviceExists, or what the driver raises when it is opened.
+        """
+        sensors = sensors_of(request.id, request.source, self._recordings_dir)
+        with self._exclusive(request.id), self._database.write() as session:
+            return store.document(session, store.add_device(session, request, sensors))
+
+    def change(self, device_id: str, change: DeviceChange) -> Device:
+        """Change a device; a new source works from the device's next start.
+
+        Raises:
+            UnknownDevice, DeviceInUse, or what the driver raises when it is opened.
+        """
+        with self._database.read() as session:
+            store.get_device(session, device_id)
+        sensors = None
+        if "source" in change.model_fields_set:
+            sensors = sensors_of(device_id, change.source, self._recordings_dir)
+        with self._exclusive(device_id), self._database.write() as session:
+            return store.document(session, store.change_device(session, device_id, change, sensors))
+
+    def delete(self, device_id: str, *, cascade: bool) -> None:
+        """Delete a device and stop it; raises UnknownDevice, DeviceInUse."""
+        with self._exclusive(device_id):
+            with self._database.write() as session:
+                store.delete_device(session, device_id, cascade=cascade)
+            self._live.stop_device(device_id)
+
+    def start(self, device_id: str) -> DeviceStatus:
+        """Start a device with its active calibration, again if it is running.
+
+        Raises:
+            UnknownDevice, DeviceWithoutDriver, or what the driver raises when it is opened.
+        """
+        with self._exclusive(device_id):
+            with self._database.read() as session:
+                row = store.get_device(session, device_id)
+                source = store.source_of(row)
+                active = calibrations.active_id(session, device_id)
+                result = None
+                if active is not None:
+                    result = result_of(calibrations.get_calibration(session, active).content)
+            driver = make_driver(device_id, source, self._recordings_dir)
+            self._live.start_device(device_id, driver, active, result)
+            return self._live.status(device_id)
+
+    def stop(self, device_id: str) -> DeviceStatus:
+        """Stop a device; raises UnknownDevice."""
+        with self._exclusive(device_id):
+            with self._database.read() as session:
+                store.get_device(session, device_id)
+            self._live.stop_device(device_id)
+            return self._live.status(device_id)
+
+    def status(self, device_id: str) -> DeviceStatus:
+        """Return what a device is doing; raises UnknownDevice."""
+        with self._database.read() as session:
+            store.get_device(session, device_id)
+        return self._live.status(device_id)
+
+    def activate(self, calibration_id: str) -> CalibrationSummary:
+        """Make a calibration its device's active one, in the database and then live.
+
+        Raises:
+            UnknownCalibration, CalibrationRetired.
+        """
+        with self._database.read() as session:
+            device_id = calibrations.get_calibration(session, calibration_id).device_id
+        with self._exclusive(device_id):
+            with self._database.write() as session:
+                row = calibrations.activate(session, calibration_id)
+                summary = calibrations.summary(session, row)
+                result = result_of(row.content)
+            self._live.set_calibration(device_id, calibration_id, result)
+        return summary
+
+    def autostart(self) -> None:
+        """Start all devices that say so; one that fails is logged and keeps no other waiting."""
+        with self._database.read() as session:
+            wanted = session.scalars(
+                select(DeviceRow.id).where(DeviceRow.autostart).order_by(DeviceRow.id)
+            ).all()
+        for device_id in wanted:
+            try:
+                self.start(device_id)
+            except LumilineError as error:
+                _log.error("device %s was not started: %s", device_id, error.detail)

@@ -1,0 +1,168 @@
+"""REST resource /api/v1/devices."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Path, Query, Response
+from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+
+from compute.errors import InvalidParameter, InvalidRecording
+from service.calibrations import store as calibrations
+from service.dependencies import DatabaseDep, OperationDep
+from service.devices import store
+from service.devices.examples import CHANGES, NEW_DEVICES
+from service.devices.schema import Activation, Device, DeviceChange, NewDevice, Status
+from service.errors import (
+    DeviceExists,
+    DeviceInUse,
+    DeviceWithoutDriver,
+    UnknownDevice,
+    UnknownRecording,
+)
+from service.json_body import FromJson, JsonRoute
+from service.openapi import problems
+from service.schema import SLUG_PATTERN, DevicePath, Limit, Offset, Page
+
+router = APIRouter(prefix="/api/v1/devices", tags=["devices"], route_class=JsonRoute)
+
+NewDeviceBody = Annotated[NewDevice, FromJson(), Body(openapi_examples=NEW_DEVICES)]
+ChangeBody = Annotated[DeviceChange, FromJson(), Body(openapi_examples=CHANGES)]
+
+
+@router.get("", operation_id="list-devices", summary="List devices")
+def list_devices(database: DatabaseDep, limit: Limit = 50, offset: Offset = 0) -> Page[Device]:
+    """Devices by id."""
+    with database.read() as session:
+        rows, total = store.list_devices(session, limit, offset)
+        items = [store.document(session, row) for row in rows]
+    return Page(items=items, total=total, limit=limit, offset=offset)
+
+
+@router.post(
+    "",
+    operation_id="create-device",
+    summary="Create a device",
+    status_code=HTTP_201_CREATED,
+    responses=problems(DeviceExists, UnknownRecording, InvalidParameter, InvalidRecording),
+)
+def create_device(request: NewDeviceBody, operation: OperationDep, response: Response) -> Device:
+    """Create a device. It is not started; sensors are given for an external one only."""
+    device = operation.create(request)
+    response.headers["Location"] = f"/api/v1/devices/{device.id}"
+    return device
+
+
+@router.get(
+    "/{device_id}",
+    operation_id="get-device",
+    summary="Read a device",
+    responses=problems(UnknownDevice),
+)
+def get_device(device_id: DevicePath, database: DatabaseDep) -> Device:
+    """One device."""
+    with database.read() as session:
+        return store.document(session, store.get_device(session, device_id))
+
+
+@router.patch(
+    "/{device_id}",
+    operation_id="change-device",
+    summary="Change a device",
+    responses=problems(
+        UnknownDevice, UnknownRecording, DeviceInUse, InvalidParameter, InvalidRecording
+    ),
+)
+def change_device(device_id: DevicePath, request: ChangeBody, operation: OperationDep) -> Device:
+    """Change what is given. A new source works from the next start of the device; sensors that
+    calibrations refer to cannot change.
+    """
+    return operation.change(device_id, request)
+
+
+DeletedDevicePath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The device's id.",
+        openapi_examples={"lab-bar": {"summary": "the external device", "value": "lab-bar"}},
+    ),
+]
+
+
+@router.delete(
+    "/{device_id}",
+    operation_id="delete-device",
+    summary="Delete a device",
+    status_code=HTTP_204_NO_CONTENT,
+    responses=problems(UnknownDevice, DeviceInUse),
+)
+def delete_device(
+    device_id: DeletedDevicePath,
+    operation: OperationDep,
+    cascade: Annotated[
+        bool, Query(description="Delete its calibrations and reconstructions, too.")
+    ] = False,
+) -> None:
+    """Stop and delete a device; refused while calibrations or reconstructions belong to it."""
+    operation.delete(device_id, cascade=cascade)
+
+
+@router.post(
+    "/{device_id}/start",
+    operation_id="start-device",
+    summary="Start a device",
+    responses=problems(
+        UnknownDevice, UnknownRecording, DeviceWithoutDriver, InvalidParameter, InvalidRecording
+    ),
+)
+def start_device(device_id: DevicePath, operation: OperationDep) -> Status:
+    """Start the device with its active calibration; one that is running starts anew."""
+    return Status(device=device_id, status=operation.start(device_id))
+
+
+@router.post(
+    "/{device_id}/stop",
+    operation_id="stop-device",
+    summary="Stop a device",
+    responses=problems(UnknownDevice),
+)
+def stop_device(device_id: DevicePath, operation: OperationDep) -> Status:
+    """Stop the device; nothing happens when it is not running."""
+    return Status(device=device_id, status=operation.stop(device_id))
+
+
+@router.get(
+    "/{device_id}/status",
+    operation_id="get-device-status",
+    summary="What a device is doing",
+    responses=problems(UnknownDevice),
+)
+def get_device_status(device_id: DevicePath, operation: OperationDep) -> Status:
+    """State, frame counters and losses since the device was started."""
+    return Status(device=device_id, status=operation.status(device_id))
+
+
+@router.get(
+    "/{device_id}/activations",
+    operation_id="list-activations",
+    summary="History of active calibrations",
+    responses=problems(UnknownDevice),
+)
+def list_activations(
+    device_id: DevicePath, database: DatabaseDep, limit: Limit = 50, offset: Offset = 0
+) -> Page[Activation]:
+    """Which calibration was activated when, newest first; nothing is ever removed."""
+    with database.read() as session:
+        store.get_device(session, device_id)
+        rows, total = calibrations.activations(session, device_id, limit, offset)
+    items = [
+        Activation(
+            id=row.id,
+            device=row.device_id,
+            calibration_id=row.calibration_id,
+            previous_calibration_id=row.previous_calibration_id,
+            activated_at=row.activated_at,
+            actor=row.actor,
+        )
+        for row in rows
+    ]
+    return Page(items=items, total=total, limit=limit, offset=offset)

@@ -1,0 +1,150 @@
+"""Devices in the database."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from pydantic import TypeAdapter
+from sqlalchemy import delete, func, select
+from sqlalchemy.orm import Session
+
+from service.calibrations.store import active_id
+from service.database.models import (
+    ActivationRow,
+    ActiveCalibrationRow,
+    CalibrationRow,
+    DeviceRow,
+    ReconstructionRow,
+)
+from service.devices.schema import Device, DeviceChange, NewDevice, Sensor, Source
+from service.errors import DeviceExists, DeviceInUse, UnknownDevice
+
+_SOURCE: TypeAdapter[Source] = TypeAdapter(Source)
+_SENSORS = TypeAdapter(list[Sensor])
+
+
+def get_device(session: Session, device_id: str, *, lock: bool = False) -> DeviceRow:
+    """Return a device, locked until the transaction's end on request; raises UnknownDevice."""
+    row = session.get(DeviceRow, device_id, with_for_update=lock or None)
+    if row is None:
+        raise UnknownDevice(
+            f'there is no device "{device_id}"; GET /api/v1/devices lists them', device=device_id
+        )
+    return row
+
+
+def list_devices(session: Session, limit: int, offset: int) -> tuple[Sequence[DeviceRow], int]:
+    """Return a page of devices by id, and how many there are."""
+    total = session.scalar(select(func.count()).select_from(DeviceRow))
+    rows = session.scalars(
+        select(DeviceRow).order_by(DeviceRow.id).limit(limit).offset(offset)
+    ).all()
+    return rows, total or 0
+
+
+def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> DeviceRow:
+    """Store a device; raises DeviceExists."""
+    if session.get(DeviceRow, request.id) is not None:
+        raise DeviceExists(
+            f'device "{request.id}" exists already; choose another id, or PATCH it',
+            device=request.id,
+        )
+    now = datetime.now(UTC)
+    row = DeviceRow(
+        id=request.id,
+        title=request.title,
+        source=_SOURCE.dump_python(request.source, mode="json"),
+        sensors=_SENSORS.dump_python(sensors, mode="json"),
+        autostart=request.autostart,
+        created_at=now,
+        updated_at=now,
+    )
+    session.add(row)
+    session.flush()
+    return row
+
+
+def change_device(
+    session: Session, device_id: str, change: DeviceChange, sensors: list[Sensor] | None
+) -> DeviceRow:
+    """Change what the request gives; ``sensors`` are those of a new source.
+
+    Raises:
+        UnknownDevice.
+        DeviceInUse: the new source has other sensors, and calibrations of the old ones exist.
+    """
+    row = get_device(session, device_id, lock=True)
+    given = change.model_fields_set
+    if "title" in given:
+        row.title = change.title
+    if "autostart" in given:
+        row.autostart = change.autostart
+    if "source" in given and sensors is not None:
+        described = _SENSORS.dump_python(sensors, mode="json")
+        if described != row.sensors:
+            _refuse_if_used(session, device_id, "changing its sensors would orphan them")
+        row.source = _SOURCE.dump_python(change.source, mode="json")
+        row.sensors = described
+    row.updated_at = datetime.now(UTC)
+    session.flush()
+    return row
+
+
+def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
+    """Delete a device; with ``cascade`` all that belongs to it, too.
+
+    Raises:
+        UnknownDevice.
+        DeviceInUse: calibrations or reconstructions belong to it, and ``cascade`` is not asked.
+    """
+    row = get_device(session, device_id, lock=True)
+    if cascade:
+        for table in (ReconstructionRow, ActivationRow, ActiveCalibrationRow, CalibrationRow):
+            session.execute(delete(table).where(table.device_id == device_id))
+    else:
+        _refuse_if_used(session, device_id, "add ?cascade=true to delete them with it")
+    session.delete(row)
+    session.flush()
+
+
+def _refuse_if_used(session: Session, device_id: str, why: str) -> None:
+    counts = {
+        name: session.scalar(
+            select(func.count()).select_from(table).where(table.device_id == device_id)
+        )
+        or 0
+        for name, table in (
+            ("calibrations", CalibrationRow),
+            ("reconstructions", ReconstructionRow),
+        )
+    }
+    if any(counts.values()):
+        raise DeviceInUse(
+            f'device "{device_id}" has {counts["calibrations"]} calibrations and '
+            f"{counts['reconstructions']} reconstructions; {why}",
+            device=device_id,
+            **counts,
+        )
+
+
+def source_of(row: DeviceRow) -> Source:
+    """Return the device's source."""
+    return _SOURCE.validate_python(row.source)
+
+
+def sensors_of_row(row: DeviceRow) -> list[Sensor]:
+    """Return the device's sensors."""
+    return _SENSORS.validate_python(row.sensors)
+
+
+def document(session: Session, row: DeviceRow) -> Device:
+    """Return the device as clients see it."""
+    return Device(
+        id=row.id,
+        title=row.title,
+        source=source_of(row),
+        sensors=sensors_of_row(row),
+        autostart=row.autostart,
+        active_calibration_id=active_id(session, row.id),
+        created_at=row.created_at,
+        updated_at=row.updated_at,
+    )

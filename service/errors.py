@@ -1,0 +1,117 @@
+"""The service's own errors: things not there, and conflicts with what is."""
+
+from compute.errors import LumilineError
+
+
+class UnknownDevice(LumilineError):
+    """No device has the given id."""
+
+    code = "unknown-device"
+
+
+class UnknownCalibration(LumilineError):
+    """No calibration has the given id."""
+
+    code = "unknown-calibration"
+
+
+class UnknownReconstruction(LumilineError):
+    """No reconstruction has the given id."""
+
+    code = "unknown-reconstruction"
+
+
+class UnknownRecording(LumilineError):
+    """No recording of the given name lies in the data directory's folder of recordings."""
+
+    code = "unknown-recording"
+
+
+class UnknownProblem(LumilineError):
+    """No problem type has the given code."""
+
+    code = "unknown-problem"
+
+
+class DeviceExists(LumilineError):
+    """A device of this id exists already; ids are unique."""
+
+    code = "device-exists"
+
+
+class CalibrationExists(LumilineError):
+    """A calibration of this id exists already; calibrations are never overwritten."""
+
+    code = "calibration-exists"
+
+
+class ReconstructionExists(LumilineError):
+    """A reconstruction of this id exists already; choose another id, or leave it out."""
+
+    code = "reconstruction-exists"
+
+
+class DeviceInUse(LumilineError):
+    """The change would orphan calibrations or reconstructions that belong to the device."""
+
+    code = "device-in-use"
+
+
+class DeviceWithoutDriver(LumilineError):
+    """An external device has no driver that could be started: its readings are posted."""
+
+    code = "device-without-driver"
+
+
+class CalibrationActive(LumilineError):
+    """The active calibration cannot be retired; activate another one first."""
+
+    code = "calibration-active"
+
+
+class CalibrationRetired(LumilineError):
+    """A retired calibration cannot be activated or used again."""
+
+    code = "calibration-retired"
+
+
+class NoActiveCalibration(LumilineError):
+    """The device has no active calibration and the request names none."""
+
+    code = "no-active-calibration"
+
+
+class CalibrationOfAnotherDevice(LumilineError):
+    """The calibration named belongs to another device than the readings."""
+
+    code = "calibration-of-another-device"
+
+
+class NotReady(LumilineError):
+    """A part that requests need (database, live pipeline) does not answer."""
+
+    code = "not-ready"
+
+
+class MalformedJson(LumilineError):
+    """The request's body is not JSON (RFC 8259)."""
+
+    code = "malformed-json"
+
+
+class DuplicateKey(LumilineError):
+    """An object in the request's body has the same key twice, so one value would be lost."""
+
+    code = "duplicate-key"
+
+
+class UnsupportedMediaType(LumilineError):
+    """The request's body is not declared as ``application/json``."""
+
+    code = "unsupported-media-type"
+
+
+class BodyTooLarge(LumilineError):
+    """The request's body is larger than the server's limit."""
+
+    code = "body-too-large"

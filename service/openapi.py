@@ -1,0 +1,108 @@
+"""The OpenAPI document: problem responses by their types, and the shared schemas."""
+
+from collections import defaultdict
+from typing import Any, Final
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from pydantic.json_schema import models_json_schema
+
+from compute.errors import LumilineError, NonFiniteValue
+from service.errors import (
+    BodyTooLarge,
+    DuplicateKey,
+    MalformedJson,
+    UnsupportedMediaType,
+)
+from service.problems import MEDIA_TYPE, PROBLEM_TYPES, Problem, ProblemType, problem_type_of
+
+Responses = dict[int | str, dict[str, Any]]
+
+_INVALID: Final = PROBLEM_TYPES["invalid-request"]
+_OF_EVERY_OPERATION: Final = (PROBLEM_TYPES["internal-error"],)
+_OF_BODIES: Final = tuple(
+    problem_type_of(error)
+    for error in (MalformedJson, DuplicateKey, UnsupportedMediaType, BodyTooLarge, NonFiniteValue)
+)
+
+TAGS: Final = [
+    {"name": "devices", "description": "What is read, by which driver, and what it is doing."},
+    {
+        "name": "calibrations",
+        "description": "Camera models from control points. Immutable: create, read, activate, "
+        "retire.",
+    },
+    {"name": "reconstructions", "description": "3D points from readings that you post."},
+    {"name": "server", "description": "Health, and what problem types mean."},
+]
+
+
+def problems(*errors: type[LumilineError]) -> Responses:
+    """Return the responses of an operation that raises these errors, for ``responses=``."""
+    return _responses([problem_type_of(error) for error in errors])
+
+
+def _responses(kinds: list[ProblemType]) -> Responses:
+    by_status: dict[int, dict[str, ProblemType]] = defaultdict(dict)
+    for kind in kinds:
+        by_status[kind.status][kind.code] = kind
+    return {
+        status: {
+            "description": "; ".join(f"`{code}`: {kind.meaning}" for code, kind in found.items()),
+            "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+        }
+        for status, found in sorted(by_status.items())
+    }
+
+
+def install_openapi(app: FastAPI) -> None:
+    """Let the application serve the completed document."""
+
+    def openapi() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            app.openapi_schema = _document(app)
+        return app.openapi_schema
+
+    app.openapi = openapi  # type: ignore[method-assign]
+
+
+def _document(app: FastAPI) -> dict[str, Any]:
+    document = get_openapi(
+        title=app.title,
+        version=app.version,
+        summary=app.summary,
+        description=app.description,
+        tags=TAGS,
+        routes=app.routes,
+    )
+    schemas = document.setdefault("components", {}).setdefault("schemas", {})
+    for unused in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(unused, None)
+    _, found = models_json_schema(
+        [(Problem, "serialization")], ref_template="#/components/schemas/{model}"
+    )
+    schemas |= found["$defs"]
+    for item in document["paths"].values():
+        for method, operation in item.items():
+            if method != "parameters":
+                _complete(operation)
+    return document
+
+
+def _complete(operation: dict[str, Any]) -> None:
+    """Add the problems that follow from what the operation takes."""
+    responses = operation["responses"]
+    kinds = list(_OF_EVERY_OPERATION)
+    if responses.get("422", {}).get("content", {}).get("application/json"):
+        del responses["422"]  # FastAPI's own description of validation errors
+    if operation.get("requestBody") or operation.get("parameters"):
+        kinds.append(_INVALID)
+    if operation.get("requestBody"):
+        kinds += _OF_BODIES
+    for status, response in _responses(kinds).items():
+        given = responses.get(str(status))
+        if given is None:
+            responses[str(status)] = response
+        elif response["description"] not in given["description"]:
+            given["description"] += "; " + response["description"]
+    operation["responses"] = dict(sorted(responses.items()))

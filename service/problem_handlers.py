@@ -1,0 +1,161 @@
+"""Turns every exception into a problem document: application/problem+json (RFC 9457)."""
+
+import json
+import logging
+import math
+import secrets
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+
+from compute.errors import LumilineError, NonFiniteValue
+from service.errors import BodyTooLarge, MalformedJson
+from service.problems import (
+    MEDIA_TYPE,
+    PROBLEM_TYPES,
+    FieldError,
+    Problem,
+    ProblemType,
+    problem_type_of,
+)
+
+_log = logging.getLogger(__name__)
+
+_INPUT_CHARACTERS = 200
+_SHOWN_IN_DETAIL = 3
+_BY_STATUS = {404: "not-found", 405: "method-not-allowed", 413: BodyTooLarge.code}
+
+
+def json_safe(value: Any) -> Any:
+    """Return the value as JSON can hold it: NaN and infinities as text, unknown types by repr."""
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        if math.isfinite(value):
+            return value
+        return "NaN" if math.isnan(value) else ("Infinity" if value > 0 else "-Infinity")
+    if isinstance(value, Mapping):
+        return {str(key): json_safe(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [json_safe(item) for item in value]
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return repr(value)
+
+
+def shown(value: Any) -> str:
+    """Return the value as JSON text, cut to a length that fits a message."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(json_safe(value))
+    text = json.dumps(json_safe(value), ensure_ascii=True)
+    return text if len(text) <= _INPUT_CHARACTERS else text[: _INPUT_CHARACTERS - 3] + "..."
+
+
+def problem_response(
+    kind: ProblemType,
+    detail: str,
+    instance: str,
+    *,
+    errors: list[FieldError] | None = None,
+    context: Mapping[str, object] | None = None,
+    headers: Mapping[str, str] | None = None,
+) -> Response:
+    """Return the response that carries a problem document."""
+    problem = Problem(
+        type=kind.type,
+        title=kind.title,
+        status=kind.status,
+        detail=detail,
+        instance=instance,
+        errors=errors,
+        context=json_safe(context) if context else None,
+    )
+    content = json.dumps(problem.model_dump(exclude_none=True), ensure_ascii=True)
+    return Response(content, kind.status, headers, MEDIA_TYPE)
+
+
+async def _domain_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, LumilineError)
+    kind = problem_type_of(type(error))
+    return problem_response(kind, error.detail, request.url.path, context=error.context)
+
+
+async def _validation_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    found: Sequence[Mapping[str, Any]] = error.errors()
+    kinds = {item["type"] for item in found}
+    if "json_invalid" in kinds:
+        item = next(item for item in found if item["type"] == "json_invalid")
+        reason = item.get("ctx", {}).get("error", item["msg"])
+        detail = f"the body is not JSON: {reason}; send a JSON document"
+        return problem_response(problem_type_of(MalformedJson), detail, request.url.path)
+    errors = [
+        FieldError(location=list(item["loc"]), message=item["msg"], input=shown(item.get("input")))
+        for item in found
+    ]
+    not_finite = any(_is_not_finite(item.get("input")) for item in found)
+    kind = problem_type_of(NonFiniteValue) if not_finite else PROBLEM_TYPES["invalid-request"]
+    return problem_response(kind, _summary(errors), request.url.path, errors=errors)
+
+
+def _is_not_finite(value: Any) -> bool:
+    return isinstance(value, float) and not math.isfinite(value)
+
+
+def _summary(errors: Sequence[FieldError]) -> str:
+    parts = [
+        f"{'.'.join(str(part) for part in item.location)}: {item.message}, got {item.input}"
+        for item in errors[:_SHOWN_IN_DETAIL]
+    ]
+    more = len(errors) - _SHOWN_IN_DETAIL
+    return "; ".join(parts) + (f"; and {more} more" if more > 0 else "")
+
+
+async def _http_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    kind = PROBLEM_TYPES[_BY_STATUS.get(error.status_code, "bad-request")]
+    headers = dict(error.headers or {})
+    path = request.url.path
+    if error.status_code == 404:
+        detail = f"no resource has the path {path}; /openapi.json lists all paths"
+    elif error.status_code == 405:
+        headers["Allow"] = ", ".join(allowed_methods(request))
+        detail = f"{request.method} is not possible here; possible are {headers['Allow']}"
+    else:
+        detail = str(error.detail)
+    return problem_response(kind, detail, path, headers=headers)
+
+
+def allowed_methods(request: Request) -> list[str]:
+    """Return the methods that the request's path has, as the OpenAPI document lists them."""
+    segments = request.url.path.strip("/").split("/")
+    methods: set[str] = set()
+    for path, item in request.app.openapi()["paths"].items():
+        template = path.strip("/").split("/")
+        if len(template) == len(segments) and all(
+            part.startswith("{") or part == segment
+            for part, segment in zip(template, segments, strict=True)
+        ):
+            methods |= {method.upper() for method in item if method != "parameters"}
+    return sorted(methods or {"GET"})
+
+
+async def _unexpected_error(request: Request, error: Exception) -> Response:
+    # The cause may hold paths, queries or passwords: it goes to the log, a reference to the user.
+    reference = secrets.token_hex(4)
+    _log.error("unexpected error, reference %s", reference, exc_info=error)
+    detail = f"unexpected error; the server's log has it under reference {reference}"
+    return problem_response(PROBLEM_TYPES["internal-error"], detail, request.url.path)
+
+
+def install_problem_handlers(app: FastAPI) -> None:
+    """Register the handlers with the application."""
+    app.add_exception_handler(LumilineError, _domain_error)
+    app.add_exception_handler(RequestValidationError, _validation_error)
+    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(Exception, _unexpected_error)

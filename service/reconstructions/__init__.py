@@ -1,0 +1,1 @@
+"""Reconstructions: points from readings that a client posts."""

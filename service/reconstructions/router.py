@@ -1,0 +1,121 @@
+"""REST resource /api/v1/reconstructions."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Path, Response
+from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+
+from compute.errors import DuplicatePoint, ReadingOutsideSensor, UnknownSensor
+from service.calibrations.run import result_of
+from service.dependencies import DatabaseDep
+from service.devices.store import get_device, sensors_of_row
+from service.errors import (
+    CalibrationOfAnotherDevice,
+    CalibrationRetired,
+    NoActiveCalibration,
+    ReconstructionExists,
+    UnknownCalibration,
+    UnknownDevice,
+    UnknownReconstruction,
+)
+from service.json_body import FromJson, JsonRoute
+from service.openapi import problems
+from service.reconstructions import store
+from service.reconstructions.examples import NEW_RECONSTRUCTIONS
+from service.reconstructions.run import run_reconstruction
+from service.reconstructions.schema import (
+    NewReconstruction,
+    Reconstruction,
+    ReconstructionSummary,
+)
+from service.schema import SLUG_PATTERN, DeviceFilter, Limit, Offset, Page
+
+router = APIRouter(
+    prefix="/api/v1/reconstructions", tags=["reconstructions"], route_class=JsonRoute
+)
+
+NewReconstructionBody = Annotated[
+    NewReconstruction, FromJson(), Body(openapi_examples=NEW_RECONSTRUCTIONS)
+]
+ReconstructionPath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The reconstruction's id.",
+        openapi_examples={"check": {"summary": "of the example body", "value": "sim-check"}},
+    ),
+]
+
+
+@router.get("", operation_id="list-reconstructions", summary="List reconstructions")
+def list_reconstructions(
+    database: DatabaseDep, device: DeviceFilter = None, limit: Limit = 50, offset: Offset = 0
+) -> Page[ReconstructionSummary]:
+    """Reconstructions without their points, newest first."""
+    with database.read() as session:
+        items, total = store.list_reconstructions(session, device, limit, offset)
+    return Page(items=list(items), total=total, limit=limit, offset=offset)
+
+
+@router.post(
+    "",
+    operation_id="create-reconstruction",
+    summary="Reconstruct points",
+    status_code=HTTP_201_CREATED,
+    responses=problems(
+        UnknownDevice,
+        UnknownCalibration,
+        CalibrationOfAnotherDevice,
+        CalibrationRetired,
+        NoActiveCalibration,
+        ReconstructionExists,
+        DuplicatePoint,
+        UnknownSensor,
+        ReadingOutsideSensor,
+    ),
+)
+def create_reconstruction(
+    request: NewReconstructionBody, database: DatabaseDep, response: Response
+) -> Reconstruction:
+    """Compute points from readings of three or more sensors, each with its covariance.
+
+    A point that cannot be had is no error: its estimate has no position and a flag that says why.
+    """
+    with database.read() as session:
+        sensors = sensors_of_row(get_device(session, request.device))
+        calibration = store.calibration_for(session, request)
+        calibration_id, result = calibration.id, result_of(calibration.content)
+    estimates = run_reconstruction(request.points, sensors, result)
+    with database.write() as session:
+        get_device(session, request.device, lock=True)
+        row = store.add_reconstruction(session, request, calibration_id, estimates)
+        made = store.document(row)
+    response.headers["Location"] = f"/api/v1/reconstructions/{made.id}"
+    return made
+
+
+@router.get(
+    "/{reconstruction_id}",
+    operation_id="get-reconstruction",
+    summary="Read a reconstruction",
+    responses=problems(UnknownReconstruction),
+)
+def get_reconstruction(
+    reconstruction_id: ReconstructionPath, database: DatabaseDep
+) -> Reconstruction:
+    """One reconstruction: readings and estimates."""
+    with database.read() as session:
+        return store.document(store.get_reconstruction(session, reconstruction_id))
+
+
+@router.delete(
+    "/{reconstruction_id}",
+    operation_id="delete-reconstruction",
+    summary="Delete a reconstruction",
+    status_code=HTTP_204_NO_CONTENT,
+    responses=problems(UnknownReconstruction),
+)
+def delete_reconstruction(reconstruction_id: ReconstructionPath, database: DatabaseDep) -> None:
+    """Delete a reconstruction."""
+    with database.write() as session:
+        session.delete(store.get_reconstruction(session, reconstruction_id))

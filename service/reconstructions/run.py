@@ -1,0 +1,36 @@
+"""Reconstructs the points of a request with a stored calibration."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from compute.calibration.result import Calibration
+from compute.reconstruction.points import reconstruct
+from hardware.driver import SensorDescription
+from service.calibrations.observations import observations
+from service.reconstructions.schema import NamedEstimate, ObservedPoint
+
+
+def run_reconstruction(
+    points: Sequence[ObservedPoint],
+    sensors: Sequence[SensorDescription],
+    calibration: Calibration,
+) -> list[NamedEstimate]:
+    """Return the estimates, the calibration's covariance included.
+
+    Readings without a standard deviation get the calibration's for their sensor.
+
+    Raises:
+        DuplicatePoint, UnknownSensor, ReadingOutsideSensor: what is wrong with the readings.
+    """
+    observed = observations(points, sensors)
+    assumed = np.array([fit.sigma_px for fit in calibration.sensors])
+    sigma = np.where(np.isfinite(observed.sigma_px), observed.sigma_px, assumed)
+    batch = reconstruct(
+        calibration.models, observed.readings_px, sigma, np.array(calibration.covariance)
+    )
+    names = tuple(sensor.name for sensor in sensors)
+    return [
+        NamedEstimate(**vars(batch.estimate(index, names)), name=point.name)
+        for index, point in enumerate(points)
+    ]

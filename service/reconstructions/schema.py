@@ -1,0 +1,55 @@
+"""Reconstructions as clients send and receive them."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
+
+from compute.reconstruction.estimate import PointEstimate
+from service.calibrations.schema import MAX_POINTS, Readings
+from service.schema import Document, Given, Moment, Name, Slug
+
+
+class ObservedPoint(Given):
+    """A point of unknown position and what the sensors read of it."""
+
+    name: Name
+    readings: Readings
+
+
+class NewReconstruction(Given):
+    """Readings of which points are computed."""
+
+    id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
+    device: Slug
+    calibration: Slug | None = Field(
+        default=None, description="One of the device's; left out or null: its active one."
+    )
+    points: Annotated[list[ObservedPoint], Field(min_length=1, max_length=MAX_POINTS)]
+
+
+@dataclass(frozen=True)
+class NamedEstimate(PointEstimate):
+    """A reconstructed point under its name."""
+
+    name: str
+
+
+class ReconstructionSummary(Document):
+    """A reconstruction without its points."""
+
+    id: str
+    device: str
+    calibration_id: str
+    point_count: int
+    created_at: Moment
+
+
+class Reconstruction(ReconstructionSummary):
+    """A reconstruction: readings and estimates, in the order of the points."""
+
+    points: list[ObservedPoint]
+    estimates: list[NamedEstimate] = Field(
+        description="`position_mm` is null where there is none; `flags` say why: "
+        "`too-few-sensors` (three are needed), `degenerate`, `no-convergence`."
+    )

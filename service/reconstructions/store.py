@@ -1,0 +1,142 @@
+"""Reconstructions in the database."""
+
+import secrets
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from pydantic import TypeAdapter
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from service.calibrations.store import active_id, get_calibration
+from service.database.models import CalibrationRow, ReconstructionRow
+from service.errors import (
+    CalibrationOfAnotherDevice,
+    CalibrationRetired,
+    NoActiveCalibration,
+    ReconstructionExists,
+    UnknownReconstruction,
+)
+from service.reconstructions.schema import (
+    NamedEstimate,
+    NewReconstruction,
+    ObservedPoint,
+    Reconstruction,
+    ReconstructionSummary,
+)
+
+_POINTS = TypeAdapter(list[ObservedPoint])
+_ESTIMATES = TypeAdapter(list[NamedEstimate])
+
+
+def calibration_for(session: Session, request: NewReconstruction) -> CalibrationRow:
+    """Return the calibration that a request names, or its device's active one.
+
+    Raises:
+        NoActiveCalibration, UnknownCalibration, CalibrationOfAnotherDevice, CalibrationRetired.
+    """
+    calibration_id = request.calibration or active_id(session, request.device)
+    if calibration_id is None:
+        raise NoActiveCalibration(
+            f'device "{request.device}" has no active calibration; activate one, or name one in '
+            "the request",
+            device=request.device,
+        )
+    row = get_calibration(session, calibration_id)
+    if row.device_id != request.device:
+        raise CalibrationOfAnotherDevice(
+            f'calibration "{row.id}" belongs to device "{row.device_id}", the readings to device '
+            f'"{request.device}"; use a calibration of "{request.device}"',
+            calibration=row.id,
+            device=request.device,
+        )
+    if row.retired_at is not None:
+        raise CalibrationRetired(
+            f'calibration "{row.id}" was retired on {row.retired_at:%Y-%m-%d}; use one that is '
+            "available",
+            calibration=row.id,
+        )
+    return row
+
+
+def add_reconstruction(
+    session: Session,
+    request: NewReconstruction,
+    calibration_id: str,
+    estimates: list[NamedEstimate],
+) -> ReconstructionRow:
+    """Store a reconstruction; raises ReconstructionExists."""
+    if request.id is not None and session.get(ReconstructionRow, request.id) is not None:
+        raise ReconstructionExists(
+            f'reconstruction "{request.id}" exists already; choose another id, or leave it out',
+            reconstruction=request.id,
+        )
+    row = ReconstructionRow(
+        id=request.id or f"rec-{secrets.token_hex(8)}",
+        device_id=request.device,
+        calibration_id=calibration_id,
+        points=_POINTS.dump_python(request.points, mode="json"),
+        estimates=_ESTIMATES.dump_python(estimates, mode="json"),
+        point_count=len(request.points),
+        created_at=datetime.now(UTC),
+    )
+    session.add(row)
+    session.flush()
+    return row
+
+
+def get_reconstruction(session: Session, reconstruction_id: str) -> ReconstructionRow:
+    """Return a reconstruction; raises UnknownReconstruction."""
+    row = session.get(ReconstructionRow, reconstruction_id)
+    if row is None:
+        raise UnknownReconstruction(
+            f'there is no reconstruction "{reconstruction_id}"; GET /api/v1/reconstructions '
+            "lists them",
+            reconstruction=reconstruction_id,
+        )
+    return row
+
+
+def list_reconstructions(
+    session: Session, device_id: str | None, limit: int, offset: int
+) -> tuple[Sequence[ReconstructionSummary], int]:
+    """Return a page of reconstructions, newest first, and how many the filter matches."""
+    conditions = [] if device_id is None else [ReconstructionRow.device_id == device_id]
+    total = session.scalar(select(func.count()).select_from(ReconstructionRow).where(*conditions))
+    rows = session.execute(
+        select(
+            ReconstructionRow.id,
+            ReconstructionRow.device_id,
+            ReconstructionRow.calibration_id,
+            ReconstructionRow.point_count,
+            ReconstructionRow.created_at,
+        )
+        .where(*conditions)
+        .order_by(ReconstructionRow.created_at.desc(), ReconstructionRow.id)
+        .limit(limit)
+        .offset(offset)
+    ).all()
+    summaries = [
+        ReconstructionSummary(
+            id=row.id,
+            device=row.device_id,
+            calibration_id=row.calibration_id,
+            point_count=row.point_count,
+            created_at=row.created_at,
+        )
+        for row in rows
+    ]
+    return summaries, total or 0
+
+
+def document(row: ReconstructionRow) -> Reconstruction:
+    """Return the reconstruction as clients see it."""
+    return Reconstruction(
+        id=row.id,
+        device=row.device_id,
+        calibration_id=row.calibration_id,
+        point_count=row.point_count,
+        created_at=row.created_at,
+        points=_POINTS.validate_python(row.points),
+        estimates=_ESTIMATES.validate_python(row.estimates),
+    )

@@ -1,0 +1,78 @@
+"""Building blocks of the edge's models: strict base model, ids, texts, times, pages."""
+
+from datetime import datetime
+from typing import Annotated, Any, Generic, TypeVar
+
+from fastapi import Path, Query
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+SLUG_PATTERN = r"^[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?$"
+
+Slug = Annotated[str, StringConstraints(pattern=SLUG_PATTERN)]
+"""An id: lower case letters, digits and hyphens, at most 63 characters."""
+
+# A NUL cannot be stored in PostgreSQL's text.
+Text200 = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\u0000]*$")]
+Note = Annotated[str, StringConstraints(max_length=2000, pattern=r"^[^\u0000]*$")]
+Name = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\u0000]*$")]
+
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6, description="[mm]")]
+Position = tuple[Coordinate, Coordinate, Coordinate]
+
+DevicePath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The device's id.",
+        openapi_examples={"sim": {"summary": "the simulated device", "value": "sim"}},
+    ),
+]
+CalibrationPath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The calibration's id.",
+        openapi_examples={"nominal": {"summary": "the simulator's own", "value": "sim-nominal"}},
+    ),
+]
+DeviceFilter = Annotated[
+    str | None,
+    Query(pattern=SLUG_PATTERN, description="Only those of this device.", examples=["sim"]),
+]
+Limit = Annotated[int, Query(ge=1, le=200, description="Most items to return.")]
+Offset = Annotated[int, Query(ge=0, le=2**31 - 1, description="Items to skip.")]
+
+
+class Given(BaseModel):
+    """Base of what clients send: no unknown field, no NaN, immutable; see also FromJson."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Document(BaseModel):
+    """Base of what clients receive."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+Item = TypeVar("Item")
+
+
+class Page(Document, Generic[Item]):
+    """Part of a list, newest first."""
+
+    items: list[Item]
+    total: int = Field(description="Items that the filter matches, on all pages.")
+    limit: int
+    offset: int
+
+
+def absent() -> Any:
+    """Return the default of a field that may be left out but not be null (PATCH).
+
+    A default factory keeps the default out of the JSON schema, where null would look allowed.
+    """
+    return Field(default_factory=lambda: None)
+
+
+Moment = Annotated[datetime, Field(description="UTC, RFC 3339.")]

@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 from enum import IntFlag
+from functools import cache
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.model import Vector3, vector3
+from compute.camera.model import Vector3
 
 
 class PointFlag(IntFlag):
@@ -74,21 +76,34 @@ class PointBatch:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(freedom > 0, np.sqrt(self.chi2 / np.maximum(freedom, 1)), np.nan)
 
-    def estimate(self, index: int, names: tuple[str, ...]) -> PointEstimate:
-        """Return one point as a value; ``names`` are the sensors' names in order."""
-        flags = PointFlag(int(self.flags[index]))
-        sigma = float(self.residual_sigma()[index])
-        found = bool(np.isfinite(self.position_mm[index]).all())
-        first, second, third = (vector3(row) for row in self.covariance_mm2[index])
-        return PointEstimate(
-            vector3(self.position_mm[index]) if found else None,
-            (first, second, third) if found else None,
-            sigma if found and np.isfinite(sigma) else None,
-            tuple(name for name, used in zip(names, self.used[index], strict=True) if used),
-            flag_names(flags),
+    def estimates(self, names: tuple[str, ...]) -> list[PointEstimate]:
+        """Return the points as values; ``names`` are the sensors' names in order."""
+        rows = zip(
+            self.position_mm.tolist(),
+            self.covariance_mm2.tolist(),
+            self.residual_sigma().tolist(),
+            self.used.tolist(),
+            self.flags.tolist(),
+            strict=True,
         )
+        estimates = []
+        for position, covariance, sigma, used, flags in rows:
+            found = isfinite(position[0])
+            estimates.append(
+                PointEstimate(
+                    tuple(position) if found else None,
+                    (tuple(covariance[0]), tuple(covariance[1]), tuple(covariance[2]))
+                    if found
+                    else None,
+                    sigma if isfinite(sigma) else None,
+                    tuple(name for name, use in zip(names, used, strict=True) if use),
+                    flag_names(flags),
+                )
+            )
+        return estimates
 
 
-def flag_names(flags: PointFlag) -> tuple[str, ...]:
+@cache
+def flag_names(flags: int) -> tuple[str, ...]:
     """Return the flags that hold, as clients see them: ``too-few-sensors``, ..."""
-    return tuple(str(flag.name).lower().replace("_", "-") for flag in flags)
+    return tuple(str(flag.name).lower().replace("_", "-") for flag in PointFlag(flags))

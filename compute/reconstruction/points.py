@@ -1,10 +1,11 @@
 """Weighted non-linear reconstruction: points that fit the readings, with their covariance."""
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
@@ -77,7 +78,9 @@ def reconstruct(
         )
     chi2 = (residual**2).sum(axis=1)
     freedom = used.sum(axis=1) - 3
-    limits = _chi2_limits(readings.shape[1])
+    limits = np.array(
+        [chi2_limit(count, INCONSISTENT_PROBABILITY) for count in range(readings.shape[1] + 1)]
+    )
     with np.errstate(invalid="ignore"):
         missing = flags != 0
         flags[~missing & (freedom == 0)] |= PointFlag.NO_REDUNDANCY
@@ -117,20 +120,18 @@ def _refine(
         trial_residual = _masked(target[index] - trial_projected, seen[index]) * weights[index]
         trial_cost = (trial_residual**2).sum(axis=1)
         better = trial_cost <= cost[index]
-        # Converged: the step is lost in the position's rounding, or changes the cost by nothing
-        # that the noise could show.
+        # The next step would be shorter by the curvature over this one's length: below a
+        # nanometre, far under any rounding of the result, it is not worth taking.
         length = np.linalg.norm(step, axis=1)
-        small = length <= 1e-9 + 1e-12 * np.linalg.norm(trial, axis=1)
-        gained = np.abs(cost[index] - trial_cost) <= 1e-12 * (1e-12 + cost[index])
+        small = length <= 1e-6
         accepted = index[better]
         position[accepted] = trial[better]
         residual[accepted] = trial_residual[better]
         slope[accepted] = trial_slope[better]
         cost[accepted] = trial_cost[better]
         damping[index] *= np.where(better, 0.1, 10.0)
-        done = small | (better & gained & (length <= 1e-6)) | (damping[index] > 1e12)
-        converged[index] |= small | (better & gained & (length <= 1e-6))
-        active[index[done]] = False
+        converged[index] = small
+        active[index[small | (damping[index] > 1e12)]] = False
     return position, converged
 
 
@@ -153,13 +154,7 @@ def _calibration_share(
     return share
 
 
-def _chi2_limits(sensors: int) -> Array:
-    """Return the chi2 beyond which a point is inconsistent, by degrees of freedom."""
-    if sensors not in _LIMITS:
-        freedom = np.arange(1, max(sensors - 2, 2))
-        upper = chi2_distribution.isf(INCONSISTENT_PROBABILITY, freedom)
-        _LIMITS[sensors] = np.concatenate([[np.inf], upper])
-    return _LIMITS[sensors]
-
-
-_LIMITS: dict[int, Array] = {}
+@cache
+def chi2_limit(freedom: int, probability: float) -> float:
+    """Return the chi2 that noise exceeds with this probability; infinite without freedom."""
+    return float(chdtri(freedom, probability)) if freedom > 0 else float("inf")

@@ -1,0 +1,92 @@
+"""The one thread that owns Warp: processes the frames of all devices, batch by batch."""
+
+import logging
+import sys
+from collections.abc import Callable
+from concurrent.futures import Future
+from queue import SimpleQueue
+from threading import Event, Thread
+from typing import TypeVar
+
+_log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+SWITCH_INTERVAL_S = 0.001
+"""How long a thread may hold the interpreter while another waits. The default of 5 ms is five
+frames at 1 kHz."""
+
+
+class ComputeThread:
+    """Calls every registered worker whenever frames wait, and jobs that need this thread.
+
+    A worker takes what is there and returns whether it did anything; the thread sleeps when
+    none of them did and no frame has come since.
+    """
+
+    def __init__(self) -> None:
+        self._wake = Event()
+        self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._workers: dict[str, Callable[[], bool]] = {}
+        self._closing = False
+        self._thread = Thread(target=self._run, name="compute", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
+    def wake(self) -> None:
+        """Say that there is something to do; callable from any thread, never blocks."""
+        self._wake.set()
+
+    def submit(self, job: Callable[[], T]) -> "Future[T]":
+        """Run a job in the thread, between two batches."""
+        future: Future[T] = Future()
+
+        def run() -> None:
+            try:
+                future.set_result(job())
+            except BaseException as error:  # noqa: BLE001 - the waiter gets it
+                future.set_exception(error)
+
+        self._jobs.put(run)
+        self._wake.set()
+        return future
+
+    def add(self, name: str, worker: Callable[[], bool]) -> None:
+        """Register a worker; call in the thread, by ``submit``."""
+        self._workers[name] = worker
+
+    def remove(self, name: str) -> None:
+        """Remove a worker; call in the thread, by ``submit``."""
+        self._workers.pop(name, None)
+
+    def close(self) -> None:
+        """End the thread after the batch in hand."""
+        self._closing = True
+        self._wake.set()
+        self._thread.join(10.0)
+
+    def _run(self) -> None:
+        while not self._closing:
+            self._wake.wait()
+            # Cleared before the work is looked at: what comes meanwhile wakes the next round.
+            self._wake.clear()
+            busy = True
+            while busy and not self._closing:
+                while not self._jobs.empty():
+                    self._jobs.get()()
+                busy = False
+                for name, worker in list(self._workers.items()):
+                    try:
+                        busy = worker() or busy
+                    except Exception:  # noqa: BLE001
+                        # A worker reports its own failure; this is the last line of defence.
+                        _log.exception("worker %s failed and is removed", name)
+                        self.remove(name)

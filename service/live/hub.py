@@ -1,0 +1,114 @@
+"""The hub: hands what the compute thread publishes to every stream, without waiting for any."""
+
+import asyncio
+from collections import deque
+from collections.abc import Iterable
+from threading import Lock
+from typing import Any
+
+from service.live.batch import FrameBatch
+from service.live.messages import (
+    Content,
+    Encoding,
+    Payload,
+    encode,
+    frame_messages,
+    missed_message,
+)
+
+QUEUE_MESSAGES = 2000
+"""Messages that wait for one client; two seconds at 1 kHz."""
+
+
+class Subscription:
+    """One client's bounded queue. When it is full the oldest is dropped, counted and told."""
+
+    def __init__(
+        self,
+        device_id: str,
+        content: frozenset[Content],
+        encoding: Encoding,
+        capacity: int = QUEUE_MESSAGES,
+    ) -> None:
+        """Create it in the event loop that will take the messages."""
+        self.device_id = device_id
+        self.content = content
+        self.encoding = encoding
+        self.loop = asyncio.get_running_loop()
+        self.missed = 0
+        self._capacity = capacity
+        self._queue: deque[Payload] = deque()
+        self._ready = asyncio.Event()
+
+    def offer(self, payloads: Iterable[Payload]) -> None:
+        """Add messages; runs in the loop."""
+        for payload in payloads:
+            if len(self._queue) == self._capacity:
+                self._queue.popleft()
+                self.missed += 1
+            self._queue.append(payload)
+        self._ready.set()
+
+    async def next(self) -> Payload:
+        """Return the next message, or how many were missed since the last."""
+        while not self._queue:
+            self._ready.clear()
+            await self._ready.wait()
+        if self.missed:
+            message = missed_message(self.device_id, self.missed)
+            self.missed = 0
+            return encode(message, self.encoding)
+        return self._queue.popleft()
+
+
+class Hub:
+    """Subscriptions by device; publishing encodes once for each kind of client."""
+
+    def __init__(self) -> None:
+        self._subscriptions: dict[str, list[Subscription]] = {}
+        self._lock = Lock()
+
+    def subscribe(self, subscription: Subscription) -> None:
+        """Add a client; it receives what is published from now on."""
+        with self._lock:
+            self._subscriptions.setdefault(subscription.device_id, []).append(subscription)
+
+    def unsubscribe(self, subscription: Subscription) -> None:
+        """Remove a client."""
+        with self._lock:
+            self._subscriptions[subscription.device_id].remove(subscription)
+
+    def subscribers(self, device_id: str) -> int:
+        """Return the number of clients of a device."""
+        return len(self._subscriptions.get(device_id, ()))
+
+    def publish_batch(self, batch: FrameBatch) -> None:
+        """Hand a batch of frames to the device's clients; callable from any thread."""
+        with self._lock:
+            clients = list(self._subscriptions.get(batch.device_id, ()))
+        messages: dict[frozenset[Content], list[dict[str, Any]]] = {}
+        payloads: dict[tuple[frozenset[Content], Encoding], list[Payload]] = {}
+        for client in clients:
+            key = (client.content, client.encoding)
+            if key not in payloads:
+                if client.content not in messages:
+                    messages[client.content] = list(frame_messages(batch, client.content))
+                payloads[key] = [
+                    encode(message, client.encoding) for message in messages[client.content]
+                ]
+            _deliver(client, payloads[key])
+
+    def publish(self, device_id: str, message: dict[str, Any]) -> None:
+        """Hand one message to all of the device's clients; callable from any thread."""
+        with self._lock:
+            clients = list(self._subscriptions.get(device_id, ()))
+        for client in clients:
+            _deliver(client, [encode(message, client.encoding)])
+
+
+def _deliver(client: Subscription, payloads: list[Payload]) -> None:
+    try:
+        client.loop.call_soon_threadsafe(client.offer, payloads)
+    except RuntimeError:
+        # The loop is closed: the service is ending and the client is gone.
+        return

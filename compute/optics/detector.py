@@ -64,7 +64,8 @@ class Detector:
 
     def upper_edges(self, counts: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the electrons from which on a count is larger than these, same shape."""
-        return (counts + (0.5 - self.offset_counts)) * self.electrons_per_count
+        above = counts.astype(np.float64) + (0.5 - self.offset_counts)
+        return above * self.electrons_per_count
 
     def expose(
         self, signal_electrons: NDArray[np.float64], rng: np.random.Generator
@@ -82,7 +83,7 @@ class Detector:
         Returns:
             Counts of the same shape.
         """
-        counts = self._dark.draw(signal_electrons.size, rng)
+        counts = self.dark.draw(signal_electrons.size, rng)
         signal = signal_electrons.ravel()
         lit = np.flatnonzero(signal != 0.0)
         collected = rng.poisson(signal[lit] + self.ambient_electrons).astype(np.float64)
@@ -92,7 +93,8 @@ class Detector:
         return counts.reshape(signal_electrons.shape)
 
     @cached_property
-    def _dark(self) -> CountDistribution:
+    def dark(self) -> CountDistribution:
+        """The distribution of a pixel without signal."""
         return count_distribution(
             self.convert,
             self.upper_edges,

@@ -9,9 +9,7 @@ Array = NDArray[np.float64]
 _REACH_SIGMA = 6.0  # beyond it lie 2e-9 of a Gaussian
 
 
-def line_images(
-    position_px: Array, sigma_px: Array, electrons: Array, pixels: int
-) -> NDArray[np.float64]:
+def line_images(position_px: Array, sigma_px: Array, electrons: Array, pixels: int) -> Array:
     """Integrate Gaussian line shapes over the pixels and add them up, line by line.
 
     Pixel i covers [i - 0.5, i + 0.5]. A spot outside the line leaves there what of its tail
@@ -39,4 +37,5 @@ def line_images(
     inside = (pixel >= 0) & (pixel < pixels)
     place = (line[:, None] * pixels + pixel)[inside]
     light = (share * electrons[lit][:, None])[inside]
-    return np.bincount(place, light, minlength=lines * pixels).reshape(lines, pixels)
+    image = np.bincount(place, light, minlength=lines * pixels)
+    return image.reshape(lines, pixels).astype(np.float64, copy=False)

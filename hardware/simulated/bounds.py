@@ -1,13 +1,12 @@
 """Bounds of settings, written once at the field and checked in Python as at the edge."""
 
-from collections.abc import Iterator
-from functools import cache
+from collections.abc import Callable, Iterator
 from types import NoneType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from compute.errors import InvalidParameter
 
-_COMPARISONS = (
+_COMPARISONS: tuple[tuple[str, str, Callable[[Any, Any], bool]], ...] = (
     ("gt", "more than", lambda value, bound: value > bound),
     ("ge", "at least", lambda value, bound: value >= bound),
     ("lt", "less than", lambda value, bound: value < bound),
@@ -17,7 +16,7 @@ _COMPARISONS = (
 )
 
 
-def check_bounds(settings: object) -> None:
+def check_bounds(settings: Any) -> None:
     """Check every field of a dataclass against the bounds in its annotation.
 
     A field is annotated as ``Annotated[float, Field(gt=0, le=10)]``, which pydantic reads as
@@ -26,17 +25,10 @@ def check_bounds(settings: object) -> None:
     Raises:
         InvalidParameter: a value is out of bounds, or NaN where there are bounds.
     """
-    for name, hint in _hints(type(settings)).items():
+    for name, hint in get_type_hints(type(settings), include_extras=True).items():
         value = getattr(settings, name)
-        bounds = dict(_violations(value, hint))
-        if bounds:
-            offending, right = next(iter(bounds.items()))
+        for offending, right in _violations(value, hint):
             raise InvalidParameter(f"{name} is {offending}; it must be {right}", **{name: value})
-
-
-@cache
-def _hints(settings: type) -> dict[str, Any]:
-    return get_type_hints(settings, include_extras=True)
 
 
 def _violations(value: Any, hint: Any) -> Iterator[tuple[str, str]]:
@@ -53,11 +45,13 @@ def _violations(value: Any, hint: Any) -> Iterator[tuple[str, str]]:
         if not all(holds for _, holds in rules):
             yield str(value), " and ".join(words for words, _ in rules)
         yield from _violations(value, base)
+    elif hint is int and not isinstance(value, int):
+        yield str(value), "a whole number"
     elif get_origin(hint) is tuple:
         items = get_args(hint)
         of_each = [items[0]] * len(value) if items[1:] == (Ellipsis,) else list(items)
         if len(of_each) != len(value):
-            yield str(value), f"{len(of_each)} numbers"
+            yield str(value), f"of length {len(of_each)}"
         for item, item_hint in zip(value, of_each, strict=False):
             yield from _violations(item, item_hint)
     elif value is not None and NoneType in get_args(hint):

@@ -8,6 +8,7 @@ from typing import Final
 
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.frame import FrameFlag, LineFrame
+from hardware.pacing import host_time_ns, wait_until
 from hardware.simulated.bar import sensor_bar
 from hardware.simulated.renderer import BATCH, FrameRenderer
 from hardware.simulated.settings import SimulationSettings
@@ -94,10 +95,10 @@ class SimulatedDriver:
             host_ns = start_host_ns + device_ns
             if self._settings.realtime:
                 due_ns = start_ns + device_ns
-                if not _wait_until(due_ns, closed):
+                wait_until(due_ns, closed)
+                host_ns = host_time_ns(due_ns)
+                if closed.is_set():
                     return
-                # Read anew for each frame: the host's clock may have been set meanwhile.
-                host_ns = time.time_ns() - (time.monotonic_ns() - due_ns)
             index = sequence % BATCH
             if batch.saturated[index]:
                 flags |= FrameFlag.SATURATED
@@ -117,11 +118,3 @@ class SimulatedDriver:
         exposed = math.floor(elapsed_ns * 1e-9 * self._settings.frame_rate_hz + 0.5)
         end = self._settings.frames
         return exposed if end is None else min(exposed, end)
-
-
-def _wait_until(due_ns: int, closed: Event) -> bool:
-    """Wait until a time of the monotonic clock; False, and at once, when the event is set."""
-    left_ns = due_ns - time.monotonic_ns()
-    if left_ns > 0:
-        return not closed.wait(left_ns * 1e-9)
-    return not closed.is_set()

@@ -55,7 +55,7 @@ class FrameRenderer:
 
     def time_s(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the middle of exposures on the device's clock, same shape [s]."""
-        return (sequence + 0.5) / self._settings.frame_rate_hz
+        return (sequence.astype(np.float64) + 0.5) / self._settings.frame_rate_hz
 
     def time_ns(self, sequence: int) -> int:
         """Return the middle of an exposure on the device's clock [ns]."""

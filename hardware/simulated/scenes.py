@@ -39,7 +39,7 @@ class CalibrationFrame:
         """Number of markers."""
         return len(frame_shape_mm())
 
-    def points(self, time_s: Array) -> Array:
+    def points(self, time_s: float | Array) -> Array:
         """Return the markers at times (...,) [s], shape (..., 19, 3) [mm]."""
         return _at_rest(np.asarray(self.centre_mm) + self.scale * frame_shape_mm(), time_s)
 
@@ -65,7 +65,7 @@ class StillPoints:
         """Number of markers."""
         return len(self.points_mm)
 
-    def points(self, time_s: Array) -> Array:
+    def points(self, time_s: float | Array) -> Array:
         """Return the markers at times (...,) [s], shape (..., M, 3) [mm]."""
         return _at_rest(np.asarray(self.points_mm, dtype=np.float64), time_s)
 
@@ -105,7 +105,7 @@ class RotatingBar:
         """Number of markers."""
         return 2
 
-    def points(self, time_s: Array) -> Array:
+    def points(self, time_s: float | Array) -> Array:
         """Return the markers at times (...,) [s], shape (..., 2, 3) [mm]."""
         normal = np.asarray(self.plane_normal, dtype=np.float64)
         normal /= np.linalg.norm(normal)
@@ -123,5 +123,5 @@ class RotatingBar:
 Scene = Annotated[CalibrationFrame | StillPoints | RotatingBar, Field(discriminator="kind")]
 
 
-def _at_rest(points_mm: Array, time_s: Array) -> Array:
+def _at_rest(points_mm: Array, time_s: float | Array) -> Array:
     return np.broadcast_to(points_mm, (*np.shape(time_s), *points_mm.shape))

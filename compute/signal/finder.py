@@ -64,18 +64,25 @@ class CentroidFinder:
         self._records = wp.zeros(size // 8, dtype=wp.uint64, device=self._device)
         if self._cuda:
             self._input = wp.zeros(lines * pixels, dtype=wp.uint16, device=self._device)
-            self._staged_input = wp.zeros(
-                lines * pixels, dtype=wp.uint16, device="cpu", pinned=True
-            )
+            staged = wp.zeros(lines * pixels, dtype=wp.uint16, device="cpu", pinned=True)
+            self._staged_input = staged
+            self._host_input = _numpy(staged)
             self._staged_records = wp.zeros(size // 8, dtype=wp.uint64, device="cpu", pinned=True)
         else:
             self._staged_records = self._records
         self._words_per_line = record.itemsize // 8
-        self._host_records = self._staged_records.numpy().view(record)
+        self._host_records = _numpy(self._staged_records).view(record)
 
-        def upload(values: NDArray[Any], dtype: Any) -> Any:
-            return wp.array(values, dtype=dtype, device=self._device)
-
+        # Kept: the recorded launch has their addresses.
+        self._noise = [
+            wp.array(values, dtype=dtype, device=self._device)
+            for values, dtype in (
+                (noise.dark_variance, wp.float64),
+                (noise.photon_variance, wp.float64),
+                (noise.offset_counts, wp.float64),
+                (noise.full_scale_counts, wp.int32),
+            )
+        ]
         self._launch = wp.launch(
             find_peaks,
             dim=lines * self._lanes,
@@ -83,12 +90,11 @@ class CentroidFinder:
                 self._input.ptr if self._cuda else 0,
                 pixels,
                 self._lanes,
-                upload(noise.dark_variance, wp.float64),
-                upload(noise.photon_variance, wp.float64),
-                upload(noise.offset_counts, wp.float64),
-                upload(noise.full_scale_counts, wp.int32),
+                *self._noise,
                 settings.detection_sigma,
                 settings.fraction_units,
+                int(settings.weighting != "above-background"),
+                int(settings.weighting == "edge-corrected"),
                 settings.min_width_px,
                 settings.max_peaks,
                 self._records.ptr,
@@ -120,7 +126,7 @@ class CentroidFinder:
         self._check(lines)
         flat = np.ascontiguousarray(lines).reshape(-1)
         if self._cuda:
-            self._staged_input.numpy()[: flat.size] = flat
+            self._host_input[: flat.size] = flat
             self._wp.copy(self._input, self._staged_input, count=flat.size)
         else:
             self._source = flat  # kept alive: the kernel has only its address
@@ -174,3 +180,9 @@ def _device(wp: Any, name: str | None) -> Any:
         raise InvalidParameter(
             f"there is no device {name!r}; there are: {there}", device=name
         ) from error
+
+
+def _numpy(array: Any) -> NDArray[Any]:
+    """Return the memory of a Warp array on the host, not a copy of it."""
+    view: NDArray[Any] = array.numpy()
+    return view

@@ -74,7 +74,7 @@ def _line_peaks(
         if int(run.argmax()) + left != top or len(run) < settings.min_width_px:
             continue
         position, sigma = _centroid(
-            np.arange(left, right + 1), run, threshold / LEVEL_UNIT, top - left, settings, variances
+            values, left, right, top, background / LEVEL_UNIT, settings, variances
         )
         flags = PeakFlag.NONE
         if run.max() >= full:
@@ -99,27 +99,100 @@ def _background(values: NDArray[np.int64]) -> tuple[int, int]:
 
 
 def _centroid(
-    pixels: NDArray[np.int64],
-    run: NDArray[np.int64],
-    threshold: float,
+    values: NDArray[np.int64],
+    left: int,
+    right: int,
     top: int,
+    background: float,
     settings: CentroidSettings,
     variances: NDArray[np.float64],
 ) -> tuple[float, float]:
-    """Return the centre of gravity above the threshold, and its standard deviation."""
-    weights = run - threshold
-    total = weights.sum()
-    # Relative to the maximum: far from pixel 0 the moments would lose digits.
-    relative = pixels - pixels[top]
-    centre = (relative * weights).sum() / total
-    if len(run) == 1:
-        return float(pixels[top]), (1.0 / 12.0) ** 0.5
-    jacobian = (relative - centre) / total
-    # The maximum moves the threshold, and with it every weight.
-    fraction = settings.fraction_units / FRACTION_UNIT
-    jacobian[top] -= fraction * (relative - centre).sum() / total
-    variance = (jacobian**2 * variances[pixels]).sum()
-    return float(pixels[top] + centre), float(variance**0.5)
+    """Return the centre of gravity and its standard deviation."""
+    # From one pixel outside on; positions relative to the maximum: far off, digits would be lost.
+    first, last = max(left - 1, 0), min(right + 1, len(values) - 1)
+    profile = values[first : last + 1].astype(np.complex128)
+    ends = (left - first, right - first, top - first)
+    centre = _centre(profile, ends, background, settings)
+    if left == right:
+        return top + centre.real, (1.0 / 12.0) ** 0.5
+    # The derivative by each value, by a step along the imaginary axis: exact, and blind to how
+    # the kernel does it.
+    step = 1e-100
+    variance = 0.0
+    for pixel in range(len(profile)):
+        moved = profile.copy()
+        moved[pixel] += 1j * step
+        derivative = _centre(moved, ends, background, settings).imag / step
+        variance += derivative**2 * float(variances[first + pixel])
+    variance += _phase_variance(profile.real, ends, float(centre.real), background, settings)
+    return top + centre.real, variance**0.5
+
+
+def _phase_variance(
+    profile: NDArray[np.float64],
+    ends: tuple[int, int, int],
+    centre: float,
+    background: float,
+    settings: CentroidSettings,
+) -> float:
+    """Return the variance of the error by where the run's ends fall between two pixels."""
+    left, right, top = ends
+    excess = int(profile[top]) * LEVEL_UNIT - round(background * LEVEL_UNIT)
+    threshold = background + excess * settings.fraction_units // FRACTION_UNIT / LEVEL_UNIT
+    run = profile[left : right + 1]
+    total = float(
+        (run - (background if settings.weighting == "above-background" else threshold)).sum()
+    )
+    variance = 0.0
+    corrected = total
+    for end, side in ((left, -1), (right, 1)):
+        if not 0 <= end + side < len(profile):
+            continue
+        slope = profile[end] - profile[end + side]
+        inside = (profile[end] - threshold) / slope
+        corrected += slope / 2 * (inside**2 - inside + 1 / 6)
+        arm = end - top + side * inside - centre
+        match settings.weighting:
+            case "above-background":
+                variance += ((threshold - background) * arm) ** 2 / 12
+            case "above-threshold":
+                variance += (slope * arm / 2) ** 2 / 180
+            case "edge-corrected":
+                variance += (slope * 2 / 3) ** 2 / 840
+    if settings.weighting == "edge-corrected":
+        total = corrected
+    return float(variance) / total**2
+
+
+def _centre(
+    profile: NDArray[np.complex128],
+    ends: tuple[int, int, int],
+    background: float,
+    settings: CentroidSettings,
+) -> complex:
+    """Return the centre of gravity relative to the maximum, as an analytic function of values."""
+    left, right, top = ends
+    # The threshold as decided on, in whole units, with the derivative of its formula.
+    excess = int(profile[top].real) * LEVEL_UNIT - round(background * LEVEL_UNIT)
+    threshold = (
+        background
+        + excess * settings.fraction_units // FRACTION_UNIT / LEVEL_UNIT
+        + 1j * profile[top].imag * settings.fraction_units / FRACTION_UNIT
+    )
+    base = background if settings.weighting == "above-background" else threshold
+    weights = profile[left : right + 1] - base
+    positions = np.arange(left - top, right - top + 1)
+    total = complex(weights.sum())
+    moment = complex((positions * weights).sum())
+    if settings.weighting == "edge-corrected":
+        for end, side in ((left, -1), (right, 1)):
+            if 0 <= end + side < len(profile):
+                slope = complex(profile[end] - profile[end + side])
+                inside = complex(profile[end] - threshold) / slope
+                excess_at_end = slope / 2 * (inside**2 - inside + 1 / 6)
+                total += excess_at_end
+                moment += excess_at_end * (end - top + side * inside)
+    return moment / total
 
 
 def _has_valley(

@@ -2,9 +2,12 @@
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import Final
+from typing import Final, Literal, get_args
 
 from compute.errors import InvalidParameter
+
+Weighting = Literal["edge-corrected", "above-threshold", "above-background"]
+"""What the centre of gravity weighs; CentroidSettings says what each is."""
 
 LEVEL_UNIT: Final = 64
 """Levels are integers in units of 1/64 count, so that every device takes the same decisions."""
@@ -40,14 +43,23 @@ class CentroidSettings:
       is higher (and none further left as high) in the run of pixels around it that lie above
       its own threshold ``T = b + threshold_fraction (v_m - b)``. A faint peak beside a bright
       one is found when the signal between them falls below a third of the faint one.
-    - *Position.* The centre of gravity of ``v - T`` over the run (thesis 4.3 subtracts the
-      threshold). A pixel's weight is then zero where it enters the run; with [4.1] over the
-      bare values, each pixel that crosses the threshold makes the position jump.
+    - *Position.* The centre of gravity over the run. "above-background" weighs ``v - b``: [4.1]
+      as it stands. A pixel that crosses the threshold then makes the position jump.
+      "above-threshold" weighs ``v - T`` (thesis 4.3 subtracts the threshold): a pixel's weight
+      is zero where it enters. "edge-corrected", the default, adds at both ends of the run what
+      the sum lacks of the integral, because the run ends between two pixels: the first term of
+      Euler and Maclaurin's formula at the interpolated crossing.
+    - *Standard deviation.* Of the position, by the derivative by each pixel's value, through the
+      threshold and the crossings too; the pixels' variances are those of LineNoise. It leaves
+      out the noise of the background's level and the error that depends on the position within a
+      pixel. For Gaussian images of 1 to 3 px that error is up to 0.13, 0.04 and 0.01 px RMS with
+      the three weightings, in the opposite order; it does not shrink with more light.
 
     Args:
         threshold_fraction: a peak's threshold as a fraction of its maximum above background.
         detection_sigma: least maximum above background in standard deviations of the noise.
         min_width_px: fewest pixels above a peak's own threshold; 2 leaves out hot pixels.
+        weighting: what the centre of gravity weighs.
         max_peaks: room for peaks of one line; the brightest are kept.
 
     Raises:
@@ -57,6 +69,7 @@ class CentroidSettings:
     threshold_fraction: float = 1.0 / 3.0
     detection_sigma: float = 6.0
     min_width_px: int = 2
+    weighting: Weighting = "edge-corrected"
     max_peaks: int = 16
 
     def __post_init__(self) -> None:
@@ -74,6 +87,11 @@ class CentroidSettings:
             raise InvalidParameter(
                 f"min_width_px is {self.min_width_px}; it must lie in 1 .. {MAX_PIXELS}",
                 min_width_px=self.min_width_px,
+            )
+        if self.weighting not in get_args(Weighting):
+            raise InvalidParameter(
+                f"weighting is {self.weighting!r}; it must be one of {get_args(Weighting)}",
+                weighting=self.weighting,
             )
         if not 1 <= self.max_peaks <= 1024:
             raise InvalidParameter(

@@ -7,19 +7,12 @@ from numpy.typing import NDArray
 
 from compute.calibration.result import Calibration, Method
 from compute.calibration.run import calibrate
+from compute.calibration.weights import reading_sigma
 from compute.camera.model import SensorGeometry
 from compute.errors import LumilineError
 from compute.reconstruction.points import reconstruct
 
 Array = NDArray[np.float64]
-
-
-def reading_sigma(calibration: Calibration, readings_px: Array, sigma_px: Array | None) -> Array:
-    """Return standard deviations (N, S) [px]: the given ones, else the calibration's own."""
-    if sigma_px is not None:
-        return sigma_px
-    own = np.array([fit.sigma_px for fit in calibration.sensors])
-    return np.broadcast_to(own, readings_px.shape)
 
 
 def fitted_errors(

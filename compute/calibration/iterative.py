@@ -110,8 +110,8 @@ def _solve(design: Array, right: Array, sensor: str, normal_equations: bool) -> 
     if not normal_equations:
         return np.asarray(np.linalg.lstsq(design, right, rcond=None)[0], dtype=np.float64)
     try:
-        solved: Array = np.linalg.solve(design.T @ design, design.T @ right)
-        return solved
+        solved = np.linalg.solve(design.T @ design, design.T @ right)
+        return np.asarray(solved, dtype=np.float64)
     except np.linalg.LinAlgError:
         raise NoConvergence(
             f"sensor {sensor}: the normal equations [5.7] of the iterative DLT are singular; "

@@ -1,0 +1,31 @@
+"""How far a reading can be trusted under a calibration: its noise and the model's misfit."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.result import Calibration
+
+Array = NDArray[np.float64]
+
+
+def reading_sigma(
+    calibration: Calibration, readings_px: Array, sigma_px: Array | None = None
+) -> Array:
+    """Return the standard deviations with which readings (N, S) go into a reconstruction [px].
+
+    A reading is not known better than the model reproduces its control points. Where these came
+    with their deviations, what the residuals exceed them by is misfit and is added in squares;
+    where they came without, the residuals hold both, and are the least that is taken.
+
+    Args:
+        calibration: the calibration in use.
+        readings_px: shape (N, S); only the shape is used.
+        sigma_px: the readings' own deviations, shape (N, S); None: the calibration's.
+    """
+    own = np.array([fit.sigma_px for fit in calibration.sensors])
+    rms = np.array([fit.rms_px for fit in calibration.sensors])
+    given = np.array([fit.sigma_source == "given" for fit in calibration.sensors])
+    misfit = np.where(given, np.sqrt(np.maximum(rms**2 - own**2, 0.0)), 0.0)
+    if sigma_px is None:
+        return np.broadcast_to(np.hypot(own, misfit), readings_px.shape)
+    return np.where(given, np.hypot(sigma_px, misfit), np.maximum(sigma_px, own))

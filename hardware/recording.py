@@ -72,7 +72,8 @@ class RecordingWriter:
         self._shape = line_shape(description)
         self._description = description
         self._pending: list[LineFrame] = []
-        self._last_sequence: int | None = None
+        self._last_sequence = -1
+        self._last_device_ns = int(np.iinfo(np.int64).min)
         self._file = h5py.File(path, "w")
         self._file.attrs["format"] = FORMAT
         self._file.attrs["version"] = VERSION
@@ -100,7 +101,7 @@ class RecordingWriter:
 
         Raises:
             InvalidParameter: it is not of this device: its name, the lines' shape or the marker;
-                or its sequence number does not follow the last one's.
+                or its sequence number or device time does not follow the last one's.
         """
         if frame.lines.shape != self._shape or frame.lines.dtype != np.uint16:
             raise InvalidParameter(
@@ -120,13 +121,20 @@ class RecordingWriter:
                 f"{self._description.markers} strobed markers, counted from 0",
                 marker=frame.marker,
             )
-        if self._last_sequence is not None and frame.sequence <= self._last_sequence:
+        if frame.sequence <= self._last_sequence:
             raise InvalidParameter(
                 f"the frame's sequence number is {frame.sequence}; it must be larger than the "
                 f"last one, {self._last_sequence}",
                 sequence=frame.sequence,
             )
+        if frame.exposure_device_ns < self._last_device_ns:
+            raise InvalidParameter(
+                f"the frame's device time is {frame.exposure_device_ns} ns; it must not be before "
+                f"the last one, {self._last_device_ns} ns",
+                exposure_device_ns=frame.exposure_device_ns,
+            )
         self._last_sequence = frame.sequence
+        self._last_device_ns = frame.exposure_device_ns
         self._pending.append(frame)
         if len(self._pending) == CHUNK_FRAMES:
             self._write()

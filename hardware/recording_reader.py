@@ -115,7 +115,7 @@ class RecordingReader:
         self.close()
 
     def _checked(self) -> RecordingInfo:
-        attributes = dict(self._file.attrs)
+        attributes = self._attributes()
         if attributes.get("format") != FORMAT:
             raise self._invalid(
                 f"is an HDF5 file of format {attributes.get('format')!r}, not {FORMAT!r}"
@@ -125,7 +125,7 @@ class RecordingReader:
                 f"has version {attributes.get('version')}; this program reads version {VERSION}"
             )
         try:
-            description = _DESCRIPTION.validate_json(attributes.get("description", ""))
+            description = _DESCRIPTION.validate_json(str(attributes.get("description", "")))
             shape = line_shape(description)
         except ValidationError as error:
             first = error.errors()[0]
@@ -153,8 +153,18 @@ class RecordingReader:
             frames=frames,
             duration_s=float(device_ns[-1] - device_ns[0]) * 1e-9 if frames else 0.0,
             lost=int(sequence[-1] - sequence[0]) + 1 - frames if frames else 0,
-            complete=bool(attributes.get("complete", False)),
+            complete=attributes.get("complete") is True,
         )
+
+    def _attributes(self) -> dict[str, object]:
+        """Return the root's attributes as plain Python values."""
+        try:
+            return {
+                name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+                for name, value in self._file.attrs.items()
+            }
+        except (OSError, RuntimeError, KeyError) as error:
+            raise self._invalid(f"has damaged attributes ({error})") from error
 
     def _checked_shapes(self, line: tuple[int, int]) -> int:
         """Check that all datasets are there, of their type and of one length; return it."""

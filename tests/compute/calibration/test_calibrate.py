@@ -1,0 +1,249 @@
+"""Calibration: exact on exact data, honest on noisy data, and clear about what it refuses."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from compute.calibration.crossvalidation import fitted_errors, leave_one_out
+from compute.calibration.metric import left_jacobian, rotation_matrix
+from compute.calibration.run import calibrate
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+from compute.errors import (
+    DegeneratePoints,
+    DuplicatePoint,
+    InvalidParameter,
+    LumilineError,
+    NonFiniteValue,
+    ReadingOutsideSensor,
+    TooFewPoints,
+)
+from tests.compute.rig import control_points, geometry, project, rig
+
+Array = NDArray[np.float64]
+
+
+def test_exact_readings_give_the_cameras_back() -> None:
+    models, points = rig(), control_points()
+    found = calibrate(points, project(models, points), geometry(models))
+    for model, fit in zip(models, found.sensors, strict=True):
+        assert fit.rms_px < 1e-8
+        assert fit.model.principal_distance_px == pytest.approx(3000.0, abs=1e-5)
+        assert fit.model.principal_point_px == pytest.approx(1023.5, abs=1e-5)
+        assert np.allclose(fit.model.rotation, model.rotation, atol=1e-9)
+
+
+def test_seven_points_determine_the_camera() -> None:
+    models, points = rig(), control_points(7)
+    found = calibrate(points, project(models, points), geometry(models))
+    unseen = control_points(50, seed=5)
+    assert np.allclose(
+        CameraStack.of(found.models).project(unseen), project(models, unseen), atol=1e-4
+    )
+    assert {fit.sigma_source for fit in found.sensors} == {"assumed"}
+
+
+def test_each_sensor_uses_the_points_that_it_saw() -> None:
+    models, points = rig(), control_points(20)
+    readings = project(models, points)
+    readings[:5, 0] = np.nan
+    readings[8:12, 2] = np.nan
+    found = calibrate(points, readings, geometry(models))
+    assert [fit.points for fit in found.sensors] == [15, 20, 16, 20]
+    assert found.residuals_px[0][0] is None
+    assert found.residuals_px[9][2] is None
+    assert found.residuals_px[9][0] is not None
+
+
+def test_covariance_is_honest() -> None:
+    """Normalised squared errors of the 7 parameters average 7 (with given deviations)."""
+    models, points = rig(1), control_points(40)
+    exact = project(models, points)
+    rng = np.random.default_rng(7)
+    runs, sigma = 300, 0.3
+    squares, estimated = [], []
+    for _ in range(runs):
+        noisy = exact + sigma * rng.standard_normal(exact.shape)
+        given_sigma = calibrate(points, noisy, geometry(models), np.full(exact.shape, sigma))
+        error = _parameter_error(given_sigma.models[0], models[0])
+        squares.append(error @ np.linalg.solve(np.array(given_sigma.covariance), error))
+        estimated.append(calibrate(points, noisy, geometry(models)).sensors[0].sigma_px)
+    # chi2 with 7 degrees of freedom has variance 14; five standard errors of the mean, and the
+    # second-order bias of a weakly determined camera.
+    assert np.mean(squares) == pytest.approx(7.0, abs=5 * np.sqrt(14 / runs))
+    assert np.sqrt(np.mean(np.square(estimated))) == pytest.approx(
+        sigma, rel=5 * np.sqrt(1 / (2 * 33 * runs))
+    )
+
+
+def _parameter_error(found: SensorModel, true: SensorModel) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_matrix(found.rotation @ true.rotation.T).as_rotvec()
+    return np.array(
+        [
+            found.principal_distance_px - true.principal_distance_px,
+            found.principal_point_px - true.principal_point_px,
+            *turn,
+            found.offset_x_mm - true.offset_x_mm,
+            found.offset_z_mm - true.offset_z_mm,
+        ]
+    )
+
+
+@pytest.mark.parametrize("noise_px", [0.5, 5.0, 30.0])
+def test_no_lower_minimum_is_known(noise_px: float) -> None:
+    """The found minimum is not above the one that a search from the true camera reaches."""
+    models, geometries = rig(), geometry(rig())
+    rng = np.random.default_rng(3)
+    for seed in range(12):
+        points = control_points(19, seed=seed)
+        exact = project(models, points)
+        noisy = exact + noise_px * rng.standard_normal(exact.shape)
+        try:
+            found = calibrate(points, noisy, geometries)
+        except LumilineError:
+            pytest.fail(f"no camera found for seed {seed} and {noise_px} px")
+        for index, model in enumerate(models):
+            from_truth = _search(model, points, noisy[:, index])
+            ours = found.sensors[index].rms_px ** 2 * len(points)
+            assert ours <= from_truth * (1.0 + 1e-6)
+
+
+def _search(start: SensorModel, points: Array, readings: Array) -> float:
+    def residuals(step: Array) -> Array:
+        projected = CameraStack.of([start.moved(step)]).project(points)[:, 0]
+        return np.nan_to_num(projected - readings, nan=1e6)
+
+    return 2.0 * float(least_squares(residuals, np.zeros(7), x_scale="jac").cost)
+
+
+def test_global_minimum_of_a_measured_frame_does_not_depend_on_the_world_frame() -> None:
+    models, points = rig(), control_points(19)
+    rng = np.random.default_rng(1)
+    readings = project(models, points) + 3.0 * rng.standard_normal((19, 4))
+    here = calibrate(points, readings, geometry(models))
+    moved = calibrate(
+        points @ rotation_matrix(np.array([0.4, -1.0, 2.0])).T + [5000.0, -70.0, 300.0],
+        readings,
+        geometry(models),
+    )
+    for first, second in zip(here.sensors, moved.sensors, strict=True):
+        assert first.rms_px == pytest.approx(second.rms_px, rel=1e-6)
+
+
+@given(st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3), st.integers(0, 2))
+def test_left_jacobian(vector: list[float], axis: int) -> None:
+    w, step = np.array(vector), np.zeros(3)
+    step[axis] = 1e-6
+    turned = rotation_matrix(w + step) @ rotation_matrix(w).T
+    expected = left_jacobian(w) @ step
+    assert np.allclose(turned, rotation_matrix(expected), atol=1e-10)
+
+
+# --- what is refused ---------------------------------------------------------------------------
+
+
+def observations() -> tuple[Array, Array]:
+    points = control_points(12)
+    return points, project(rig(), points)
+
+
+def test_six_points_are_too_few() -> None:
+    points, readings = observations()
+    readings[6:, 1] = np.nan
+    with pytest.raises(TooFewPoints, match=r"s2 saw 6 control points.*at least 7"):
+        calibrate(points, readings, geometry(rig()))
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3),
+    st.floats(0.0, 1e-4),
+)
+def test_coplanar_points_are_refused_in_any_plane(turn: list[float], relief: float) -> None:
+    rng = np.random.default_rng(2)
+    flat = rng.uniform(-150.0, 150.0, (15, 3)) * [1.0, 1.0, relief]
+    points = flat @ rotation_matrix(np.array(turn)).T + [0.0, 0.0, 1500.0]
+    with pytest.raises(DegeneratePoints, match="in one plane"):
+        calibrate(points, project(rig(), points), geometry(rig()))
+
+
+def test_coplanar_for_one_sensor_only_is_refused_too() -> None:
+    points = control_points(20)
+    points[:10, 2] = 1500.0
+    readings = project(rig(), points)
+    readings[10:, 3] = np.nan
+    with pytest.raises(DegeneratePoints, match="s4"):
+        calibrate(points, readings, geometry(rig()))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_control_points_must_be_finite(value: float) -> None:
+    points, readings = observations()
+    points[4, 2] = value
+    with pytest.raises(NonFiniteValue, match="point 5 has Z"):
+        calibrate(points, readings, geometry(rig()))
+
+
+def test_readings_must_be_finite_or_absent() -> None:
+    points, readings = observations()
+    readings[3, 0] = np.inf
+    with pytest.raises(NonFiniteValue, match="point 4 by sensor s1"):
+        calibrate(points, readings, geometry(rig()))
+
+
+def test_a_point_given_twice() -> None:
+    points, readings = observations()
+    points[7] = points[2]
+    with pytest.raises(DuplicatePoint, match="points 3 and 8"):
+        calibrate(points, readings, geometry(rig()))
+
+
+@pytest.mark.parametrize("value", [-0.51, 2047.51])
+def test_readings_outside_the_sensor(value: float) -> None:
+    points, readings = observations()
+    readings[5, 2] = value
+    with pytest.raises(ReadingOutsideSensor, match=r"point 6 lies outside sensor s3.*2047\.5"):
+        calibrate(points, readings, geometry(rig()))
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
+def test_deviations_must_be_positive(value: float) -> None:
+    points, readings = observations()
+    sigma = np.full(readings.shape, 0.1)
+    sigma[2, 1] = value
+    with pytest.raises(InvalidParameter, match="point 3 by sensor s2"):
+        calibrate(points, readings, geometry(rig()), sigma)
+
+
+def test_shapes_must_fit() -> None:
+    points, readings = observations()
+    with pytest.raises(InvalidParameter, match="shape"):
+        calibrate(points, readings[:, :3], geometry(rig()))
+    with pytest.raises(InvalidParameter, match="shape"):
+        calibrate(points[:, :2], readings, geometry(rig()))
+    with pytest.raises(InvalidParameter, match="metric"):
+        calibrate(points, readings, geometry(rig()), method="best")  # type: ignore[arg-type]
+
+
+# --- cross-validation --------------------------------------------------------------------------
+
+
+def test_left_out_points_have_larger_errors_than_fitted_ones() -> None:
+    models, points = rig(), control_points(15)
+    rng = np.random.default_rng(4)
+    readings = project(models, points) + rng.standard_normal((15, 4))
+    calibration = calibrate(points, readings, geometry(models))
+    fitted = np.abs(fitted_errors(calibration, points, readings)).mean()
+    left_out = np.abs(leave_one_out(points, readings, geometry(models))).mean()
+    assert left_out > fitted
+
+
+def test_leaving_one_of_seven_out_gives_no_figure() -> None:
+    models, points = rig(), control_points(7)
+    errors = leave_one_out(points, project(models, points), geometry(models))
+    assert np.isnan(errors).all()

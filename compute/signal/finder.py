@@ -74,7 +74,7 @@ class CentroidFinder:
         self._host_records = _numpy(self._staged_records).view(record)
 
         # Kept: the recorded launch has their addresses.
-        self._noise = [
+        self._noise: list[Any] = [
             wp.array(values, dtype=dtype, device=self._device)
             for values, dtype in (
                 (noise.dark_variance, wp.float64),

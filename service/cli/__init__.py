@@ -58,6 +58,43 @@ def openapi() -> None:
     run()
 
 
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option(help="Folder for the picture, database and log.")] = Path(
+        "demo-output"
+    ),
+    seconds: Annotated[float, typer.Option(min=2.0, help="How long the bar is streamed.")] = 5.0,
+) -> None:
+    """Show the main job end to end: a real service, measured frames, a simulated device."""
+    from service.cli.demo import run
+
+    run(output, seconds)
+
+
+@app.command()
+def reproduce(
+    case: Annotated[str | None, typer.Argument(help="test-5.1 ... test-5.8, or all.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+) -> None:
+    """Run published tests: the reference figures and ours side by side. No case: list them."""
+    from service.cli.reproduce import run
+
+    run(case, as_json=as_json)
+
+
+@app.command()
+def bench(
+    name: Annotated[str | None, typer.Argument(help="live, centroids.")] = None,
+    seconds: Annotated[float, typer.Option(min=1.0, help="Duration of live.")] = 60.0,
+    device: Annotated[str | None, typer.Option(help="cpu, cuda:0, ... for centroids.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+) -> None:
+    """Measure speed beside the peers a user would pick instead. No name: list them."""
+    from service.cli.bench import run
+
+    run(name, seconds=seconds, device=device, as_json=as_json)
+
+
 def main() -> None:
     """Run the command line."""
     app()

@@ -1,0 +1,72 @@
+"""`lumiline bench`: figures of speed, each beside what a user would pick instead."""
+
+import tempfile
+from pathlib import Path
+
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from service.cli.output import console, fail, print_json, progress_console
+from service.cli.spawn import ServiceFailedError, running_service
+
+BENCHMARKS = {
+    "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
+    "centroids": "raw lines to peak positions, beside NumPy and SciPy",
+}
+
+
+def run(name: str | None, *, seconds: float, device: str | None, as_json: bool) -> None:
+    """List the benchmarks, or run one."""
+    if name is None:
+        table = Table(title="benchmarks: lumiline bench NAME", title_justify="left")
+        table.add_column("name")
+        table.add_column("what is measured")
+        for row in BENCHMARKS.items():
+            table.add_row(*row)
+        console.print(table)
+    elif name == "live":
+        _live(seconds, as_json=as_json)
+    elif name == "centroids":
+        from benchmarks import centroids
+
+        options = [*(["--json"] if as_json else []), *(["--device", device] if device else [])]
+        centroids.main(options)
+    else:
+        raise fail(f'there is no benchmark "{name}"; there are {", ".join(BENCHMARKS)}')
+
+
+def _live(seconds: float, *, as_json: bool) -> None:
+    from benchmarks.live import measure
+
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(),
+        console=progress_console, transient=True, disable=as_json,
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder, bar:
+        task = bar.add_task("starting the service", total=None)
+        try:
+            with running_service(Path(folder)) as url:
+                bar.update(task, description="streaming", total=seconds)
+                figures = measure(
+                    url.replace("http", "ws", 1) + "/api/v1/stream?device=sim",
+                    seconds,
+                    lambda done: bar.update(task, completed=done),
+                )
+        except (ServiceFailedError, RuntimeError) as error:
+            raise fail(str(error)) from error
+    if as_json:
+        print_json(figures)
+        return
+    table = Table(title=BENCHMARKS["live"], title_justify="left")
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    table.add_row("duration, s", f"{figures.seconds:.2f}")
+    table.add_row("frames received", f"{figures.frames}")
+    table.add_row("frames per second", f"{figures.frames_per_s:.1f}")
+    table.add_row("frames lost", f"{figures.lost}")
+    table.add_row("messages missed by this client", f"{figures.missed}")
+    table.add_row("points without a position", f"{figures.without_position}")
+    for label, value in figures.latency_ms.items():
+        table.add_row(f"latency {label}, ms", f"{value:.2f}")
+    console.print(table)
+    console.print("latency: middle of the exposure to the message in the client's hands")

@@ -1,0 +1,151 @@
+"""`lumiline demo`: the main job, end to end, as a client of the real service."""
+
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from benchmarks.live import summarise
+from compute.calibration.result import AxisErrors
+from hardware.simulated.scenes import CalibrationFrame, RotatingBar
+from service.cli.demo_client import DemoClient
+from service.cli.demo_picture import save_picture
+from service.cli.output import console, error_table, fail, millimetres, progress_console
+from service.cli.spawn import ServiceFailedError, running_service
+from validation.published import DLT, PUBLISHED
+
+FRAME_SECONDS = 3.0
+BAR = RotatingBar()
+FRAME = CalibrationFrame()
+
+
+def run(output: Path, seconds: float) -> None:
+    """Start the service, calibrate, stream, print the figures and write the picture."""
+    data = output / "data"
+    shutil.rmtree(data, ignore_errors=True)
+    with _progress("starting the service (the first time it compiles its kernels)"):
+        context = running_service(data)
+        try:
+            url = context.__enter__()
+        except ServiceFailedError as error:
+            raise fail(str(error)) from error
+    try:
+        console.print(f"service: {url}  (SQLite in {data}, log in {data / 'service.log'})")
+        client = DemoClient(url)
+        try:
+            _measured_frames(client)
+            _simulated_calibration(client)
+            _rotating_bar(client, seconds, output / "demo.png")
+        finally:
+            client.close()
+    except RuntimeError as error:
+        raise fail(str(error)) from error
+    finally:
+        context.__exit__(None, None, None)
+
+
+@contextmanager
+def _progress(text: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
+    """Show what goes on; yields a function that takes the amount done."""
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
+        console=progress_console, transient=True,
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task(text, total=total)
+        yield lambda done: bar.update(task, completed=done)
+
+
+def _measured_frames(client: DemoClient) -> None:
+    """Tests 5.3 and 5.4 of the thesis: 19 LEDs, 4 sensors, as measured."""
+    client.create_thesis_device()
+    for number, distance in (("5.3", "3 m"), ("5.4", "1 m")):
+        with _progress(f"calibrating with the frame at {distance}"):
+            calibration = client.calibrate_thesis_frame(number)
+        errors = calibration["errors"]
+        console.print()
+        console.print(
+            error_table(
+                f"measured frame at {distance} (thesis Test {number}): 19 LEDs, 4 sensors\nabsolute errors in mm",
+                [
+                    (DLT, PUBLISHED[f"test-{number}"][DLT], "dim"),
+                    ("Lumiline, fitted", _axis_errors(errors["fitted"]), ""),
+                    ("Lumiline, leave one out", _axis_errors(errors["leave_one_out"]), ""),
+                ],
+            )
+        )
+
+
+def _axis_errors(document: dict[str, Any]) -> AxisErrors:
+    return AxisErrors(**document["statistics"])
+
+
+def _simulated_calibration(client: DemoClient) -> None:
+    """Calibrate the simulated device with the peaks of a frame that it sees."""
+    client.show(asdict(FRAME))
+    with _progress("observing the simulated frame", FRAME_SECONDS) as progress:
+        observed = client.observe_frame(FRAME_SECONDS, progress)
+    with _progress("calibrating the simulated device"):
+        calibration = client.calibrate_simulated(FRAME.points(0.0), observed)
+    table = Table(
+        title=f"simulated device calibrated: {calibration['point_count']} markers",
+        title_justify="left",
+    )
+    for heading in ("sensor", "points", "rms, px", "reading sigma, px", "chi2/dof"):
+        table.add_column(heading, justify="left" if heading == "sensor" else "right")
+    for fit in calibration["result"]["sensors"]:
+        table.add_row(
+            fit["model"]["name"],
+            str(fit["points"]),
+            f"{fit['rms_px']:.4f}",
+            f"{fit['sigma_px']:.4f}",
+            f"{fit['chi2_per_dof']:.2f}",
+        )
+    console.print()
+    console.print(table)
+    left_out = _axis_errors(calibration["errors"]["leave_one_out"])
+    console.print(
+        "mean absolute error, leave one out, X Y Z, mm: "
+        + " ".join(millimetres(value) for value in left_out.mean_absolute_mm)
+    )
+
+
+def _rotating_bar(client: DemoClient, seconds: float, picture: Path) -> None:
+    """Stream the bar of section 6.1.2 and print what came of it."""
+    client.show(asdict(BAR))
+    with _progress("streaming the rotating bar", seconds) as progress:
+        stream = client.stream_bar(seconds, progress)
+    figures = summarise(
+        stream.sequence, stream.latency_ns, stream.exposure_ns[0], stream.exposure_ns[-1]
+    )
+    time, first, second = stream.ends()
+    length = np.linalg.norm(first - second, axis=1)
+    table = Table(title="rotating bar, streamed over the websocket", title_justify="left")
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    for label, text in (
+        ("duration, s", f"{figures.seconds:.2f}"),
+        ("frames received", f"{figures.frames}"),
+        ("frames/s", f"{figures.frames_per_s:.1f}"),
+        ("frames lost", f"{figures.lost}"),
+        ("messages missed", f"{stream.missed}"),
+        ("latency, exposure to client, p50, ms", f"{figures.latency_ms['p50']:.2f}"),
+        ("latency, exposure to client, p99, ms", f"{figures.latency_ms['p99']:.2f}"),
+        ("bar length, true, mm", f"{BAR.length_mm:.3f}"),
+        ("bar length, mean, mm", f"{length.mean():.3f}"),
+        ("bar length, standard deviation, mm", f"{length.std(ddof=1):.3f}"),
+    ):
+        table.add_row(label, text)
+    console.print()
+    console.print(table)
+    with _progress("drawing"):
+        save_picture(
+            picture, time, (first, second), BAR.length_mm, np.array(stream.latency_ns) / 1e6
+        )
+    console.print(f"picture: {picture}")

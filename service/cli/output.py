@@ -1,0 +1,62 @@
+"""How commands print: tables for people on the terminal, JSON for machines."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, is_dataclass
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from compute.calibration.result import AxisErrors
+
+console = Console()
+progress_console = Console(stderr=True)
+"""Progress goes to standard error, so that standard output holds the result only."""
+
+
+def print_json(value: Any) -> None:
+    """Print a dataclass, or a list of them, as JSON on standard output."""
+    typer.echo(json.dumps(_plain(value), indent=2))
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+def fail(message: str) -> typer.Exit:
+    """Print an error and return what ends the command: ``raise fail(...)``."""
+    Console(stderr=True).print(f"[red]error:[/red] {message}", highlight=False)
+    return typer.Exit(2)
+
+
+def error_table(title: str, rows: Iterable[tuple[str, AxisErrors | None, str]]) -> Table:
+    """Return a table of mean and largest absolute errors by axis [mm].
+
+    Args:
+        title: the table's title.
+        rows: label, errors, style; None for the errors prints dashes.
+    """
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for heading in ("mean X", "Y", "Z", "max X", "Y", "Z"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for label, errors, style in rows:
+        if errors is None:
+            table.add_row(label, *["-"] * 6, style=style)
+            continue
+        values = (*errors.mean_absolute_mm, *errors.max_absolute_mm)
+        table.add_row(label, *(millimetres(value) for value in values), style=style)
+    return table
+
+
+def millimetres(value: float) -> str:
+    """Return a length in mm with three significant digits, or an exponent where it is tiny."""
+    if value == 0.0:
+        return "0"
+    return f"{value:.1e}" if value < 1e-3 else f"{value:.3g}"

@@ -1,0 +1,66 @@
+"""`lumiline reproduce`: published tests, the reference figures and ours side by side."""
+
+from rich.progress import track
+from rich.table import Table
+
+from service.cli.output import console, error_table, fail, print_json, progress_console
+from validation.cases import CASES, CaseResult
+
+
+def run(name: str | None, *, as_json: bool) -> None:
+    """List the cases, or run one of them, or ``all``."""
+    if name is None:
+        _list(as_json=as_json)
+        return
+    if name != "all" and name not in CASES:
+        raise fail(f'there is no case "{name}"; the cases are {", ".join(CASES)} and all')
+    chosen = list(CASES.values()) if name == "all" else [CASES[name]]
+    results = [
+        case.run()
+        for case in track(
+            chosen, "reproducing", console=progress_console, transient=True, disable=as_json
+        )
+    ]
+    if as_json:
+        print_json(results if name == "all" else results[0])
+        return
+    for result in results:
+        _print(result)
+
+
+def _list(*, as_json: bool) -> None:
+    rows = [{"name": c.name, "title": c.title, "source": c.source} for c in CASES.values()]
+    if as_json:
+        print_json(rows)
+        return
+    table = Table(title="cases: lumiline reproduce NAME, or all", title_justify="left")
+    for heading in ("name", "title", "source"):
+        table.add_column(heading)
+    for row in rows:
+        table.add_row(*row.values())
+    console.print(table)
+
+
+def _print(result: CaseResult) -> None:
+    console.print()
+    console.print(
+        error_table(
+            f"{result.name}: {result.title}\n{result.source}; absolute errors in mm",
+            [
+                *((column.label, column.errors, "dim") for column in result.published),
+                *((column.label, column.errors, "") for column in result.ours),
+            ],
+        )
+    )
+    points = Table(title="principal points, mm from the sensor's edge", title_justify="left")
+    points.add_column("")
+    for sensor in range(4):
+        points.add_column(f"sensor {sensor + 1}", justify="right")
+    for column in (*result.published, *result.ours):
+        if column.principal_points_mm is not None:
+            points.add_row(column.label, *(f"{v:.3f}" for v in column.principal_points_mm))
+    console.print(points)
+    for column in result.ours:
+        if column.reason is not None:
+            console.print(f"{column.label}: {column.reason}")
+    console.print(result.note, style="italic")

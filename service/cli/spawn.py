@@ -1,0 +1,71 @@
+"""A real service in a process of its own, for the commands that act as its client."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+
+START_TIMEOUT_S = 180.0
+"""The first start on a machine compiles the kernels."""
+
+
+class ServiceFailedError(RuntimeError):
+    """The service did not start; the message holds the end of its log."""
+
+
+@contextmanager
+def running_service(data_dir: Path) -> Iterator[str]:
+    """Run ``lumiline serve`` on a free port and yield its base URL; ends it afterwards.
+
+    Args:
+        data_dir: its data directory, which also gets its log, ``service.log``.
+    """
+    data_dir.mkdir(parents=True, exist_ok=True)
+    log_path = data_dir / "service.log"
+    port = _free_port()
+    # The embedded default, whatever this user's environment says of another database.
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("LUMILINE_")}
+    with log_path.open("w", encoding="utf-8") as log:
+        process = subprocess.Popen(  # noqa: S603 - our own command line
+            [sys.executable, "-m", "service.cli", "serve",
+             "--port", str(port), "--data-dir", str(data_dir)],
+            stdout=log, stderr=subprocess.STDOUT, env=environment,
+        )  # fmt: skip
+        url = f"http://127.0.0.1:{port}"
+        try:
+            _wait_until_ready(process, url, log_path)
+            yield url
+        finally:
+            process.terminate()
+            try:
+                process.wait(20.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _wait_until_ready(process: "subprocess.Popen[bytes]", url: str, log_path: Path) -> None:
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            break
+        try:
+            if httpx.get(f"{url}/readyz", timeout=2.0).status_code == 200:
+                return
+        except httpx.TransportError:
+            pass
+        time.sleep(0.1)
+    tail = "\n".join(log_path.read_text(encoding="utf-8").splitlines()[-15:])
+    raise ServiceFailedError(f"the service did not become ready; the end of {log_path}:\n{tail}")

@@ -72,7 +72,8 @@ def _measured_frames(client: DemoClient) -> None:
         console.print()
         console.print(
             error_table(
-                f"measured frame at {distance} (thesis Test {number}): 19 LEDs, 4 sensors\nabsolute errors in mm",
+                f"measured frame at {distance} (thesis Test {number}): 19 LEDs, 4 sensors\n"
+                "absolute errors in mm",
                 [
                     (DLT, PUBLISHED[f"test-{number}"][DLT], "dim"),
                     ("Lumiline, fitted", _axis_errors(errors["fitted"]), ""),

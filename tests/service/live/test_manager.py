@@ -1,0 +1,267 @@
+"""The live pipeline without a server: from a driver's frames to what the hub publishes."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from compute.calibration.result import Calibration, SensorFit
+from compute.camera.model import SensorModel
+from compute.errors import InvalidRecording
+from hardware.driver import DeviceDescription
+from hardware.frame import LineFrame
+from hardware.simulated.bar import sensor_bar
+from hardware.simulated.driver import SimulatedDriver
+from hardware.simulated.scenes import RotatingBar, StillPoints
+from hardware.simulated.settings import SimulationSettings
+from service.live.batch import FrameBatch
+from service.live.hub import Hub
+from service.live.manager import DeviceStatus, LiveManager
+from service.live.messages import frame_messages
+
+
+class RecordingHub(Hub):
+    """Keeps everything that is published."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.batches: list[FrameBatch] = []
+        self.messages: list[dict[str, Any]] = []
+
+    def publish_batch(self, batch: FrameBatch) -> None:
+        self.batches.append(batch)
+        super().publish_batch(batch)
+
+    def publish(self, device_id: str, message: dict[str, Any]) -> None:
+        self.messages.append(message)
+        super().publish(device_id, message)
+
+
+def models() -> tuple[SensorModel, ...]:
+    return tuple(sensor.model for sensor in sensor_bar())
+
+
+def nominal(offset_mm: float = 0.0) -> Calibration:
+    """The simulator's own cameras, its world moved along X."""
+    moved = [
+        replace(
+            model,
+            offset_x_mm=model.offset_x_mm - float(model.rotation[0, 0]) * offset_mm,
+            offset_z_mm=model.offset_z_mm - float(model.rotation[2, 0]) * offset_mm,
+        )
+        for model in models()
+    ]
+    fits = tuple(SensorFit(model, 0, 0.0, 0.0, 1e-3, "given", None) for model in moved)
+    size = 7 * len(fits)
+    return Calibration("metric", fits, tuple(tuple([0.0] * size) for _ in range(size)), ())
+
+
+@pytest.fixture
+def live() -> Iterator[LiveManager]:
+    manager = LiveManager("cpu")
+    manager.hub = RecordingHub()
+    yield manager
+    manager.close()
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come true"
+        time.sleep(0.005)
+
+
+def simulation(**changes: Any) -> SimulationSettings:
+    return replace(SimulationSettings(realtime=False, duration_s=0.2), **changes)
+
+
+def run_to_the_end(
+    live: LiveManager, settings: SimulationSettings, calibration: Calibration | None
+) -> list[dict[str, Any]]:
+    """Run a simulation; returns its frame messages."""
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    identity = None if calibration is None else "c1"
+    live.start_device("sim", SimulatedDriver("sim", settings), identity, calibration)
+    wait_for(lambda: any(message["state"] == "ended" for message in hub.messages))
+    return [
+        message
+        for batch in hub.batches
+        for message in frame_messages(batch, frozenset({"points", "peaks"}))
+    ]
+
+
+def test_every_frame_becomes_a_message_with_a_point_where_the_marker_is(live: LiveManager) -> None:
+    bar = RotatingBar()
+    messages = run_to_the_end(live, simulation(scene=bar), nominal())
+    assert [message["sequence"] for message in messages] == list(range(200))
+    errors, squares = [], []
+    for message in messages:
+        (point,) = message["points"]
+        true = bar.points(message["device_ns"] * 1e-9)[message["marker"]]
+        error = np.array(point["position_mm"]) - true
+        errors.append(error)
+        squares.append(error @ np.linalg.solve(np.array(point["covariance_mm2"]), error))
+        assert point["marker"] == message["marker"] == message["sequence"] % 2
+        assert len(point["sensors"]) == 4
+        assert message["calibration"] == "c1"
+        assert len(message["peaks"]) == 4
+    # The stated covariance explains the errors: chi2 of 3 has mean 3 and variance 6.
+    assert np.mean(squares) < 3.0 + 5.0 * np.sqrt(6 / len(messages))
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.05
+    assert live.status("sim") == DeviceStatus(
+        "ended", "the source has no more frames", "c1", 200, 0, 0, 200, 0
+    )
+
+
+def test_the_same_frames_give_the_same_messages(live: LiveManager) -> None:
+    settings = simulation(duration_s=0.05)
+    first = run_to_the_end(live, settings, nominal())
+    assert isinstance(live.hub, RecordingHub)
+    live.hub.batches.clear()
+    live.hub.messages.clear()
+    second = run_to_the_end(live, settings, nominal())
+    for message in (*first, *second):
+        del message["exposure_ns"]
+    assert first == second
+
+
+def test_markers_lit_together_are_told_apart_by_the_fourth_sensor(live: LiveManager) -> None:
+    scene = StillPoints(
+        points_mm=((-90.0, 30.0, 1450.0), (60.0, -45.0, 1560.0), (10.0, 80.0, 1500.0))
+    )
+    messages = run_to_the_end(
+        live, simulation(scene=scene, illumination="simultaneous", duration_s=0.05), nominal()
+    )
+    true = np.array(scene.points_mm)
+    for message in messages:
+        assert message["marker"] is None
+        positions = np.array([point["position_mm"] for point in message["points"]])
+        assert len(positions) == 3
+        distance = np.linalg.norm(positions[:, None] - true, axis=2)
+        assert sorted(distance.argmin(axis=1)) == [0, 1, 2]
+        assert distance.min(axis=1).max() < 0.5
+
+
+def test_without_a_calibration_there_are_peaks_and_no_points(live: LiveManager) -> None:
+    messages = run_to_the_end(live, simulation(duration_s=0.02), None)
+    assert all(message["points"] == [] for message in messages)
+    assert all(message["calibration"] is None for message in messages)
+    assert all(len(message["peaks"]) == 4 for message in messages)
+
+
+def test_a_hidden_marker_is_a_point_without_position_and_with_a_reason(live: LiveManager) -> None:
+    scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
+    messages = run_to_the_end(
+        live, simulation(scene=scene, signal_electrons=0.0, duration_s=0.02), nominal()
+    )
+    for message in messages:
+        (point,) = message["points"]
+        assert point["position_mm"] is None
+        assert point["flags"] == ("too-few-sensors",)
+
+
+def test_calibrations_are_switched_between_two_frames(live: LiveManager) -> None:
+    """No frame is lost, and each message's point belongs to the calibration that it names."""
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
+    settings = SimulationSettings(scene=scene, frame_rate_hz=500.0)
+    live.start_device("sim", SimulatedDriver("sim", settings), "zero", nominal())
+    wait_for(lambda: len(hub.batches) > 20)
+    for turn in range(20):
+        name, shift = (("ten", 10.0), ("zero", 0.0))[turn % 2]
+        live.set_calibration("sim", name, nominal(shift))
+        seen = len(hub.batches)
+        wait_for(lambda seen=seen: len(hub.batches) > seen + 1)  # type: ignore[misc]
+    live.stop_device("sim")
+    messages = [m for b in hub.batches for m in frame_messages(b, frozenset({"points"}))]
+    sequences = [message["sequence"] for message in messages]
+    assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+    assert {message["calibration"] for message in messages} == {"zero", "ten"}
+    for message in messages:
+        expected = {"zero": 0.0, "ten": 10.0}[message["calibration"]]
+        assert message["points"][0]["position_mm"][0] == pytest.approx(expected, abs=0.5)
+
+
+class FaultyDriver(SimulatedDriver):
+    """Fails after some frames, as a driver with a bug or an unplugged device does."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__("sim", simulation())
+        self._error = error
+
+    def frames(self) -> Iterator[LineFrame]:
+        for count, frame in enumerate(super().frames()):
+            if count == 5:
+                raise self._error
+            yield frame
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (InvalidRecording("the file ends in frame 5"), "the file ends in frame 5"),
+        (OSError("secret path"), "the driver failed: OSError"),
+    ],
+)
+def test_a_failing_driver_is_a_state_with_a_reason(
+    live: LiveManager, error: Exception, reason: str
+) -> None:
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    live.start_device("sim", FaultyDriver(error), "c1", nominal())
+    wait_for(lambda: any(message["state"] == "failed" for message in hub.messages))
+    status = live.status("sim")
+    assert (status.state, status.reason) == ("failed", reason)
+    assert status.frames_processed == 5
+
+
+def test_a_driver_that_cannot_be_opened_starts_nothing(live: LiveManager) -> None:
+    class Closed(SimulatedDriver):
+        def open(self) -> None:
+            raise InvalidRecording("no such recording")
+
+    with pytest.raises(InvalidRecording):
+        live.start_device("sim", Closed("sim", simulation()))
+    assert live.status("sim").state == "stopped"
+
+
+def test_a_description_that_the_kernel_cannot_take_closes_the_driver(live: LiveManager) -> None:
+    closed = threading.Event()
+
+    class Tiny(SimulatedDriver):
+        @property
+        def description(self) -> DeviceDescription:
+            known = super().description
+            sensors = tuple(replace(sensor, pixels=3) for sensor in known.sensors)
+            return replace(known, sensors=sensors)
+
+        def close(self) -> None:
+            super().close()
+            closed.set()
+
+    driver = Tiny("sim", simulation())
+    with pytest.raises(Exception, match="3 pixels"):
+        live.start_device("sim", driver)
+    assert closed.is_set()
+
+
+def test_stopping_and_starting_again(live: LiveManager) -> None:
+    endless = SimulationSettings()
+    for _ in range(3):
+        live.start_device("sim", SimulatedDriver("sim", endless), "c1", nominal())
+        wait_for(lambda: live.status("sim").frames_processed > 3)
+        live.stop_device("sim")
+        assert live.status("sim").state == "stopped"
+    live.start_device("sim", SimulatedDriver("sim", endless), "c1", nominal())
+    live.start_device("sim", SimulatedDriver("sim", endless), "c1", nominal())
+    assert live.status("sim").state == "running"
+    names = [thread.name for thread in threading.enumerate()]
+    assert names.count("reader-sim") == 1
+    live.forget_device("sim")
+    assert live.status("sim") == DeviceStatus("stopped")

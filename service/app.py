@@ -20,6 +20,7 @@ from service.problem_handlers import install_problem_handlers
 from service.reconstructions.router import router as reconstructions
 from service.server import router as server
 from service.settings import Settings
+from service.stream import router as stream
 from service.version import package_version
 
 DESCRIPTION: Final = """
@@ -45,7 +46,7 @@ def create_app(settings: Settings, live: LiveManager | None = None) -> FastAPI:
         database = Database(settings.effective_database_url)
         try:
             await run_sync(_prepare, settings, database)
-            manager = live if live is not None else LiveManager()
+            manager = live if live is not None else LiveManager(settings.compute_device)
             try:
                 operation = Operation(database, manager, settings.recordings_dir)
                 app.state.database, app.state.live = database, manager
@@ -69,7 +70,7 @@ def create_app(settings: Settings, live: LiveManager | None = None) -> FastAPI:
     app.state.settings = settings
     app.add_middleware(BodyLimit, limit_bytes=settings.body_limit_bytes)
     install_problem_handlers(app)
-    for router in (devices, calibrations, reconstructions, server):
+    for router in (devices, calibrations, reconstructions, stream, server):
         app.include_router(router)
     install_openapi(app)
     return app

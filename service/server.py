@@ -9,6 +9,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from service.database.engine import Database
 from service.dependencies import DatabaseDep
+from service.live.manager import LiveManager
 from service.errors import NotReady, UnknownProblem
 from service.openapi import problems
 from service.problems import PROBLEM_TYPES, ProblemType
@@ -66,8 +67,9 @@ def get_health() -> Health:
 def get_readiness(request: Request, database: DatabaseDep) -> Health:
     """Answers 200 when the database answers and the live pipeline runs."""
     _check_database(database)
-    if request.app.state.live is None:
-        raise NotReady("the live pipeline is not running; restart the server", part="live")
+    live: LiveManager | None = request.app.state.live
+    if live is None or not live.ready:
+        raise NotReady("the live pipeline does not run; restart the server", part="live")
     return Health()
 
 

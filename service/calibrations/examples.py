@@ -3,15 +3,16 @@
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from compute.camera.stack import CameraStack
 from hardware.simulated.bar import WORKING_CENTRE_MM, simulated_sensor_models
+from hardware.simulated.frame_shape import frame_shape_mm
 
-_SIDE_MM: Final = 200.0
 _NAMES: Final = tuple(model.name for model in simulated_sensor_models())
 
 
-def simulated_points(offsets_mm: np.typing.ArrayLike) -> list[dict[str, Any]]:
+def simulated_points(offsets_mm: ArrayLike) -> list[dict[str, Any]]:
     """Return points around the working volume's centre with their readings, to 0.01 px.
 
     Args:
@@ -29,31 +30,25 @@ def simulated_points(offsets_mm: np.typing.ArrayLike) -> list[dict[str, Any]]:
     ]
 
 
-def _box() -> list[list[float]]:
-    """Corners of a box, the middles of its four upright edges, its centre: 13 points."""
-    half = _SIDE_MM / 2
-    ends = (-half, half)
-    upright = [[x, y, z] for x in ends for y in (-half, 0.0, half) for z in ends]
-    return [*upright, [0.0, 0.0, 0.0]]
-
+_FRAME: Final = simulated_points(frame_shape_mm())
 
 NEW_CALIBRATIONS: Final[dict[str, Any]] = {
-    "box": {
-        "summary": "13 points on a box, as the simulated device reads them",
+    "frame": {
+        "summary": "The calibration frame's 19 markers, as the simulated device reads them",
         "value": {
-            "id": "sim-box",
+            "id": "sim-frame",
             "device": "sim",
-            "points": simulated_points(_box()),
-            "note": "Box of 200 mm, readings without deviations",
+            "points": _FRAME,
+            "note": "Readings rounded to 0.01 px, without standard deviations",
         },
     },
     "published-method": {
-        "summary": "The same points by the published iterative DLT",
+        "summary": "The same markers by the published iterative DLT",
         "value": {
-            "id": "sim-box-dlt",
+            "id": "sim-frame-dlt",
             "device": "sim",
             "method": "dlt-iterative",
-            "points": simulated_points(_box()),
+            "points": _FRAME,
         },
     },
 }

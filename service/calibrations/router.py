@@ -44,7 +44,7 @@ RetiredPath = Annotated[
     Path(
         pattern=SLUG_PATTERN,
         description="The calibration's id.",
-        openapi_examples={"box": {"summary": "one that is not active", "value": "sim-box"}},
+        openapi_examples={"frame": {"summary": "one that is not active", "value": "sim-frame"}},
     ),
 ]
 
@@ -91,6 +91,7 @@ def create_calibration(
     """
     with database.read() as session:
         sensors = sensors_of_row(get_device(session, request.device))
+        store.check_unused(session, request.id)
     outcome = run_calibration(request, sensors)
     with database.write() as session:
         get_device(session, request.device, lock=True)

@@ -60,16 +60,21 @@ def list_calibrations(
     return rows, total or 0
 
 
-def add_calibration(
-    session: Session, device_id: str, outcome: Outcome, note: str, calibration_id: str | None = None
-) -> CalibrationRow:
-    """Store a calibration; it is available, not active. Raises CalibrationExists."""
+def check_unused(session: Session, calibration_id: str | None) -> None:
+    """Raise CalibrationExists when the id that a client chose is taken."""
     if calibration_id is not None and session.get(CalibrationRow, calibration_id) is not None:
         raise CalibrationExists(
             f'calibration "{calibration_id}" exists already and is never overwritten; choose '
             "another id, or leave it out",
             calibration=calibration_id,
         )
+
+
+def add_calibration(
+    session: Session, device_id: str, outcome: Outcome, note: str, calibration_id: str | None = None
+) -> CalibrationRow:
+    """Store a calibration; it is available, not active. Raises CalibrationExists."""
+    check_unused(session, calibration_id)
     row = CalibrationRow(
         id=calibration_id or f"cal-{secrets.token_hex(8)}",
         device_id=device_id,

@@ -19,15 +19,20 @@ def run(**given: Any) -> None:
 
     from service.app import create_app
 
-    uvicorn.run(
-        create_app(settings),
-        host=settings.host,
-        port=settings.port,
-        log_level=settings.log_level,
+    uvicorn.run(create_app(settings), **server_options(settings))
+
+
+def server_options(settings: Settings) -> dict[str, Any]:
+    """Return uvicorn's options for these settings."""
+    return {
+        "host": settings.host,
+        "port": settings.port,
+        "log_level": settings.log_level,
         # The stream sends binary frames of high entropy at a high rate: compressing them costs
         # time and memory for each client, and gains nothing.
-        ws_per_message_deflate=False,
-    )
+        "ws_per_message_deflate": False,
+        "timeout_graceful_shutdown": 5,
+    }
 
 
 def load_settings(**given: Any) -> Settings:

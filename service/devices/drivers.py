@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from compute.errors import InvalidParameter
 from hardware.driver import Driver
 from service.devices.schema import ExternalSource, ReplaySource, Sensor, Source
 from service.errors import DeviceWithoutDriver, UnknownRecording
@@ -52,9 +53,17 @@ def sensors_of(device_id: str, source: Source, recordings_dir: Path) -> list[Sen
     """Return the sensors that a source has: given with an external one, else its driver's.
 
     Raises:
+        InvalidParameter: two sensors have one name.
         LumilineError: the driver cannot be opened.
     """
     if isinstance(source, ExternalSource):
+        names = [sensor.name for sensor in source.sensors]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise InvalidParameter(
+                f'two sensors are called "{twice}"; give each sensor a name of its own',
+                sensor=twice,
+            )
         return source.sensors
     driver = make_driver(device_id, source, recordings_dir)
     try:

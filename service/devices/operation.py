@@ -69,7 +69,7 @@ class Operation:
         with self._exclusive(device_id):
             with self._database.write() as session:
                 store.delete_device(session, device_id, cascade=cascade)
-            self._live.stop_device(device_id)
+            self._live.forget_device(device_id)
 
     def start(self, device_id: str) -> DeviceStatus:
         """Start a device with its active calibration, again if it is running.
@@ -130,3 +130,5 @@ class Operation:
                 self.start(device_id)
             except LumilineError as error:
                 _log.error("device %s was not started: %s", device_id, error.detail)
+            except Exception:  # noqa: BLE001 - a driver's fault must not keep the server down
+                _log.exception("device %s was not started", device_id)

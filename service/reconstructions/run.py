@@ -31,6 +31,6 @@ def run_reconstruction(
     )
     names = tuple(sensor.name for sensor in sensors)
     return [
-        NamedEstimate(**vars(batch.estimate(index, names)), name=point.name)
-        for index, point in enumerate(points)
+        NamedEstimate(**vars(estimate), name=point.name)
+        for estimate, point in zip(batch.estimates(names), points, strict=True)
     ]

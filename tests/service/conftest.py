@@ -1,0 +1,144 @@
+"""Fixtures: the real application over a new database of each kind, with a recorded live side."""
+
+import os
+import secrets
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import create_engine, text
+from sqlalchemy.engine import make_url
+from sqlalchemy.exc import OperationalError
+
+from compute.calibration.result import Calibration
+from hardware.driver import DeviceDescription, Driver
+from service.app import create_app
+from service.live.hub import Hub
+from service.live.manager import DeviceStatus, LiveManager
+from service.settings import Settings
+
+with warnings.catch_warnings():
+    # Starlette asks for httpx2 in place of httpx; both work, and the service itself uses httpx.
+    warnings.simplefilter("ignore")
+    from starlette.testclient import TestClient
+
+POSTGRES = os.environ.get(
+    "LUMILINE_TEST_POSTGRES", "postgresql+psycopg://postgres@127.0.0.1:5432/test"
+)
+
+
+class RecordedLive(LiveManager):
+    """Takes the live pipeline's calls, opens drivers, and runs nothing."""
+
+    def __init__(self) -> None:
+        self.hub = Hub()
+        self.calls: list[tuple[Any, ...]] = []
+        self.states: dict[str, DeviceStatus] = {}
+        self.answers = True
+
+    @property
+    def ready(self) -> bool:
+        return self.answers
+
+    def start_device(
+        self,
+        device_id: str,
+        driver: Driver,
+        calibration_id: str | None = None,
+        calibration: Calibration | None = None,
+    ) -> DeviceDescription:
+        driver.open()
+        try:
+            description = driver.description
+        finally:
+            driver.close()
+        self.calls.append(("start", device_id, calibration_id, calibration))
+        self.states[device_id] = DeviceStatus("running", calibration_id=calibration_id)
+        return description
+
+    def stop_device(self, device_id: str) -> None:
+        self.calls.append(("stop", device_id))
+        if device_id in self.states:
+            self.states[device_id] = DeviceStatus("stopped")
+
+    def forget_device(self, device_id: str) -> None:
+        self.calls.append(("forget", device_id))
+        self.states.pop(device_id, None)
+
+    def set_calibration(
+        self, device_id: str, calibration_id: str | None, calibration: Calibration | None
+    ) -> None:
+        self.calls.append(("calibration", device_id, calibration_id, calibration))
+
+    def status(self, device_id: str) -> DeviceStatus:
+        return self.states.get(device_id, DeviceStatus("stopped"))
+
+    def describe(self, device_id: str) -> DeviceDescription | None:
+        return None
+
+    def close(self) -> None:
+        self.calls.append(("close",))
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)])
+def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """The URL of an empty database, which is removed afterwards."""
+    if request.param == "sqlite":
+        yield f"sqlite:///{tmp_path / 'lumiline.sqlite3'}"
+    else:
+        yield from postgres_schema()
+
+
+def postgres_schema() -> Iterator[str]:
+    """Yield the URL of a new schema in the PostgreSQL server for tests."""
+    engine = create_engine(make_url(POSTGRES).update_query_dict({"connect_timeout": "3"}))
+    name = f"lumiline_{secrets.token_hex(6)}"
+    try:
+        try:
+            with engine.begin() as connection:
+                connection.execute(text(f"CREATE SCHEMA {name}"))
+        except OperationalError as error:
+            reason = f"no PostgreSQL at {make_url(POSTGRES)!r}: {error.orig}"
+            if os.environ.get("LUMILINE_REQUIRE_POSTGRES") == "1":
+                pytest.fail(reason)
+            pytest.skip(reason)
+        url = make_url(POSTGRES).update_query_dict({"options": f"-csearch_path={name}"})
+        yield url.render_as_string(hide_password=False)
+        with engine.begin() as connection:
+            connection.execute(text(f"DROP SCHEMA {name} CASCADE"))
+    finally:
+        engine.dispose()
+
+
+@pytest.fixture
+def settings(database_url: str, tmp_path: Path) -> Settings:
+    """Settings with a data directory of their own."""
+    return Settings(data_dir=tmp_path / "data", database_url=database_url)
+
+
+@pytest.fixture
+def live() -> RecordedLive:
+    """The live side's recorder."""
+    return RecordedLive()
+
+
+@pytest.fixture
+def client(settings: Settings, live: RecordedLive) -> Iterator[TestClient]:
+    """A client of the running application; exceptions become responses, as for real clients."""
+    with TestClient(create_app(settings, live), raise_server_exceptions=False) as running:
+        yield running
+
+
+@pytest.fixture
+def sqlite_settings(tmp_path: Path) -> Settings:
+    """Settings over SQLite, for tests in which the database plays no part."""
+    return Settings(data_dir=tmp_path / "data")
+
+
+@pytest.fixture
+def sqlite_client(sqlite_settings: Settings, live: RecordedLive) -> Iterator[TestClient]:
+    """A client of the application over SQLite."""
+    with TestClient(create_app(sqlite_settings, live), raise_server_exceptions=False) as running:
+        yield running

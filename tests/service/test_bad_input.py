@@ -1,0 +1,396 @@
+"""Walks the table of docs/bad-input.md: every row is sent, answered as it says, nothing stored."""
+
+import copy
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import RecordedLive, TestClient
+from sqlalchemy import select
+
+from service.app import create_app
+from service.calibrations.examples import NEW_CALIBRATIONS
+from service.database.models import Base
+from service.problems import PROBLEM_TYPES
+from service.reconstructions.examples import NEW_RECONSTRUCTIONS
+from service.settings import Settings
+
+TABLE = Path(__file__).parents[2] / "docs" / "bad-input.md"
+BODY_LIMIT_BYTES = 65536
+Json = Any
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the table."""
+
+    what: str
+    request: str
+    status: int
+    kind: str
+    words: list[str]
+
+
+@dataclass(frozen=True)
+class Sent:
+    """One request."""
+
+    method: str
+    path: str
+    body: Json = None
+    content: bytes | None = None
+    headers: dict[str, str] = field(default_factory=dict)
+
+
+def rows() -> list[Row]:
+    found = []
+    for line in TABLE.read_text().splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if line.startswith("|") and cells[2].isdecimal():
+            what, request, status, kind, words = cells
+            found.append(Row(what, request, int(status), kind, words.split("; ")))
+    return found
+
+
+BUILDERS: dict[str, Callable[[], Sent]] = {}
+
+
+def builds(what: str) -> Callable[[Callable[[], Sent]], Callable[[], Sent]]:
+    def register(builder: Callable[[], Sent]) -> Callable[[], Sent]:
+        assert what not in BUILDERS, what
+        BUILDERS[what] = builder
+        return builder
+
+    return register
+
+
+def calibration(**changes: Any) -> Json:
+    body = copy.deepcopy(NEW_CALIBRATIONS["frame"]["value"]) | changes
+    del body["id"]
+    return body
+
+
+def reconstruction(**changes: Any) -> Json:
+    body = copy.deepcopy(NEW_RECONSTRUCTIONS["check"]["value"]) | changes
+    del body["id"]
+    return body
+
+
+def post_calibration(body: Json) -> Sent:
+    return Sent("POST", "/api/v1/calibrations", body)
+
+
+def post_reconstruction(body: Json) -> Sent:
+    return Sent("POST", "/api/v1/reconstructions", body)
+
+
+def external(**changes: Any) -> Json:
+    sensors = [{"name": name, "pixels": 2048, "pitch_um": 14.0} for name in "ABCD"]
+    source = {"kind": "external", "sensors": sensors}
+    return {"id": "other", "title": "Other", "source": source} | changes
+
+
+def post_device(body: Json) -> Sent:
+    return Sent("POST", "/api/v1/devices", body)
+
+
+def simulated(settings: Json) -> Sent:
+    source = {"kind": "simulated", "settings": settings}
+    return post_device({"id": "other", "title": "Other", "source": source})
+
+
+def raw(content: bytes, media_type: str = "application/json") -> Sent:
+    path = "/api/v1/calibrations"
+    return Sent("POST", path, content=content, headers={"content-type": media_type})
+
+
+def with_coordinate(literal: str) -> Sent:
+    body = calibration()
+    body["points"][0]["position_mm"][1] = "HERE"
+    return raw(json.dumps(body).replace('"HERE"', literal).encode())
+
+
+def with_reading(body: Json, sensor: str, value: Json) -> Json:
+    body["points"][0]["readings"][sensor] = value
+    return body
+
+
+def same_name(body: Json) -> Json:
+    for point in body["points"][:2]:
+        point["name"] = "same"
+    return body
+
+
+@builds("too few points")
+def _() -> Sent:
+    body = calibration()
+    body["points"] = body["points"][:6]
+    return post_calibration(body)
+
+
+@builds("no point")
+def _() -> Sent:
+    return post_calibration(calibration(points=[]))
+
+
+@builds("coplanar points")
+def _() -> Sent:
+    body = calibration()
+    for point in body["points"]:
+        point["position_mm"][2] = 1500.0
+    return post_calibration(body)
+
+
+builds("NaN as a coordinate")(lambda: with_coordinate("NaN"))
+builds("Infinity as a coordinate")(lambda: with_coordinate("Infinity"))
+builds("1e999 as a coordinate")(lambda: with_coordinate("1e999"))
+builds("a coordinate too large")(lambda: with_coordinate("1e9"))
+builds("number as text")(lambda: with_coordinate('"10"'))
+
+
+@builds("NaN as a reading")
+def _() -> Sent:
+    return raw(json.dumps(with_reading(calibration(), "vertical", float("nan"))).encode())
+
+
+@builds("NaN as a reading to reconstruct")
+def _() -> Sent:
+    content = json.dumps(with_reading(reconstruction(), "vertical", float("nan"))).encode()
+    headers = {"content-type": "application/json"}
+    return Sent("POST", "/api/v1/reconstructions", content=content, headers=headers)
+
+
+@builds("unknown sensor")
+def _() -> Sent:
+    return post_calibration(with_reading(calibration(), "sixth", 3.0))
+
+
+@builds("unknown sensor to reconstruct")
+def _() -> Sent:
+    return post_reconstruction(with_reading(reconstruction(), "sixth", 3.0))
+
+
+builds("point name given twice")(lambda: post_calibration(same_name(calibration())))
+builds("point name given twice to reconstruct")(
+    lambda: post_reconstruction(same_name(reconstruction()))
+)
+
+
+@builds("point position given twice")
+def _() -> Sent:
+    body = calibration()
+    body["points"][1]["position_mm"] = body["points"][0]["position_mm"]
+    return post_calibration(body)
+
+
+@builds("reading of one sensor given twice")
+def _() -> Sent:
+    text = json.dumps(reconstruction()).replace(
+        '"readings": {', '"readings": {"vertical": 5.0, ', 1
+    )
+    headers = {"content-type": "application/json"}
+    return Sent("POST", "/api/v1/reconstructions", content=text.encode(), headers=headers)
+
+
+@builds("reading above the last pixel")
+def _() -> Sent:
+    return post_calibration(with_reading(calibration(), "vertical", 2047.6))
+
+
+@builds("reading below the first pixel")
+def _() -> Sent:
+    return post_reconstruction(with_reading(reconstruction(), "vertical", -0.6))
+
+
+@builds("standard deviations for some readings only")
+def _() -> Sent:
+    weighted = {"position_px": 1000.0, "sigma_px": 0.1}
+    return post_calibration(with_reading(calibration(), "vertical", weighted))
+
+
+@builds("standard deviation of zero")
+def _() -> Sent:
+    weighted = {"position_px": 1000.0, "sigma_px": 0.0}
+    return post_reconstruction(with_reading(reconstruction(), "vertical", weighted))
+
+
+builds("unknown method")(lambda: post_calibration(calibration(method="eleven")))
+
+
+@builds("calibration of another device")
+def _() -> Sent:
+    points = [{"name": "P", "readings": {"A": 1.0, "B": 2.0, "C": 3.0}}]
+    return post_reconstruction({"device": "bar", "calibration": "sim-nominal", "points": points})
+
+
+builds("unknown calibration")(lambda: post_reconstruction(reconstruction(calibration="nothing")))
+builds("retired calibration")(lambda: post_reconstruction(reconstruction(calibration="old")))
+builds("device without active calibration")(
+    lambda: post_reconstruction(reconstruction(device="bar"))
+)
+builds("empty list of points")(lambda: post_reconstruction(reconstruction(points=[])))
+builds("unknown device")(lambda: post_calibration(calibration(device="nothing")))
+builds("unknown device to reconstruct")(
+    lambda: post_reconstruction(reconstruction(device="nothing"))
+)
+builds("calibration id taken")(lambda: post_calibration(calibration() | {"id": "sim-nominal"}))
+builds("body not JSON")(lambda: raw(b"points=3"))
+builds("body cut short")(lambda: raw(b'{"device": "sim"'))
+builds("body not UTF-8")(lambda: raw(b'{"device": "\xff\xfe"}'))
+builds("body nested too deeply")(lambda: raw(b"[" * 30_000))
+builds("no body")(lambda: Sent("POST", "/api/v1/calibrations"))
+builds("body declared as a form")(lambda: raw(b"points=3", "application/x-www-form-urlencoded"))
+builds("body too large")(lambda: post_calibration(calibration(note="x" * BODY_LIMIT_BYTES)))
+builds("unknown field")(lambda: post_calibration(calibration(colour="red")))
+
+
+@builds("half a surrogate pair")
+def _() -> Sent:
+    content = json.dumps(external(title="\ud800")).encode()
+    headers = {"content-type": "application/json"}
+    return Sent("POST", "/api/v1/devices", content=content, headers=headers)
+
+
+@builds("unknown field inside a point")
+def _() -> Sent:
+    body = calibration()
+    body["points"][0]["colour"] = "red"
+    return post_calibration(body)
+
+
+builds("unknown field of the simulator")(lambda: simulated({"colour": "red"}))
+
+
+@builds("missing field")
+def _() -> Sent:
+    body = calibration()
+    del body["device"]
+    return post_calibration(body)
+
+
+@builds("truth value as number")
+def _() -> Sent:
+    body = external()
+    body["source"]["sensors"][0]["pixels"] = True
+    return post_device(body)
+
+
+builds("body is a list")(lambda: post_calibration([]))
+
+
+@builds("position of two numbers")
+def _() -> Sent:
+    body = calibration()
+    body["points"][0]["position_mm"].pop()
+    return post_calibration(body)
+
+
+builds("device id with capitals")(lambda: post_device(external(id="Bar 1")))
+builds("device id taken")(lambda: post_device(external(id="sim")))
+builds("unknown kind of device")(lambda: post_device(external(source={"kind": "camera"})))
+builds("setting of the simulator out of bounds")(lambda: simulated({"bits": 17}))
+builds("scene that cannot be")(
+    lambda: simulated({"scene": {"kind": "rotating-bar", "plane_normal": [0, 0, 0]}})
+)
+
+
+@builds("two sensors of one name")
+def _() -> Sent:
+    body = external()
+    body["source"]["sensors"][1]["name"] = "A"
+    return post_device(body)
+
+
+def replay(name: str) -> Sent:
+    return post_device(external(source={"kind": "replay", "recording": name}))
+
+
+builds("unknown recording")(lambda: replay("none.h5"))
+builds("recording outside the folder")(lambda: replay("../lumiline.sqlite3"))
+builds("title emptied")(lambda: Sent("PATCH", "/api/v1/devices/sim", {"title": ""}))
+builds("other sensors under calibrations")(
+    lambda: Sent("PATCH", "/api/v1/devices/sim", {"source": external()["source"]})
+)
+builds("unknown device changed")(lambda: Sent("PATCH", "/api/v1/devices/nothing", {"title": "New"}))
+builds("external device started")(lambda: Sent("POST", "/api/v1/devices/bar/start"))
+builds("unknown device started")(lambda: Sent("POST", "/api/v1/devices/nothing/start"))
+builds("device with calibrations deleted")(lambda: Sent("DELETE", "/api/v1/devices/sim"))
+builds("active calibration retired")(
+    lambda: Sent("POST", "/api/v1/calibrations/sim-nominal/retire")
+)
+builds("retired calibration activated")(lambda: Sent("POST", "/api/v1/calibrations/old/activate"))
+builds("unknown calibration activated")(
+    lambda: Sent("POST", "/api/v1/calibrations/nothing/activate")
+)
+builds("calibration changed")(
+    lambda: Sent("PUT", "/api/v1/calibrations/sim-nominal", calibration())
+)
+builds("calibration deleted")(lambda: Sent("DELETE", "/api/v1/calibrations/sim-nominal"))
+builds("unknown path")(lambda: Sent("GET", "/api/v1/cameras"))
+builds("page size out of bounds")(lambda: Sent("GET", "/api/v1/calibrations?limit=1000"))
+builds("unknown state")(lambda: Sent("GET", "/api/v1/calibrations?state=broken"))
+builds("unknown reconstruction")(lambda: Sent("GET", "/api/v1/reconstructions/nothing"))
+builds("unknown problem type")(lambda: Sent("GET", "/problems/nothing"))
+
+
+@pytest.fixture(scope="module")
+def bad_input_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A server with an external device "bar" and a retired calibration "old" of "sim"."""
+    data_dir = tmp_path_factory.mktemp("bad-input")
+    settings = Settings(data_dir=data_dir, body_limit_bytes=BODY_LIMIT_BYTES)
+    app = create_app(settings, RecordedLive())
+    with TestClient(app, raise_server_exceptions=False) as client:
+        for sent in (
+            post_device(external(id="bar")),
+            post_calibration(calibration() | {"id": "old"}),
+            Sent("POST", "/api/v1/calibrations/old/retire"),
+        ):
+            assert send(client, sent).is_success
+        yield client
+
+
+def send(client: Any, sent: Sent) -> Any:
+    given: dict[str, Any] = {"headers": sent.headers}
+    if sent.content is not None:
+        given["content"] = sent.content
+    elif sent.body is not None:
+        given["json"] = sent.body
+    return client.request(sent.method, sent.path, **given)
+
+
+def everything(client: Any) -> dict[str, list[str]]:
+    """All rows of all tables."""
+    with client.app.state.database.engine.connect() as connection:
+        return {
+            table.name: sorted(map(repr, connection.execute(select(table)).all()))
+            for table in Base.metadata.sorted_tables
+        }
+
+
+def test_every_row_has_a_builder_and_every_builder_a_row():
+    names = [row.what for row in rows()]
+    assert len(names) == len(set(names))
+    assert set(names) == set(BUILDERS)
+
+
+@pytest.mark.parametrize("row", rows(), ids=lambda row: re.sub(r"\W+", "-", row.what))
+def test_bad_input(bad_input_client: Any, row: Row):
+    before = everything(bad_input_client)
+    sent = BUILDERS[row.what]()
+    answer = send(bad_input_client, sent)
+    problem = answer.json()
+    assert answer.status_code == row.status, problem
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert problem["type"] == f"/problems/{row.kind}"
+    assert problem["status"] == row.status
+    assert problem["title"] == PROBLEM_TYPES[row.kind].title
+    assert problem["instance"] == sent.path.partition("?")[0]
+    for word in row.words:
+        assert word in problem["detail"]
+    assert everything(bad_input_client) == before
+    assert row.request.split()[0] == sent.method
+    assert bad_input_client.get(problem["type"]).json()["status"] == row.status

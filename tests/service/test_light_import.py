@@ -1,0 +1,47 @@
+"""Importing the service, or asking for help, loads no compute kernel, plotter or file library."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {"warp", "matplotlib", "h5py"}
+
+
+def loaded_by(code: str) -> set[str]:
+    """Top-level modules that a new interpreter has after running the code."""
+    report = (
+        "import json, sys; print(json.dumps(sorted({m.partition('.')[0] for m in sys.modules})))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{report}"], capture_output=True, text=True, check=True
+    )
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import service",
+        "import service.app",
+        "from service.cli.openapi import run; run()",
+        "import service.cli.serve",
+    ],
+)
+def test_heavy_libraries_stay_out(code: str):
+    loaded = loaded_by(code)
+    assert "service" in loaded
+    assert not loaded & HEAVY
+
+
+def test_help_loads_nothing_but_the_command_line():
+    help_page = (
+        "import contextlib, sys\n"
+        "from service.cli import main\n"
+        "sys.argv = ['lumiline', '--help']\n"
+        "with contextlib.suppress(SystemExit): main()"
+    )
+    loaded = loaded_by(help_page)
+    assert {"service", "typer"} <= loaded
+    assert not loaded & (HEAVY | {"numpy", "scipy", "fastapi", "sqlalchemy", "uvicorn"})

@@ -1,0 +1,126 @@
+"""The OpenAPI document: complete, and every example in it works as it stands on a new server."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from conftest import RecordedLive, TestClient
+
+from service.app import create_app
+from service.settings import Settings
+
+METHODS = ("post", "get", "patch", "delete")
+# Making comes first, then reading and changing; what deletes or retires comes last.
+LAST = ("delete-", "retire-")
+
+
+@dataclass(frozen=True)
+class Example:
+    """One request: an example of the body with an example of each path parameter."""
+
+    operation: str
+    method: str
+    path: str
+    body: Any = None
+
+
+def document() -> dict[str, Any]:
+    return create_app(Settings()).openapi()
+
+
+def operations(found: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    for path, item in found["paths"].items():
+        for method, operation in item.items():
+            yield path, method, operation
+
+
+def values(examples: dict[str, Any]) -> list[Any]:
+    return [example["value"] for example in examples.values()]
+
+
+def examples(found: dict[str, Any]) -> list[Example]:
+    requests = []
+    for path, method, operation in operations(found):
+        paths = [path]
+        for parameter in operation.get("parameters", []):
+            if parameter["in"] == "path":
+                given = values(parameter["examples"])
+                name = f"{{{parameter['name']}}}"
+                paths = [one.replace(name, value) for one in paths for value in given]
+        content = operation.get("requestBody", {}).get("content", {})
+        bodies = values(content["application/json"]["examples"]) if content else [None]
+        requests += [
+            Example(operation["operationId"], method, one, body) for one in paths for body in bodies
+        ]
+    return sorted(
+        requests, key=lambda one: (one.operation.startswith(LAST), METHODS.index(one.method))
+    )
+
+
+def test_every_example_works_on_a_new_server(settings: Settings):
+    with TestClient(create_app(settings, RecordedLive())) as client:
+        served = client.get("/openapi.json").json()
+        requests = examples(served)
+        assert {one.operation for one in requests} == {
+            operation["operationId"] for _, _, operation in operations(served)
+        }
+        for one in requests:
+            given = {} if one.body is None else {"json": one.body}
+            answer = client.request(one.method, one.path, **given)
+            assert answer.is_success, (one.operation, one.path, answer.text)
+
+
+def test_every_operation_is_described():
+    found = document()
+    tags = {tag["name"] for tag in found["tags"]}
+    ids = [operation["operationId"] for _, _, operation in operations(found)]
+    assert len(ids) == len(set(ids))
+    for path, method, operation in operations(found):
+        assert operation["summary"], path
+        assert operation["description"], path
+        assert set(operation["tags"]) <= tags
+        for parameter in operation.get("parameters", []):
+            assert parameter.get("description") or parameter["in"] == "query", (path, parameter)
+            if parameter["in"] == "path":
+                assert parameter["examples"]
+        if method in ("post", "patch") and "requestBody" in operation:
+            assert operation["requestBody"]["content"]["application/json"]["examples"]
+
+
+def test_every_error_response_is_a_problem_document():
+    for path, method, operation in operations(document()):
+        errors = {
+            status: response
+            for status, response in operation["responses"].items()
+            if int(status) >= 400
+        }
+        assert "500" in errors
+        for status, response in errors.items():
+            assert set(response["content"]) == {"application/problem+json"}, (path, method, status)
+            schema = response["content"]["application/problem+json"]["schema"]
+            assert schema == {"$ref": "#/components/schemas/Problem"}
+
+
+def test_no_reference_dangles():
+    found = document()
+    schemas = found["components"]["schemas"]
+
+    def references(node: Any) -> Iterator[str]:
+        if isinstance(node, dict):
+            if isinstance(node.get("$ref"), str):
+                yield node["$ref"]
+            for value in node.values():
+                yield from references(value)
+        elif isinstance(node, list):
+            for value in node:
+                yield from references(value)
+
+    for reference in set(references(found)):
+        assert reference.rpartition("/")[2] in schemas
+    assert "HTTPValidationError" not in schemas
+
+
+@pytest.mark.parametrize("path", ["/docs", "/redoc"])
+def test_there_is_a_page_to_read_it(sqlite_client: Any, path: str):
+    assert "/openapi.json" in sqlite_client.get(path).text

@@ -1,0 +1,110 @@
+"""Problem documents: one for everything that can go wrong, none with secrets in it."""
+
+import json
+import logging
+from typing import Any
+
+import pytest
+from conftest import RecordedLive, TestClient
+from sqlalchemy.exc import OperationalError
+
+from service.app import create_app
+from service.problem_handlers import json_safe, shown
+from service.problems import PROBLEM_TYPES
+from service.settings import Settings
+
+
+def test_every_problem_type_has_a_page_for_programs_and_for_people(sqlite_client: Any):
+    listed = sqlite_client.get("/problems").json()
+    assert {item["code"] for item in listed} == set(PROBLEM_TYPES)
+    assert {"coplanar-points", "too-few-points", "unknown-device"} <= set(PROBLEM_TYPES)
+    for item in listed:
+        assert sqlite_client.get(item["type"]).json() == item
+        assert 400 <= item["status"] < 600
+        page = sqlite_client.get(item["type"], headers={"accept": "text/html,*/*"})
+        assert page.headers["content-type"] == "text/html; charset=utf-8"
+        assert f"<h1>{item['title']}</h1>" in page.text
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "allowed"),
+    [
+        ("DELETE", "/api/v1/devices", "GET, POST"),
+        ("POST", "/api/v1/devices/sim", "DELETE, GET, PATCH"),
+        ("GET", "/api/v1/devices/sim/start", "POST"),
+        ("POST", "/problems/not-found", "GET"),
+    ],
+)
+def test_a_wrong_method_says_which_are_right(
+    sqlite_client: Any, method: str, path: str, allowed: str
+):
+    answer = sqlite_client.request(method, path)
+    assert answer.status_code == 405
+    assert answer.headers["allow"] == allowed
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_values_that_json_cannot_hold_are_shown_as_text(value: float):
+    text = json.dumps(json_safe({"a": [value], "b": (1, None, b"\xff", object)}), allow_nan=False)
+    assert shown(value) in text
+
+
+def test_a_long_value_is_cut():
+    assert len(shown("x" * 10_000)) == 200
+
+
+def test_an_unexpected_error_gives_a_reference_and_no_secret(
+    sqlite_client: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    def broken(*_: Any) -> None:
+        raise RuntimeError("password=hunter2")
+
+    monkeypatch.setattr(sqlite_client.app.state.live, "status", broken)
+    with caplog.at_level(logging.ERROR):
+        answer = sqlite_client.get("/api/v1/devices/sim/status")
+    assert answer.status_code == 500
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.json()["type"] == "/problems/internal-error"
+    assert "hunter2" not in answer.text
+    reference = answer.json()["detail"].split()[-1]
+    logged = next(record for record in caplog.records if reference in record.getMessage())
+    assert logged.exc_info is not None
+    assert "hunter2" in str(logged.exc_info[1])
+
+
+def test_a_body_without_declared_length_is_limited_too(tmp_path: Any):
+    settings = Settings(data_dir=tmp_path, body_limit_bytes=2000)
+
+    def parts() -> Any:
+        for _ in range(30):
+            yield b" " * 100
+
+    with TestClient(create_app(settings, RecordedLive())) as client:
+        answer = client.post(
+            "/api/v1/devices", content=parts(), headers={"content-type": "application/json"}
+        )
+        assert "content-length" not in answer.request.headers
+    assert answer.status_code == 413
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.json()["type"] == "/problems/body-too-large"
+    assert "2000 bytes" in answer.json()["detail"]
+
+
+def test_ready_only_with_database_and_live_pipeline(
+    sqlite_client: Any, live: RecordedLive, monkeypatch: pytest.MonkeyPatch
+):
+    assert sqlite_client.get("/readyz").json() == {"status": "ok"}
+    live.answers = False
+    answer = sqlite_client.get("/readyz")
+    assert (answer.status_code, answer.json()["context"]) == (503, {"part": "live"})
+    live.answers = True
+
+    def refuse() -> None:
+        raise OperationalError("SELECT 1", {}, Exception("postgresql://user:hunter2@host"))
+
+    monkeypatch.setattr(sqlite_client.app.state.database, "check", refuse)
+    answer = sqlite_client.get("/readyz")
+    assert (answer.status_code, answer.json()["context"]) == (503, {"part": "database"})
+    assert "hunter2" not in answer.text
+    assert sqlite_client.get("/healthz").json() == {"status": "ok"}

@@ -1,0 +1,47 @@
+"""Settings: defaults, environment, TOML file, and which of them wins."""
+
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from service.settings import Settings
+
+
+@pytest.fixture(autouse=True)
+def nothing_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("LUMILINE_CONFIG", raising=False)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "share"))
+    monkeypatch.chdir(tmp_path)
+
+
+def test_defaults(tmp_path: Path):
+    settings = Settings()
+    assert settings.data_dir == tmp_path / "share" / "lumiline"
+    assert settings.effective_database_url == f"sqlite:///{settings.data_dir}/lumiline.sqlite3"
+    assert settings.recordings_dir == settings.data_dir / "recordings"
+    assert (settings.host, settings.port) == ("127.0.0.1", 8000)
+
+
+def test_argument_before_environment_before_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    (tmp_path / "lumiline.toml").write_text('port = 1\nhost = "file"\nlog_level = "debug"\n')
+    monkeypatch.setenv("LUMILINE_HOST", "environment")
+    monkeypatch.setenv("LUMILINE_PORT", "2")
+    settings = Settings(port=3)
+    assert (settings.port, settings.host, settings.log_level) == (3, "environment", "debug")
+
+
+def test_the_file_may_be_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    (tmp_path / "other.toml").write_text('database_url = "postgresql+psycopg://there/db"\n')
+    monkeypatch.setenv("LUMILINE_CONFIG", str(tmp_path / "other.toml"))
+    assert Settings().effective_database_url == "postgresql+psycopg://there/db"
+    monkeypatch.setenv("LUMILINE_CONFIG", str(tmp_path / "none.toml"))
+    with pytest.raises(FileNotFoundError, match=r"none\.toml"):
+        Settings()
+
+
+@pytest.mark.parametrize("text", ["colour = 1", "port = 70000", 'log_level = "loud"'])
+def test_what_does_not_fit_is_refused(tmp_path: Path, text: str):
+    (tmp_path / "lumiline.toml").write_text(text)
+    with pytest.raises(ValidationError, match=text.split(" ", maxsplit=1)[0]):
+        Settings()

@@ -163,7 +163,7 @@ class RecordingReader:
                 name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
                 for name, value in self._file.attrs.items()
             }
-        except (OSError, RuntimeError, KeyError) as error:
+        except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
             raise self._invalid(f"has damaged attributes ({error})") from error
 
     def _checked_shapes(self, line: tuple[int, int]) -> int:

@@ -11,6 +11,7 @@ Array = NDArray[np.float64]
 _BINS = 65536
 _REACH_SIGMA = 9.0  # beyond it lies less than 1e-18
 _BLOCK = 64
+_DRAWN_AT_ONCE = 8192
 
 
 class CountDistribution:
@@ -38,7 +39,11 @@ class CountDistribution:
     def draw(self, size: int, rng: np.random.Generator) -> NDArray[np.uint16]:
         """Return ``size`` independent counts, shape (size,)."""
         places = rng.integers(0, _BINS, size, dtype=np.uint16)
-        drawn = np.take(self._table, places, mode="wrap")
+        drawn = np.empty(size, dtype=np.uint16)
+        # In blocks: take converts its indices, and a large temporary costs page faults.
+        for start in range(0, size, _DRAWN_AT_ONCE):
+            block = slice(start, start + _DRAWN_AT_ONCE)
+            np.take(self._table, places[block], out=drawn[block], mode="wrap")
         left = np.flatnonzero(places >= self._filled)
         index = np.searchsorted(self._rest_cdf, rng.random(len(left)), side="right")
         drawn[left] = self.counts[np.minimum(index, len(self.counts) - 1)]

@@ -49,11 +49,14 @@ class CentroidSettings:
       is zero where it enters. "edge-corrected", the default, adds at both ends of the run what
       the sum lacks of the integral, because the run ends between two pixels: the first term of
       Euler and Maclaurin's formula at the interpolated crossing.
-    - *Standard deviation.* Of the position, by the derivative by each pixel's value, through the
-      threshold and the crossings too; the pixels' variances are those of LineNoise. It leaves
-      out the noise of the background's level and the error that depends on the position within a
-      pixel. For Gaussian images of 1 to 3 px that error is up to 0.13, 0.04 and 0.01 px RMS with
-      the three weightings, in the opposite order; it does not shrink with more light.
+    - *Standard deviation.* Two parts, added in squares. Noise: the derivative of the position by
+      each pixel's value, through the threshold and the crossings too, with the pixels' variances
+      by LineNoise. And the error that depends on the position within a pixel, which more light
+      does not make smaller: the variance, over all positions, of the first term of Euler and
+      Maclaurin's formula that the weighting leaves (doubled for "edge-corrected", which finds
+      slope and crossing by interpolation). For one width of image it may be half or twice that.
+      For Gaussian images of 1 to 3 px this error is at most 0.13, 0.04 and 0.01 px RMS with the
+      weightings in the order above. Left out is the noise of the background's level.
 
     Args:
         threshold_fraction: a peak's threshold as a fraction of its maximum above background.

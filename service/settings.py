@@ -38,6 +38,8 @@ class Settings(BaseSettings):
     log_level: Literal["critical", "error", "warning", "info", "debug"] = "info"
     compute_device: str | None = None
     """Where the live pipeline computes: ``cpu``, ``cuda:0``, ...; None: the compute's choice."""
+    stream_queue_messages: int = Field(default=2000, ge=1)
+    """Messages that wait for one stream client before the oldest are dropped (and counted)."""
     body_limit_bytes: int = Field(default=8 * 1024 * 1024, ge=1024)
     """Largest request body [bytes]."""
 

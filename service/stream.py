@@ -34,8 +34,9 @@ async def stream(websocket: WebSocket) -> None:
         await websocket.send_denial_response(response)
         return
     live: LiveManager = websocket.app.state.live
+    capacity = websocket.app.state.settings.stream_queue_messages
     await websocket.accept()
-    subscription = Subscription(device_id, content, encoding)
+    subscription = Subscription(device_id, content, encoding, capacity)
     live.hub.subscribe(subscription)
     try:
         await _send(websocket, encode(_greeting(live, subscription), encoding))
@@ -104,7 +105,11 @@ async def _until_closed(websocket: WebSocket) -> None:
 
 
 async def _send(websocket: WebSocket, payload: bytes | str) -> None:
-    if isinstance(payload, bytes):
-        await websocket.send_bytes(payload)
-    else:
-        await websocket.send_text(payload)
+    try:
+        if isinstance(payload, bytes):
+            await websocket.send_bytes(payload)
+        else:
+            await websocket.send_text(payload)
+    except RuntimeError as error:
+        # The server closed the connection meanwhile (no answer to its pings, or it shuts down).
+        raise WebSocketDisconnect(1006) from error

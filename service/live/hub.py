@@ -16,9 +16,6 @@ from service.live.messages import (
     missed_message,
 )
 
-QUEUE_MESSAGES = 2000
-"""Messages that wait for one client; two seconds at 1 kHz."""
-
 
 class Subscription:
     """One client's bounded queue. When it is full the oldest is dropped, counted and told."""
@@ -28,9 +25,9 @@ class Subscription:
         device_id: str,
         content: frozenset[Content],
         encoding: Encoding,
-        capacity: int = QUEUE_MESSAGES,
+        capacity: int,
     ) -> None:
-        """Create it in the event loop that will take the messages."""
+        """Create it in the event loop that takes the messages, at most ``capacity`` waiting."""
         self.device_id = device_id
         self.content = content
         self.encoding = encoding

@@ -42,8 +42,8 @@ def test_a_slow_client_loses_the_oldest_and_is_told_how_many() -> None:
 def test_other_devices_and_former_clients_get_nothing() -> None:
     async def scenario() -> None:
         hub = Hub()
-        here = Subscription("d", frozenset({"points"}), "json")
-        other = Subscription("e", frozenset({"points"}), "json")
+        here = Subscription("d", frozenset({"points"}), "json", 10)
+        other = Subscription("e", frozenset({"points"}), "json", 10)
         hub.subscribe(here)
         hub.subscribe(other)
         hub.unsubscribe(here)
@@ -62,7 +62,7 @@ def test_publishing_to_a_closed_loop_is_no_error() -> None:
     hub = Hub()
 
     async def subscribe() -> None:
-        hub.subscribe(Subscription("d", frozenset({"points"}), "json"))
+        hub.subscribe(Subscription("d", frozenset({"points"}), "json", 10))
 
     run(subscribe())
     hub.publish("d", {"type": "test"})

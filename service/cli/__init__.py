@@ -95,6 +95,45 @@ def bench(
     run(name, seconds=seconds, device=device, as_json=as_json)
 
 
+@app.command()
+def calibrate(
+    observations: Annotated[Path, typer.Argument(help="CSV: X_mm,Y_mm,Z_mm,NAME_px,...")],
+    pixels: Annotated[int, typer.Option(min=8, help="Pixels of each sensor.")],
+    method: Annotated[str, typer.Option(help="metric or dlt-iterative.")] = "metric",
+    output: Annotated[Path | None, typer.Option(help="Write the calibration as JSON.")] = None,
+) -> None:
+    """Calibrate from a CSV file of control points and readings, without a server."""
+    from service.cli.offline import run_calibrate
+
+    run_calibrate(observations, pixels, method, output)
+
+
+@app.command()
+def record(
+    output: Annotated[Path, typer.Argument(help="HDF5 file to write.")],
+    seconds: Annotated[float, typer.Option(min=0.001, help="Duration.")] = 5.0,
+    settings: Annotated[
+        Path | None, typer.Option(help="Simulation settings as JSON, as in a device's source.")
+    ] = None,
+) -> None:
+    """Record line scans of the simulated device to a file."""
+    from service.cli.offline import run_record
+
+    run_record(output, seconds, settings)
+
+
+@app.command()
+def replay(
+    recording: Annotated[Path, typer.Argument(help="HDF5 file of a recording.")],
+    calibration: Annotated[Path, typer.Option(help="Calibration as JSON, from `calibrate`.")],
+    output: Annotated[Path | None, typer.Option(help="File; left out: standard output.")] = None,
+) -> None:
+    """Reconstruct a recording: one JSON message a frame, as the stream sends them."""
+    from service.cli.offline import run_replay
+
+    run_replay(recording, calibration, output)
+
+
 def main() -> None:
     """Run the command line."""
     app()

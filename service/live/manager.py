@@ -132,10 +132,11 @@ class LiveManager:
                 description = driver.description
                 session = self._compute.submit(lambda: self._prepare(device_id, description))
                 ready = session.result()
+                ready.processor.set_calibration(calibration_id, calibration)
             except BaseException:
                 driver.close()
                 raise
-            ready.processor.set_calibration(calibration_id, calibration)
+            self._compute.submit(lambda: self._compute.add(device_id, ready.work)).result()
             ready.reader = Reader(device_id, driver, ready.ring, lambda: self._ended(ready))
             self._sessions[device_id] = ready
             self.hub.publish(device_id, status_message(device_id, "running", None))
@@ -196,9 +197,7 @@ class LiveManager:
         capacity = max(RING_LEAST, int(RING_SECONDS * description.frame_rate_hz))
         ring = FrameRing(capacity, self._compute.wake)
         processor = DeviceProcessor(device_id, description, self._compute_device)
-        session = _Session(device_id, description, processor, ring, self.hub)
-        self._compute.add(device_id, session.work)
-        return session
+        return _Session(device_id, description, processor, ring, self.hub)
 
     def _ended(self, session: _Session) -> None:
         """Tell the clients that a device ended by itself, behind its last frames."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from compute.calibration.result import Calibration
 from compute.calibration.weights import reading_sigma
 from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter
 from compute.reconstruction.correspondence import match_peaks
 from compute.reconstruction.estimate import PointBatch, PointFlag
 from compute.reconstruction.points import reconstruct
@@ -72,10 +73,20 @@ class DeviceProcessor:
         return active.calibration_id if active else None
 
     def set_calibration(self, calibration_id: str | None, calibration: Calibration | None) -> None:
-        """Switch the calibration; one assignment, so that a batch sees the old or the new."""
+        """Switch the calibration; one assignment, so that a batch sees the old or the new.
+
+        Raises:
+            InvalidParameter: the calibration is of other sensors.
+        """
         if calibration_id is None or calibration is None:
             self._active = None
             return
+        names = tuple(model.name for model in calibration.models)
+        if names != self._names:
+            raise InvalidParameter(
+                f"calibration {calibration_id} is of the sensors {', '.join(names)}; the device "
+                f"has {', '.join(self._names)}"
+            )
         self._active = _Active(
             calibration_id,
             calibration,

@@ -11,7 +11,7 @@ import pytest
 
 from compute.calibration.result import Calibration, SensorFit
 from compute.camera.model import SensorModel
-from compute.errors import InvalidRecording
+from compute.errors import InvalidParameter, InvalidRecording
 from hardware.driver import DeviceDescription
 from hardware.frame import LineFrame
 from hardware.simulated.bar import sensor_bar
@@ -265,3 +265,12 @@ def test_stopping_and_starting_again(live: LiveManager) -> None:
     assert names.count("reader-sim") == 1
     live.forget_device("sim")
     assert live.status("sim") == DeviceStatus("stopped")
+
+
+def test_a_calibration_of_other_sensors_is_refused(live: LiveManager) -> None:
+    known = nominal()
+    first = replace(known.sensors[0], model=replace(known.sensors[0].model, name="another"))
+    other = replace(known, sensors=(first, *known.sensors[1:]))
+    with pytest.raises(InvalidParameter, match="another"):
+        live.start_device("sim", SimulatedDriver("sim", simulation()), "c1", other)
+    assert live.status("sim").state == "stopped"

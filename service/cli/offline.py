@@ -1,0 +1,138 @@
+"""Jobs without a server: calibrate from a CSV file, record and replay line scans."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Final, TextIO, get_args
+
+import typer
+from pydantic import TypeAdapter, ValidationError
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from compute.calibration.crossvalidation import fitted_errors, leave_one_out
+from compute.calibration.result import AxisErrors, Calibration, Method
+from compute.calibration.run import calibrate
+from compute.camera.model import SensorGeometry
+from compute.errors import LumilineError
+from service.cli.observations_csv import read_observations
+from service.cli.output import console, error_table, fail, progress_console
+
+DOCUMENT = TypeAdapter(Calibration)
+METHODS: Final[tuple[Method, ...]] = get_args(Method)
+LEAVE_ONE_OUT_POINTS = 100
+
+
+def run_calibrate(path: Path, pixels: int, method: str, output: Path | None) -> None:
+    """Calibrate from a CSV file; print the fit, and write the calibration as JSON."""
+    chosen: Method | None = next((known for known in METHODS if known == method), None)
+    if chosen is None:
+        raise fail(f'the method is "{method}"; it must be {" or ".join(METHODS)}')
+    try:
+        table = read_observations(path)
+        sensors = [SensorGeometry(name, pixels) for name in table.sensors]
+        arrays = table.points_mm, table.readings_px
+        found = calibrate(*arrays, sensors, table.sigma_px, chosen)
+        rows = [("fitted", AxisErrors.of(fitted_errors(found, *arrays, table.sigma_px)), "")]
+        if len(table.points_mm) <= LEAVE_ONE_OUT_POINTS:
+            with progress_console.status("leaving out one point after another"):
+                left_out = leave_one_out(*arrays, sensors, table.sigma_px, chosen)
+            rows.append(("leave one out", AxisErrors.of(left_out), ""))
+    except LumilineError as error:
+        raise fail(error.detail) from error
+    fits = Table(title=f"{path}: {len(table.points_mm)} points, {method}", title_justify="left")
+    for heading in ("sensor", "points", "rms, px", "max, px", "c, px", "p0, px"):
+        fits.add_column(heading, justify="left" if heading == "sensor" else "right")
+    for fit in found.sensors:
+        model = fit.model
+        fits.add_row(
+            model.name,
+            str(fit.points),
+            f"{fit.rms_px:.4g}",
+            f"{fit.max_px:.4g}",
+            f"{model.principal_distance_px:.2f}",
+            f"{model.principal_point_px:.2f}",
+        )
+    console.print(fits)
+    if all(errors.points for _, errors, _ in rows):
+        console.print(error_table("control points, absolute errors in mm", rows))
+    else:
+        console.print("fewer than three sensors saw each point: no points were reconstructed")
+    if output is not None:
+        output.write_bytes(DOCUMENT.dump_json(found, indent=2) + b"\n")
+        console.print(f"written: {output}")
+
+
+def run_record(output: Path, seconds: float, settings: Path | None) -> None:
+    """Record the simulated device's line scans to a file."""
+    from hardware.recording import RecordingWriter
+    from hardware.simulated.driver import SimulatedDriver
+    from hardware.simulated.settings import SimulationSettings
+
+    if output.exists():
+        raise fail(f"{output} exists; choose another name, a recording is never overwritten")
+    try:
+        chosen = SimulationSettings()
+        if settings is not None:
+            chosen = TypeAdapter(SimulationSettings).validate_json(settings.read_bytes())
+        values = {**vars(chosen), "realtime": False, "duration_s": seconds}
+        driver = SimulatedDriver("sim", SimulationSettings(**values))
+        driver.open()
+        total = int(seconds * chosen.frame_rate_hz)
+        with (
+            RecordingWriter(output, driver.description) as writer,
+            _bar("recording", total) as (bar, task),
+        ):
+            for frame in driver.frames():
+                writer.append(frame)
+                bar.advance(task)
+    except (OSError, ValidationError) as error:
+        raise fail(str(error)) from error
+    except LumilineError as error:
+        raise fail(error.detail) from error
+    console.print(f"written: {output}")
+
+
+def run_replay(path: Path, calibration: Path, output: Path | None) -> None:
+    """Replay a recording through a calibration; print one JSON message a frame."""
+    from hardware.replay import ReplayDriver
+    from service.live.messages import encode, frame_messages
+    from service.live.processor import MAX_FRAMES, DeviceProcessor
+
+    try:
+        known = DOCUMENT.validate_json(calibration.read_bytes())
+        driver = ReplayDriver("replay", path, speed=None)
+        driver.open()
+        processor = DeviceProcessor("replay", driver.description, "cpu")
+        processor.set_calibration(str(calibration), known)
+        with _output(output) as target, _bar("replaying", None) as (bar, task):
+            frames = driver.frames()
+            while batch := list(islice(frames, MAX_FRAMES)):
+                for message in frame_messages(processor.process(batch), frozenset({"points"})):
+                    target.write(f"{encode(message, 'json')!s}\n")
+                bar.advance(task, len(batch))
+        driver.close()
+    except (OSError, ValidationError) as error:
+        raise fail(str(error)) from error
+    except LumilineError as error:
+        raise fail(error.detail) from error
+
+
+@contextmanager
+def _bar(text: str, total: int | None) -> Iterator[tuple[Progress, TaskID]]:
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(),
+        console=progress_console, transient=True,
+    )  # fmt: skip
+    with bar:
+        yield bar, bar.add_task(text, total=total)
+
+
+@contextmanager
+def _output(path: Path | None) -> Iterator[TextIO]:
+    if path is None:
+        yield typer.get_text_stream("stdout")
+    else:
+        with path.open("w", encoding="utf-8") as file:
+            yield file

@@ -106,7 +106,8 @@ def run(device: str | None = None, seconds: float = 0.3) -> list[Row]:
     """Time all methods at all sizes, each for about ``seconds``; one row for each.
 
     Rows have the keys lines, pixels, method, device, time_us (median of a call), gigabytes_per_s
-    (of raw counts), times_ours (of ``find``), found and rms_error_px.
+    (of raw counts), times_ours (of ``find``), and, but for the kernel alone, found and
+    rms_error_px.
     """
     rows: list[Row] = []
     noise = LineNoise.of(GAIN, READ_NOISE, OFFSET)

@@ -14,7 +14,8 @@ from compute.signal.centroid_source import FIND_PEAKS_OF_LINE
 
 # Its greeting and its compile times are nothing to a user of ours.
 wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
-wp.set_module_options({"enable_backward": False, "fast_math": False})
+# Without fused multiply-adds, CUDA rounds as the CPU does.
+wp.set_module_options({"enable_backward": False, "fast_math": False, "fuse_fp": False})
 
 CUDA_LANES: Final = 32
 """Threads that share a line on CUDA: the size of a warp."""

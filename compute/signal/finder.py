@@ -101,7 +101,7 @@ class CentroidFinder:
                 record.itemsize,
             ],
             device=self._device,
-            block_dim=128,
+            block_dim=64,
             record_cmd=True,
         )
 
@@ -114,17 +114,21 @@ class CentroidFinder:
         Raises:
             InvalidParameter: another type or shape.
         """
-        self._check(lines)
+        self.upload(lines)
         if len(lines) == 0:
             return self._collect(0)
-        self.upload(lines)
         self.launch(len(lines))
         return self.download(len(lines))
 
     def upload(self, lines: NDArray[np.uint16]) -> None:
-        """Bring lines to the device; on the CPU they stay where they are, until ``launch``."""
+        """Bring lines to the device; on the CPU they stay where they are, until ``launch``.
+
+        ``find`` is upload, launch and download; apart, they time the kernel alone.
+        """
         self._check(lines)
         flat = np.ascontiguousarray(lines).reshape(-1)
+        if flat.size == 0:
+            return
         if self._cuda:
             self._host_input[: flat.size] = flat
             self._wp.copy(self._input, self._staged_input, count=flat.size)

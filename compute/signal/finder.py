@@ -70,6 +70,7 @@ class CentroidFinder:
             self._staged_records = wp.zeros(size // 8, dtype=wp.uint64, device="cpu", pinned=True)
         else:
             self._staged_records = self._records
+        self._uploaded = 0
         self._words_per_line = record.itemsize // 8
         self._host_records = _numpy(self._staged_records).view(record)
 
@@ -127,6 +128,7 @@ class CentroidFinder:
         """
         self._check(lines)
         flat = np.ascontiguousarray(lines).reshape(-1)
+        self._uploaded = len(lines)
         if flat.size == 0:
             return
         if self._cuda:
@@ -137,7 +139,16 @@ class CentroidFinder:
             self._launch.set_param_at_index(0, flat.ctypes.data)
 
     def launch(self, count: int) -> None:
-        """Start the kernel on the first ``count`` of the uploaded lines."""
+        """Start the kernel on the first ``count`` of the uploaded lines.
+
+        Raises:
+            InvalidParameter: there are not so many.
+        """
+        if not 1 <= count <= self._uploaded:
+            raise InvalidParameter(
+                f"count is {count}; it must be 1 .. {self._uploaded}, the lines uploaded",
+                count=count,
+            )
         self._launch.set_dim(count * self._lanes)
         self._launch.launch()
 

@@ -85,6 +85,7 @@ def test_a_batch_smaller_than_the_room_leaves_nothing_behind():
         assert len(found) == count
         assert_same(found, find_peaks_reference(lines[:count], options, NOISE))
     # What was returned is the caller's: later calls do not write to it.
+    finder.find(np.ascontiguousarray(lines[::-1]))
     assert_same(first, find_peaks_reference(lines, options, NOISE))
 
 
@@ -119,6 +120,16 @@ def test_wrong_lines_are_refused_with_the_reason(lines, words):
     finder = CentroidFinder(4, 256, CentroidSettings(), NOISE, "cpu")
     with pytest.raises(InvalidParameter, match=words):
         finder.find(lines)
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_no_more_lines_are_read_than_were_given(count):
+    finder = CentroidFinder(4, 256, CentroidSettings(), NOISE, "cpu")
+    with pytest.raises(InvalidParameter, match="count is 1.*the lines uploaded"):
+        finder.launch(1)
+    finder.upload(np.zeros((2, 256), np.uint16))
+    with pytest.raises(InvalidParameter, match=f"count is {count}; it must be 1 .. 2"):
+        finder.launch(count)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,88 @@
+"""The README's five-minute tour, run as it is written."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.serving import serving
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+ADDRESS = "localhost:8000"
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with serving(tmp_path_factory.mktemp("readme")) as url:
+        yield url.removeprefix("http://")
+
+
+def test_curl_tour(address: str) -> None:
+    (tour,) = blocks("bash")
+    commands = [line for line in tour.splitlines() if line.startswith("curl")]
+    assert len(commands) == 4
+    answers = []
+    for command in commands:
+        assert ADDRESS in command
+        words = shlex.split(command.replace(ADDRESS, address))
+        run = subprocess.run([*words, "--fail-with-body"], cwd=ROOT, capture_output=True, text=True)
+        assert run.returncode == 0, (command, run.stdout, run.stderr)
+        answers.append(json.loads(run.stdout))
+    device, calibration, activated, reconstruction = answers
+    assert device["id"] == "frame-rig"
+    assert calibration["id"] == "frame-at-1-m"
+    assert activated["state"] == "active"
+    # What the README says of the two LEDs, within the largest fitted error of the frame.
+    said = re.findall(r"\((-?\d+), (-?\d+), (-?\d+)\)", tour)
+    for point, estimate in zip(said, reconstruction["estimates"], strict=True):
+        for given, found in zip(point, estimate["position_mm"], strict=True):
+            assert float(given) == pytest.approx(found, abs=15.0)
+
+
+def test_websocket_client(address: str) -> None:
+    (program,) = blocks("python")
+    assert len(program.strip().splitlines()) <= 11
+    run = subprocess.run(
+        [sys.executable, "-c", program.replace(ADDRESS, address)],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    lines = run.stdout.splitlines()
+    assert len(lines) > 900
+    sequence, marker, position = lines[-1].split(maxsplit=2)
+    assert int(sequence) > 900
+    assert marker in "01"
+    assert len(json.loads(position)) == 3
+
+
+def test_the_table_of_errors_is_what_the_command_prints() -> None:
+    from validation.cases import CASES, LEFT_OUT, METRIC
+    from validation.published import DLT, PUBLISHED
+
+    result = CASES["test-5.4"].run()
+    rows = {
+        "thesis, DLT": PUBLISHED["test-5.4"][DLT],
+        "Lumiline, fitted points": result.column(METRIC).errors,
+        "Lumiline, points left out of the calibration": result.column(LEFT_OUT).errors,
+    }
+    for label, errors in rows.items():
+        assert errors is not None
+        x, y, z = errors.mean_absolute_mm
+        assert f"| {label} | {x:.2f} | {y:.2f} | {z:.2f} |" in README
+
+
+def test_linked_files_exist() -> None:
+    links = re.findall(r"\]\(([^)#]+)\)", README)
+    assert links
+    for link in links:
+        assert (ROOT / link).exists(), link

@@ -10,7 +10,7 @@ import pytest
 
 from compute.errors import InvalidParameter, InvalidRecording
 from hardware.frame import LineFrame
-from hardware.recording import RecordingWriter
+from hardware.recording import CHUNK_FRAMES, RecordingWriter
 from hardware.recording_reader import RecordingReader
 from hardware.replay import ReplayDriver
 from hardware.simulated.driver import SimulatedDriver
@@ -132,11 +132,13 @@ def test_close_from_another_thread_ends_a_waiting_host_at_once(recording: Path) 
     assert [frame.sequence for frame in got] == [0]
 
 
-def test_close_while_reading_ends_without_an_error(recording: Path) -> None:
+@pytest.mark.parametrize("taken", [1, CHUNK_FRAMES, CHUNK_FRAMES + 1])
+def test_close_while_reading_ends_without_an_error(recording: Path, taken: int) -> None:
     driver = ReplayDriver("again", recording, None)
     driver.open()
     frames = driver.frames()
-    next(frames)
+    for _ in range(taken):
+        next(frames)
     driver.close()
     assert list(frames) == []
 

@@ -11,6 +11,7 @@ import pytest
 import hardware.simulated.driver
 from hardware.frame import FrameFlag, LineFrame
 from hardware.simulated.driver import FIFO_S, SimulatedDriver
+from hardware.simulated.renderer import FrameRenderer
 from hardware.simulated.scenes import CalibrationFrame, StillPoints
 from hardware.simulated.settings import SimulationSettings
 
@@ -65,6 +66,13 @@ def test_frames_come_in_order_with_the_device_clock_and_end_with_the_scene() -> 
     assert all(frame.lines.dtype == np.uint16 for frame in frames)
     assert {frame.device for frame in frames} == {"bar"}
     assert {frame.flags for frame in frames} == {FrameFlag.NONE}
+
+
+def test_the_lines_are_the_rendered_ones() -> None:
+    renderer = FrameRenderer(FAST)
+    rendered = np.concatenate([renderer.batch(number).lines for number in range(7)])
+    for frame in taken(FAST):
+        np.testing.assert_array_equal(frame.lines, rendered[frame.sequence])
 
 
 def test_strobing_goes_round_all_markers() -> None:

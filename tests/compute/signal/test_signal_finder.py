@@ -125,10 +125,10 @@ def test_wrong_lines_are_refused_with_the_reason(lines, words):
 @pytest.mark.parametrize("count", [0, 3])
 def test_no_more_lines_are_read_than_were_given(count):
     finder = CentroidFinder(4, 256, CentroidSettings(), NOISE, "cpu")
-    with pytest.raises(InvalidParameter, match="count is 1.*the lines uploaded"):
+    with pytest.raises(InvalidParameter, match=r"count is 1.*the lines uploaded"):
         finder.launch(1)
     finder.upload(np.zeros((2, 256), np.uint16))
-    with pytest.raises(InvalidParameter, match=f"count is {count}; it must be 1 .. 2"):
+    with pytest.raises(InvalidParameter, match=rf"count is {count}; it must be 1 \.\. 2"):
         finder.launch(count)
 
 

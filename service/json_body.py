@@ -6,8 +6,13 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from fastapi.routing import APIRoute
-from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidatorFunctionWrapHandler
-from pydantic_core import CoreSchema, core_schema
+from pydantic import (
+    GetCoreSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+)
+from pydantic_core import CoreSchema, ErrorDetails, core_schema
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -28,9 +33,30 @@ class FromJson:
         adapter: TypeAdapter[Any] = TypeAdapter(source)
 
         def validate(text: Any, _inner: ValidatorFunctionWrapHandler) -> Any:
-            return adapter.validate_json(text, strict=True)
+            try:
+                return adapter.validate_json(text, strict=True)
+            except ValidationError as error:
+                if not any(_is_whole_number(item) for item in error.errors()):
+                    raise
+            return adapter.validate_json(_with_whole_numbers(text), strict=True)
 
         return core_schema.no_info_wrap_validator_function(validate, handler(source))
+
+
+def _is_whole_number(error: ErrorDetails) -> bool:
+    """Whether a strict validation refused 8.0 as an integer, which JSON schema says it is."""
+    found = error["input"]
+    return error["type"] == "int_type" and isinstance(found, float) and found.is_integer()
+
+
+def _with_whole_numbers(text: str | bytes) -> str:
+    """Write the whole numbers of a JSON text without a decimal point."""
+
+    def number(literal: str) -> float | int:
+        value = float(literal)
+        return int(value) if value.is_integer() else value
+
+    return json.dumps(json.loads(text, parse_float=number))
 
 
 class _JsonRequest(Request):

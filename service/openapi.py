@@ -82,11 +82,32 @@ def _document(app: FastAPI) -> dict[str, Any]:
         [(Problem, "serialization")], ref_template="#/components/schemas/{model}"
     )
     schemas |= found["$defs"]
+    _require_discriminators(schemas, schemas)
     for item in document["paths"].values():
         for method, operation in item.items():
             if method != "parameters":
                 _complete(operation)
     return document
+
+
+def _require_discriminators(node: Any, schemas: dict[str, Any]) -> None:
+    """Require the property that tells the members of a union apart, also where it has a default.
+
+    A default serves Python; a document without the property cannot be told apart and is refused.
+    """
+    if isinstance(node, dict):
+        discriminator = node.get("discriminator")
+        if isinstance(discriminator, dict) and "mapping" in discriminator:
+            name = discriminator["propertyName"]
+            for reference in discriminator["mapping"].values():
+                required = schemas[reference.rpartition("/")[2]].setdefault("required", [])
+                if name not in required:
+                    required.append(name)
+        for value in node.values():
+            _require_discriminators(value, schemas)
+    elif isinstance(node, list):
+        for value in node:
+            _require_discriminators(value, schemas)
 
 
 def _complete(operation: dict[str, Any]) -> None:

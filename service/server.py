@@ -1,7 +1,7 @@
 """Health, the landing page, and what problem types mean."""
 
 import html
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from fastapi import APIRouter, Path, Request
 from sqlalchemy.exc import SQLAlchemyError
@@ -9,11 +9,13 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from service.database.engine import Database
 from service.dependencies import DatabaseDep
-from service.live.manager import LiveManager
 from service.errors import NotReady, UnknownProblem
 from service.openapi import problems
 from service.problems import PROBLEM_TYPES, ProblemType
 from service.schema import Document
+
+if TYPE_CHECKING:
+    from service.live.manager import LiveManager
 
 router = APIRouter(tags=["server"])
 

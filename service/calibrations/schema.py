@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Field, StringConstraints, Tag
 
 from compute.calibration.result import AxisErrors, Calibration, Method
 from compute.camera.model import Vector3
@@ -31,8 +31,11 @@ ReadingValue = Annotated[
     Annotated[float, Tag("position")] | Annotated[Reading, Tag("with-deviation")],
     Discriminator(_reading_kind),
 ]
+# Without a pattern, which JSON schema would apply to the values only, not to other keys; a name
+# that no sensor has is refused anyway.
+SensorName = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 Readings = Annotated[
-    dict[Name, ReadingValue],
+    dict[SensorName, ReadingValue],
     Field(
         max_length=64,
         description="By sensor: the peak's position [px], or it and its standard deviation. "

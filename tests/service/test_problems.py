@@ -108,3 +108,15 @@ def test_ready_only_with_database_and_live_pipeline(
     assert (answer.status_code, answer.json()["context"]) == (503, {"part": "database"})
     assert "hunter2" not in answer.text
     assert sqlite_client.get("/healthz").json() == {"status": "ok"}
+
+
+@pytest.mark.parametrize(("literal", "status"), [("8.0", 200), ("1e1", 200), ("8.5", 422)])
+def test_a_whole_number_may_be_written_with_a_point(sqlite_client: Any, literal: str, status: int):
+    # JSON schema, and so the contract, takes 8.0 for an integer.
+    text = '{"source": {"kind": "simulated", "settings": {"bits": HERE}}}'.replace("HERE", literal)
+    answer = sqlite_client.patch(
+        "/api/v1/devices/sim", content=text, headers={"content-type": "application/json"}
+    )
+    assert answer.status_code == status, answer.text
+    if status == 200:
+        assert answer.json()["source"]["settings"]["bits"] == float(literal)

@@ -42,7 +42,7 @@ class CollinearityParameters:
 
 def matrix_of(model: SensorModel) -> Array:
     """Return the 2x4 matrix of ``p = m1.X~ / m2.X~`` in the gauge |m2| = 1, m2 the view."""
-    matrix: Array = CameraStack.of([model]).matrices()[0]
+    matrix: Array = CameraStack.of([model]).matrices[0]
     return matrix
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +45,9 @@ class CameraStack:
         """Return the number of cameras."""
         return len(self.principal_distance_px)
 
+    @cached_property
     def matrices(self) -> Array:
-        """Return the 2x4 matrices (m1; m2) with ``p = m1.X~ / m2.X~``, shape (S, 2, 4).
+        """The 2x4 matrices (m1; m2) with ``p = m1.X~ / m2.X~``, shape (S, 2, 4).
 
         In this gauge m2 is the viewing axis, so that m2.X~ is the depth in mm.
         """

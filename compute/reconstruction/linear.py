@@ -28,7 +28,7 @@ def reconstruct_linear(
         Points, shape (N, 3) [mm]; NaN where fewer than three sensors saw the point or where
         the planes meet in a line.
     """
-    matrices = cameras.matrices()
+    matrices = cameras.matrices
     seen = np.isfinite(corrected_px)
     q = np.where(seen, corrected_px, 0.0)
     rows = matrices[:, 0] - q[..., None] * matrices[:, 1]

@@ -9,6 +9,7 @@ from sqlalchemy.orm import Session
 
 from service.calibrations.run import Outcome
 from service.calibrations.schema import CalibrationDocument, CalibrationSummary, State
+from service.database.engine import insert
 from service.database.models import ActivationRow, ActiveCalibrationRow, CalibrationRow, DeviceRow
 from service.errors import (
     CalibrationActive,
@@ -63,11 +64,15 @@ def list_calibrations(
 def check_unused(session: Session, calibration_id: str | None) -> None:
     """Raise CalibrationExists when the id that a client chose is taken."""
     if calibration_id is not None and session.get(CalibrationRow, calibration_id) is not None:
-        raise CalibrationExists(
-            f'calibration "{calibration_id}" exists already and is never overwritten; choose '
-            "another id, or leave it out",
-            calibration=calibration_id,
-        )
+        raise _exists(calibration_id)
+
+
+def _exists(calibration_id: str) -> CalibrationExists:
+    return CalibrationExists(
+        f'calibration "{calibration_id}" exists already and is never overwritten; choose '
+        "another id, or leave it out",
+        calibration=calibration_id,
+    )
 
 
 def add_calibration(
@@ -88,8 +93,7 @@ def add_calibration(
         created_at=datetime.now(UTC),
         retired_at=None,
     )
-    session.add(row)
-    session.flush()
+    insert(session, row, taken=_exists(row.id))
     return row
 
 

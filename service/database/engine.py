@@ -6,6 +6,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event, text
 from sqlalchemy.engine import make_url
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 _BUSY_TIMEOUT_MS = 5000
@@ -46,6 +47,18 @@ class Database:
     def close(self) -> None:
         """Close all connections."""
         self.engine.dispose()
+
+
+def insert(session: Session, row: object, taken: Exception) -> None:
+    """Insert a row at once; raises ``taken`` when another transaction was first with its key.
+
+    The caller has looked for the key before: this is for two requests at the same moment.
+    """
+    session.add(row)
+    try:
+        session.flush()
+    except IntegrityError as error:
+        raise taken from error
 
 
 def _configure_sqlite(engine: Engine) -> None:

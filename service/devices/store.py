@@ -8,6 +8,7 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from service.calibrations.store import active_id
+from service.database.engine import insert
 from service.database.models import (
     ActivationRow,
     ActiveCalibrationRow,
@@ -43,11 +44,12 @@ def list_devices(session: Session, limit: int, offset: int) -> tuple[Sequence[De
 
 def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> DeviceRow:
     """Store a device; raises DeviceExists."""
+    taken = DeviceExists(
+        f'device "{request.id}" exists already; choose another id, or PATCH it',
+        device=request.id,
+    )
     if session.get(DeviceRow, request.id) is not None:
-        raise DeviceExists(
-            f'device "{request.id}" exists already; choose another id, or PATCH it',
-            device=request.id,
-        )
+        raise taken
     now = datetime.now(UTC)
     row = DeviceRow(
         id=request.id,
@@ -58,8 +60,7 @@ def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> D
         created_at=now,
         updated_at=now,
     )
-    session.add(row)
-    session.flush()
+    insert(session, row, taken)
     return row
 
 

@@ -9,6 +9,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from service.calibrations.store import active_id, get_calibration
+from service.database.engine import insert
 from service.database.models import CalibrationRow, ReconstructionRow
 from service.errors import (
     CalibrationOfAnotherDevice,
@@ -66,11 +67,12 @@ def add_reconstruction(
     estimates: list[NamedEstimate],
 ) -> ReconstructionRow:
     """Store a reconstruction; raises ReconstructionExists."""
+    taken = ReconstructionExists(
+        f'reconstruction "{request.id}" exists already; choose another id, or leave it out',
+        reconstruction=request.id,
+    )
     if request.id is not None and session.get(ReconstructionRow, request.id) is not None:
-        raise ReconstructionExists(
-            f'reconstruction "{request.id}" exists already; choose another id, or leave it out',
-            reconstruction=request.id,
-        )
+        raise taken
     row = ReconstructionRow(
         id=request.id or f"rec-{secrets.token_hex(8)}",
         device_id=request.device,
@@ -80,8 +82,7 @@ def add_reconstruction(
         point_count=len(request.points),
         created_at=datetime.now(UTC),
     )
-    session.add(row)
-    session.flush()
+    insert(session, row, taken)
     return row
 
 

@@ -1,0 +1,76 @@
+"""Requests at the same moment: one wins, the others are told; history stays one chain."""
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from hardware.simulated.frame_shape import frame_shape_mm
+from service.calibrations.examples import simulated_points
+
+THREADS = 8
+
+
+def at_once(requests: list[Any]) -> list[Any]:
+    with ThreadPoolExecutor(THREADS) as pool:
+        return [done.result() for done in [pool.submit(request) for request in requests]]
+
+
+def test_activations_make_one_chain_that_ends_where_the_live_side_is(client: Any, live: Any):
+    points = simulated_points(2.0 * frame_shape_mm()[::2])
+    for name in ("a", "b"):
+        body = {"id": name, "device": "sim", "points": points}
+        assert client.post("/api/v1/calibrations", json=body).status_code == 201
+    names = ["a", "b", "sim-nominal"] * THREADS
+    answers = at_once(
+        [lambda name=name: client.post(f"/api/v1/calibrations/{name}/activate") for name in names]
+    )
+    assert {answer.status_code for answer in answers} == {200}
+    history = client.get("/api/v1/devices/sim/activations?limit=200").json()["items"][::-1]
+    previous = None
+    for move in history:
+        assert move["previous_calibration_id"] == previous
+        assert move["calibration_id"] != previous
+        previous = move["calibration_id"]
+    assert client.get("/api/v1/devices/sim").json()["active_calibration_id"] == previous
+    assert [call[2] for call in live.calls if call[0] == "calibration"][-1] == previous
+    active = client.get("/api/v1/calibrations?state=active").json()["items"]
+    assert [item["id"] for item in active] == [previous]
+
+
+def test_one_of_many_gets_the_id(client: Any):
+    points = [
+        {"name": point["name"], "readings": point["readings"]}
+        for point in simulated_points([[0.0, 0.0, 0.0]])
+    ]
+    device = {
+        "id": "new",
+        "title": "New",
+        "source": {
+            "kind": "external",
+            "sensors": [{"name": "A", "pixels": 1024, "pitch_um": 7.0}],
+        },
+    }
+    for path, body in (
+        ("/api/v1/devices", device),
+        ("/api/v1/reconstructions", {"id": "new", "device": "sim", "points": points}),
+    ):
+        answers = at_once(
+            [lambda path=path, body=body: client.post(path, json=body) for _ in range(THREADS)]
+        )
+        statuses = sorted(answer.status_code for answer in answers)
+        assert statuses == [201] + [409] * (THREADS - 1)
+
+
+def test_a_calibration_retired_at_the_same_moment_is_not_active(client: Any):
+    points = simulated_points(2.0 * frame_shape_mm()[::2])
+    for number in range(4):
+        name = f"c{number}"
+        client.post("/api/v1/calibrations", json={"id": name, "device": "sim", "points": points})
+        activated, retired = at_once(
+            [
+                lambda name=name: client.post(f"/api/v1/calibrations/{name}/activate"),
+                lambda name=name: client.post(f"/api/v1/calibrations/{name}/retire"),
+            ]
+        )
+        assert sorted([activated.status_code, retired.status_code]) == [200, 409]
+        state = client.get(f"/api/v1/calibrations/{name}").json()["state"]
+        assert state == ("active" if activated.status_code == 200 else "retired")

@@ -84,8 +84,12 @@ def test_a_batch_smaller_than_the_room_leaves_nothing_behind():
         found = finder.find(lines[:count])
         assert len(found) == count
         assert_same(found, find_peaks_reference(lines[:count], options, NOISE))
+    # Only the lines given are read and their records written.
+    other = np.ascontiguousarray(lines[::-1])
+    finder.find(other[:7])
+    np.testing.assert_array_equal(finder.download(24).count[7:], first.count[7:])
     # What was returned is the caller's: later calls do not write to it.
-    finder.find(np.ascontiguousarray(lines[::-1]))
+    finder.find(other)
     assert_same(first, find_peaks_reference(lines, options, NOISE))
 
 

@@ -73,39 +73,54 @@ def cofactor(jacobian: Array) -> Array:
     return product
 
 
+@dataclass(frozen=True, eq=False)
+class ReadingResiduals:
+    """Weighted residuals of one sensor as a function of a step from a starting camera.
+
+    Args:
+        start: the camera at step zero.
+        points_mm: control points, shape (N, 3).
+        readings_px: readings, shape (N,).
+        weights: factors for the residuals, shape (N,).
+    """
+
+    start: SensorModel
+    points_mm: Array
+    readings_px: Array
+    weights: Array
+
+    def values(self, step: Array) -> Array:
+        """Return the residuals at a step (7,) in the order of PARAMETERS, shape (N,)."""
+        _, u, _ = self._frame(step)
+        distance = self.start.principal_distance_px + step[0]
+        fitted = self.start.principal_point_px + step[1] + distance * u
+        return np.where(np.isnan(u), PENALTY_PX, fitted - self.readings_px) * self.weights
+
+    def jacobian(self, step: Array) -> Array:
+        """Return d residuals / d step, shape (N, 7)."""
+        turned, u, depth = self._frame(step)
+        slopes = reading_slopes(turned, u, (self.start.principal_distance_px + step[0]) / depth)
+        # The step's rotation vector counts from the start, the slopes' from the trial.
+        slopes[:, 2:5] = slopes[:, 2:5] @ left_jacobian(step[2:5])
+        return np.nan_to_num(slopes) * self.weights[:, None]
+
+    def _frame(self, step: Array) -> tuple[Array, Array, Array]:
+        """Return the points turned into the trial's frame (N, 3), u and depth (N,)."""
+        turned = self.points_mm @ (rotation_matrix(step[2:5]) @ self.start.rotation).T
+        depth = turned[:, 2] + (self.start.offset_z_mm + step[6])
+        depth = np.where(depth > 0.0, depth, np.nan)
+        return turned, (turned[:, 0] + (self.start.offset_x_mm + step[5])) / depth, depth
+
+
 def _minimise(
     start: SensorModel, points_mm: Array, readings_px: Array, weights: Array
 ) -> tuple[float, SensorModel] | None:
     """Levenberg-Marquardt from one start; the cost and the model, or None if it failed."""
-
-    rotation = start.rotation
-    principal_distance, principal_point = start.principal_distance_px, start.principal_point_px
-    offset_x, offset_z = start.offset_x_mm, start.offset_z_mm
-
-    def frame(step: Array) -> tuple[Array, Array, Array]:
-        """Points in the trial's frame before the shift, and u and depth; arrays of (N,)."""
-        turned = points_mm @ (rotation_matrix(step[2:5]) @ rotation).T
-        depth = turned[:, 2] + (offset_z + step[6])
-        depth = np.where(depth > 0.0, depth, np.nan)
-        return turned, (turned[:, 0] + (offset_x + step[5])) / depth, depth
-
-    def residuals(step: Array) -> Array:
-        _, u, _ = frame(step)
-        fitted = principal_point + step[1] + (principal_distance + step[0]) * u
-        return np.where(np.isnan(u), PENALTY_PX, fitted - readings_px) * weights
-
-    def jacobian(step: Array) -> Array:
-        turned, u, depth = frame(step)
-        gain = (principal_distance + step[0]) / depth
-        slopes = reading_slopes(turned, u, gain)
-        # The step's rotation vector counts from the start, the slopes' from the trial.
-        slopes[:, 2:5] = slopes[:, 2:5] @ left_jacobian(step[2:5])
-        return np.nan_to_num(slopes) * weights[:, None]
-
+    residuals = ReadingResiduals(start, points_mm, readings_px, weights)
     result = least_squares(
-        residuals,
+        residuals.values,
         np.zeros(PARAMETER_COUNT),
-        jac=jacobian,
+        jac=residuals.jacobian,
         method="lm",
         x_scale="jac",
         xtol=1e-15,

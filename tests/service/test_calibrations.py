@@ -9,6 +9,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from compute.calibration.result import Calibration
+from compute.camera.model import PARAMETERS
 from hardware.simulated.bar import simulated_sensor_models
 from hardware.simulated.frame_shape import frame_shape_mm
 from service.calibrations.examples import simulated_points
@@ -41,10 +42,12 @@ def test_a_calibration_recovers_the_simulators_cameras(client: Any):
         zip(result.models, simulated_sensor_models(), strict=True)
     ):
         assert model.name == true.name
-        sigma = np.sqrt(covariance[7 * index, 7 * index])
-        difference = model.principal_distance_px - true.principal_distance_px
-        assert abs(difference) < 5 * sigma  # readings are rounded to 0.01 px
-        assert sigma < 1e-3 * true.principal_distance_px
+        # Readings are rounded to 0.01 px, and the deviations are those of the residuals.
+        for parameter in ("principal_distance_px", "offset_x_mm", "offset_z_mm"):
+            place = 7 * index + PARAMETERS.index(parameter)
+            sigma = np.sqrt(covariance[place, place])
+            assert abs(getattr(model, parameter) - getattr(true, parameter)) < 5 * sigma
+            assert sigma < 1e-3 * true.principal_distance_px
 
 
 def test_control_point_errors_are_those_of_the_reconstructed_points(client: Any):

@@ -1,12 +1,23 @@
 """Requests at the same moment: one wins, the others are told; history stays one chain."""
 
 from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import TimeoutError as StillWaiting
+from datetime import UTC, datetime
+from threading import Event
 from typing import Any
 
+import pytest
+
 from hardware.simulated.frame_shape import frame_shape_mm
+from service.calibrations import store
 from service.calibrations.examples import simulated_points
+from service.database.models import CalibrationRow, DeviceRow
+from service.devices.store import get_device
+from service.errors import CalibrationRetired
 
 THREADS = 8
+A_WHILE_S = 0.3
+"""Long enough for another thread to reach the lock at which it has to wait."""
 
 
 def at_once(requests: list[Any]) -> list[Any]:
@@ -74,3 +85,70 @@ def test_a_calibration_retired_at_the_same_moment_is_not_active(client: Any):
         assert sorted([activated.status_code, retired.status_code]) == [200, 409]
         state = client.get(f"/api/v1/calibrations/{name}").json()["state"]
         assert state == ("active" if activated.status_code == 200 else "retired")
+
+
+def test_a_second_activation_waits_until_the_first_is_live(
+    client: Any, live: Any, monkeypatch: pytest.MonkeyPatch
+):
+    points = simulated_points(2.0 * frame_shape_mm()[::2])
+    for name in ("a", "b"):
+        body = {"id": name, "device": "sim", "points": points}
+        client.post("/api/v1/calibrations", json=body)
+    entered, go = Event(), Event()
+    record = live.set_calibration
+
+    def slow_for_a(device_id: str, calibration_id: str, calibration: Any) -> None:
+        if calibration_id == "a":
+            entered.set()
+            assert go.wait(10)
+        record(device_id, calibration_id, calibration)
+
+    monkeypatch.setattr(live, "set_calibration", slow_for_a)
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(client.post, "/api/v1/calibrations/a/activate")
+        assert entered.wait(10)
+        second = pool.submit(client.post, "/api/v1/calibrations/b/activate")
+        with pytest.raises(StillWaiting):
+            second.result(A_WHILE_S)
+        go.set()
+        assert (first.result(10).status_code, second.result(10).status_code) == (200, 200)
+    assert [call[2] for call in live.calls if call[0] == "calibration"] == ["a", "b"]
+    assert client.get("/api/v1/devices/sim").json()["active_calibration_id"] == "b"
+
+
+def test_activating_sees_a_retirement_that_came_first(client: Any):
+    points = simulated_points(2.0 * frame_shape_mm()[::2])
+    client.post("/api/v1/calibrations", json={"id": "a", "device": "sim", "points": points})
+    database = client.app.state.database
+
+    def activate() -> None:
+        with database.write() as session:
+            store.activate(session, "a")
+
+    with ThreadPoolExecutor(1) as pool:
+        with database.write() as session:
+            get_device(session, "sim", lock=True)
+            session.get_one(CalibrationRow, "a").retired_at = datetime.now(UTC)
+            session.flush()
+            waiting = pool.submit(activate)
+            with pytest.raises(StillWaiting):
+                waiting.result(A_WHILE_S)
+        with pytest.raises(CalibrationRetired):
+            waiting.result(10)
+
+
+def test_an_id_taken_in_a_transaction_under_way_is_a_conflict(client: Any):
+    now = datetime.now(UTC)
+    other = DeviceRow(
+        id="new", title="", source={}, sensors=[], autostart=False, created_at=now, updated_at=now
+    )
+    body = {"id": "new", "title": "New", "source": {"kind": "simulated"}}
+    with ThreadPoolExecutor(1) as pool:
+        with client.app.state.database.write() as session:
+            session.add(other)
+            session.flush()
+            waiting = pool.submit(client.post, "/api/v1/devices", json=body)
+            with pytest.raises(StillWaiting):
+                waiting.result(A_WHILE_S)
+        refused = waiting.result(10)
+    assert (refused.status_code, refused.json()["type"]) == (409, "/problems/device-exists")

@@ -1,6 +1,7 @@
 """`lumiline bench`: figures of speed, each beside what a user would pick instead."""
 
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -13,6 +14,9 @@ BENCHMARKS = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
     "centroids": "raw lines to peak positions, beside NumPy and SciPy",
 }
+
+
+BARE_SECONDS = 10.0
 
 
 def run(name: str | None, *, seconds: float, device: str | None, as_json: bool) -> None:
@@ -36,6 +40,7 @@ def run(name: str | None, *, seconds: float, device: str | None, as_json: bool) 
 
 
 def _live(seconds: float, *, as_json: bool) -> None:
+    from benchmarks.bare_stream import running_bare_stream
     from benchmarks.live import measure
 
     bar = Progress(
@@ -52,21 +57,30 @@ def _live(seconds: float, *, as_json: bool) -> None:
                     seconds,
                     lambda done: bar.update(task, completed=done),
                 )
+            bar.update(task, description="a bare websocket beside it", total=BARE_SECONDS)
+            with running_bare_stream() as url:
+                bare = measure(url, BARE_SECONDS, lambda done: bar.update(task, completed=done))
         except (ServiceFailedError, RuntimeError) as error:
             raise fail(str(error)) from error
     if as_json:
-        print_json(figures)
+        print_json({"live": asdict(figures), "bare_websocket": asdict(bare)})
         return
     table = Table(title=BENCHMARKS["live"], title_justify="left")
     table.add_column("figure")
-    table.add_column("value", justify="right")
-    table.add_row("duration, s", f"{figures.seconds:.2f}")
-    table.add_row("frames received", f"{figures.frames}")
-    table.add_row("frames per second", f"{figures.frames_per_s:.1f}")
-    table.add_row("frames lost", f"{figures.lost}")
+    table.add_column("Lumiline", justify="right")
+    table.add_column("bare websocket", justify="right")
+    table.add_column("ratio", justify="right")
+    table.add_row("duration, s", f"{figures.seconds:.2f}", f"{bare.seconds:.2f}")
+    table.add_row("frames received", f"{figures.frames}", f"{bare.frames}")
+    table.add_row("frames per second", f"{figures.frames_per_s:.1f}", f"{bare.frames_per_s:.1f}")
+    table.add_row("frames lost", f"{figures.lost}", f"{bare.lost}")
     table.add_row("messages missed by this client", f"{figures.missed}")
     table.add_row("points without a position", f"{figures.without_position}")
     for label, value in figures.latency_ms.items():
-        table.add_row(f"latency {label}, ms", f"{value:.2f}")
+        peer = bare.latency_ms[label]
+        table.add_row(f"latency {label}, ms", f"{value:.2f}", f"{peer:.2f}", f"{value / peer:.1f}")
     console.print(table)
-    console.print("latency: middle of the exposure to the message in the client's hands")
+    console.print(
+        "latency: middle of the exposure to the message in the client's hands. The bare websocket "
+        "only sends, as many messages as large, from their due time."
+    )

@@ -1,0 +1,130 @@
+"""The commands as a user runs them: in a process of their own."""
+
+import csv
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from validation.thesis_data import DFW_V500, load_test
+
+
+def lumiline(*arguments: str | Path, code: int = 0) -> "subprocess.CompletedProcess[str]":
+    run = subprocess.run(
+        [sys.executable, "-m", "service.cli", *map(str, arguments)],
+        capture_output=True, text=True, timeout=240, check=False,
+    )  # fmt: skip
+    assert run.returncode == code, (run.stdout, run.stderr)
+    return run
+
+
+@pytest.fixture(scope="module")
+def frame_csv(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The thesis's frame at 1 m."""
+    test = load_test("5.4")
+    path: Path = tmp_path_factory.mktemp("frame") / "frame.csv"
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["X_mm", "Y_mm", "Z_mm", *(f"{scale.name}_px" for scale in DFW_V500)])
+        for point, readings in zip(test.points_mm, test.readings_mm, strict=True):
+            pixels = [float(s.to_px(r)) for s, r in zip(DFW_V500, readings, strict=True)]
+            writer.writerow([*point, *pixels])
+    return path
+
+
+def test_reproduce_lists_the_cases() -> None:
+    cases = json.loads(lumiline("reproduce", "--json").stdout)
+    assert [case["name"] for case in cases] == [f"test-5.{number}" for number in range(1, 9)]
+    shown = lumiline("reproduce").stdout
+    assert all(case["name"] in shown for case in cases)
+
+
+def test_reproduce_prints_both_figures_and_says_them_to_machines() -> None:
+    text = lumiline("reproduce", "test-5.4").stdout
+    assert re.search(r"thesis: DLT.* 3\.57 .* 4\.6 .* 16 ", text)
+    result = json.loads(lumiline("reproduce", "test-5.4", "--json").stdout)
+    assert result["published"][0]["errors"]["mean_absolute_mm"] == [3.57, 4.6, 16.04]
+    ours = {column["label"]: column["errors"] for column in result["ours"]}
+    assert ours["metric (default)"]["mean_absolute_mm"][2] < 3.5
+
+
+def test_an_unknown_case_names_the_known_ones() -> None:
+    assert "test-5.4" in lumiline("reproduce", "test-9", code=2).stderr
+
+
+def test_bench_lists_what_there_is() -> None:
+    assert {"live", "centroids"} <= set(lumiline("bench").stdout.split())
+    assert "centroids" in lumiline("bench", "nothing", code=2).stderr
+
+
+def test_calibrate_writes_what_the_service_would_compute(frame_csv: Path, tmp_path: Path) -> None:
+    output = tmp_path / "calibration.json"
+    shown = lumiline("calibrate", frame_csv, "--pixels", "640", "--output", output).stdout
+    assert "cam3" in shown
+    assert "leave one out" in shown
+    document = json.loads(output.read_text(encoding="utf-8"))
+    assert [fit["model"]["name"] for fit in document["sensors"]] == [s.name for s in DFW_V500]
+    assert len(document["covariance"]) == 28
+
+
+def test_calibrate_refuses_with_a_reason(frame_csv: Path, tmp_path: Path) -> None:
+    rows = frame_csv.read_text(encoding="utf-8").splitlines()
+    few = tmp_path / "few.csv"
+    few.write_text("\n".join(rows[:6]), encoding="utf-8")
+    assert "at least 7" in lumiline("calibrate", few, "--pixels", "640", code=2).stderr
+    wrong = lumiline("calibrate", frame_csv, "--pixels", "640", "--method", "best", code=2)
+    assert "metric or dlt-iterative" in wrong.stderr
+
+
+def test_record_and_replay(frame_csv: Path, tmp_path: Path) -> None:
+    """Frames recorded, calibrated from their own peaks elsewhere, replayed bit by bit."""
+    recording, settings = tmp_path / "frame.h5", tmp_path / "settings.json"
+    settings.write_text('{"scene": {"kind": "calibration-frame"}}', encoding="utf-8")
+    lumiline("record", recording, "--seconds", "0.1", "--settings", settings)
+    assert "never overwritten" in lumiline("record", recording, code=2).stderr
+
+    other = tmp_path / "other.json"
+    lumiline("calibrate", frame_csv, "--pixels", "640", "--output", other)
+    refused = lumiline("replay", recording, "--calibration", other, code=2)
+    assert "cam1" in refused.stderr
+
+    nominal = tmp_path / "nominal.json"
+    nominal.write_bytes(nominal_document())
+    first, second = tmp_path / "first.jsonl", tmp_path / "second.jsonl"
+    for output in (first, second):
+        lumiline("replay", recording, "--calibration", nominal, "--output", output)
+    assert first.read_bytes() == second.read_bytes()
+    messages = [json.loads(line) for line in first.read_text(encoding="utf-8").splitlines()]
+    assert [message["sequence"] for message in messages] == list(range(100))
+    assert {message["marker"] for message in messages} == set(range(19))
+    assert all(message["points"][0]["position_mm"] for message in messages)
+
+
+def nominal_document() -> bytes:
+    """The simulator's own cameras, as `lumiline calibrate` writes a calibration."""
+    from compute.calibration.result import Calibration, SensorFit
+    from hardware.simulated.bar import simulated_sensor_models
+    from service.cli.offline import DOCUMENT
+
+    fits = tuple(
+        SensorFit(model, 0, 0.0, 0.0, 1e-3, "given", None) for model in simulated_sensor_models()
+    )
+    zeros = tuple(tuple([0.0] * 28) for _ in range(28))
+    document: bytes = DOCUMENT.dump_json(Calibration("metric", fits, zeros, ()))
+    return document
+
+
+def test_demo_runs_and_draws(tmp_path: Path) -> None:
+    run = lumiline("demo", "--output", tmp_path, "--seconds", "2")
+    for part in ("Test 5.3", "Test 5.4", "frames/s", "p99", "bar length, mean"):
+        assert part in run.stdout
+    picture = (tmp_path / "demo.png").read_bytes()
+    assert picture.startswith(b"\x89PNG")
+    mean = float(re.search(r"bar length, mean, mm\D+([\d.]+)", run.stdout)[1])  # type: ignore[index]
+    spread = float(re.search(r"standard deviation, mm\D+([\d.]+)", run.stdout)[1])  # type: ignore[index]
+    # Five standard errors of a mean of some hundred lengths, and 1e-4 for the calibration.
+    assert abs(mean - 292.0) < 5 * spread / 10 + 0.03
+    assert spread < 0.1

@@ -10,10 +10,14 @@ from compute.calibration.starts import starting_matrices
 from compute.camera.dlt import model_from_matrix
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack, reading_slopes
-from compute.errors import NoConvergence
+from compute.errors import DegeneratePoints, NoConvergence
 
 Array = NDArray[np.float64]
 
+DETERMINED_RATIO = 1e-5
+"""Smallest ratio of singular values of the Jacobian with columns of length 1. The measured and
+simulated frames of the thesis have 1e-4 and more; the corners of a box that a sensor sees along
+its edges, 1e-5 and less even with noise."""
 PENALTY_PX = 1e6
 """Residual of a point that a trial camera has behind it: the search turns back."""
 
@@ -29,7 +33,11 @@ class RefinedSensor:
 
 
 def refine(
-    points_mm: Array, readings_px: Array, sigma_px: Array, sensor: SensorGeometry
+    points_mm: Array,
+    readings_px: Array,
+    sigma_px: Array,
+    sensor: SensorGeometry,
+    near: SensorModel | None = None,
 ) -> RefinedSensor:
     """Minimise the sum of squared residuals over sigma from several starts; keep the lowest.
 
@@ -38,6 +46,7 @@ def refine(
         readings_px: its readings, shape (N,) [px].
         sigma_px: their standard deviations, shape (N,) [px], or ones.
         sensor: its geometry.
+        near: a camera known to be close, the only start then; None: look everywhere.
 
     Raises:
         DegeneratePoints: more than one camera fits.
@@ -46,8 +55,15 @@ def refine(
     weights = 1.0 / sigma_px
     seen = points_mm.mean(axis=0)
     best: tuple[float, SensorModel] | None = None
-    for matrix in starting_matrices(points_mm, readings_px, weights, sensor.name):
-        start = model_from_matrix(matrix, sensor, seen)
+    starts = (
+        [near]
+        if near
+        else [
+            model_from_matrix(matrix, sensor, seen)
+            for matrix in starting_matrices(points_mm, readings_px, weights, sensor.name)
+        ]
+    )
+    for start in starts:
         found = _minimise(start, points_mm, readings_px, weights)
         if found is not None and (best is None or found[0] < best[0]):
             best = found
@@ -60,8 +76,23 @@ def refine(
     model = best[1]
     cameras = CameraStack.of([model])
     jacobian = cameras.parameter_jacobian(points_mm)[:, 0] * weights[:, None]
+    _check_determined(jacobian, sensor)
     residuals = cameras.project(points_mm)[:, 0] - readings_px
     return RefinedSensor(model, cofactor(jacobian), residuals)
+
+
+def _check_determined(jacobian: Array, sensor: SensorGeometry) -> None:
+    """Raise DegeneratePoints when the readings leave a combination of parameters open."""
+    singular = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0), compute_uv=False)
+    ratio = float(singular[-1] / singular[0])
+    if ratio < DETERMINED_RATIO:
+        raise DegeneratePoints(
+            f"sensor {sensor.name} cannot be calibrated with these {len(jacobian)} control points: "
+            "seen along its slit they coincide or line up so that many cameras fit as well "
+            f"(ratio of singular values {ratio:.1e}, at least {DETERMINED_RATIO:g} is needed); "
+            "add points off their grid",
+            sensor=sensor.name,
+        )
 
 
 def cofactor(jacobian: Array) -> Array:

@@ -10,7 +10,7 @@ from compute.calibration.iterative import iterative_dlt
 from compute.calibration.metric import RefinedSensor, cofactor, refine
 from compute.calibration.result import Calibration, Method, SensorFit
 from compute.camera.dlt import model_from_matrix
-from compute.camera.model import PARAMETER_COUNT, SensorGeometry
+from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter, NoConvergence
 
@@ -27,6 +27,7 @@ def calibrate(
     sensors: Sequence[SensorGeometry],
     sigma_px: Array | None = None,
     method: Method = "metric",
+    near: Sequence[SensorModel] | None = None,
 ) -> Calibration:
     """Calibrate S sensors from N control points.
 
@@ -41,6 +42,7 @@ def calibrate(
         sigma_px: standard deviations of the readings, shape (N, S) [px]. None: one deviation
             for each sensor, estimated from its residuals.
         method: "metric" or "dlt-iterative".
+        near: for "metric", cameras known to be close, from which alone it is searched then.
 
     Raises:
         TooFewPoints, DegeneratePoints, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor,
@@ -60,13 +62,12 @@ def calibrate(
     for column, sensor in enumerate(sensors):
         seen = np.isfinite(readings[:, column])
         sigma = None if deviations is None else deviations[seen, column]
-        solve = refine if method == "metric" else _published
-        refined = solve(
-            points[seen],
-            readings[seen, column],
-            np.ones(int(seen.sum())) if sigma is None else sigma,
-            sensor,
-        )
+        unit = np.ones(int(seen.sum())) if sigma is None else sigma
+        if method == "metric":
+            start = near[column] if near else None
+            refined = refine(points[seen], readings[seen, column], unit, sensor, start)
+        else:
+            refined = _published(points[seen], readings[seen, column], unit, sensor)
         fit, variance = _assess(refined, sigma)
         block = slice(column * PARAMETER_COUNT, (column + 1) * PARAMETER_COUNT)
         covariance[block, block] = refined.cofactor * variance

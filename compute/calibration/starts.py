@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.linear import linear_matrix, normalisation
-from compute.errors import DegeneratePoints
 
 Array = NDArray[np.float64]
 
@@ -48,8 +47,6 @@ def starting_matrices(points_mm: Array, readings_px: Array, weights: Array, sens
     side = linear[1, :3] @ points_mm.T + linear[1, 3]
     if (side > 0).all() or (side < 0).all():
         starts.insert(0, linear if side[0] > 0 else -linear)
-    if not starts:
-        raise DegeneratePoints(f"sensor {sensor}: no camera has all control points in front")
     return np.array(starts)
 
 

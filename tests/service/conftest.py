@@ -2,84 +2,21 @@
 
 import os
 import secrets
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from sqlalchemy import create_engine, text
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import OperationalError
 
-from compute.calibration.result import Calibration
-from hardware.driver import DeviceDescription, Driver
 from service.app import create_app
-from service.live.hub import Hub
-from service.live.manager import DeviceStatus, LiveManager
 from service.settings import Settings
-
-with warnings.catch_warnings():
-    # Starlette asks for httpx2 in place of httpx; both work, and the service itself uses httpx.
-    warnings.simplefilter("ignore")
-    from starlette.testclient import TestClient
+from tests.service.recorded_live import RecordedLive, TestClient
 
 POSTGRES = os.environ.get(
     "LUMILINE_TEST_POSTGRES", "postgresql+psycopg://postgres@127.0.0.1:5432/test"
 )
-
-
-class RecordedLive(LiveManager):
-    """Takes the live pipeline's calls, opens drivers, and runs nothing."""
-
-    def __init__(self) -> None:
-        self.hub = Hub()
-        self.calls: list[tuple[Any, ...]] = []
-        self.states: dict[str, DeviceStatus] = {}
-        self.answers = True
-
-    @property
-    def ready(self) -> bool:
-        return self.answers
-
-    def start_device(
-        self,
-        device_id: str,
-        driver: Driver,
-        calibration_id: str | None = None,
-        calibration: Calibration | None = None,
-    ) -> DeviceDescription:
-        driver.open()
-        try:
-            description = driver.description
-        finally:
-            driver.close()
-        self.calls.append(("start", device_id, calibration_id, calibration))
-        self.states[device_id] = DeviceStatus("running", calibration_id=calibration_id)
-        return description
-
-    def stop_device(self, device_id: str) -> None:
-        self.calls.append(("stop", device_id))
-        if device_id in self.states:
-            self.states[device_id] = DeviceStatus("stopped")
-
-    def forget_device(self, device_id: str) -> None:
-        self.calls.append(("forget", device_id))
-        self.states.pop(device_id, None)
-
-    def set_calibration(
-        self, device_id: str, calibration_id: str | None, calibration: Calibration | None
-    ) -> None:
-        self.calls.append(("calibration", device_id, calibration_id, calibration))
-
-    def status(self, device_id: str) -> DeviceStatus:
-        return self.states.get(device_id, DeviceStatus("stopped"))
-
-    def describe(self, device_id: str) -> DeviceDescription | None:
-        return None
-
-    def close(self) -> None:
-        self.calls.append(("close",))
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)])

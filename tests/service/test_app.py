@@ -4,11 +4,11 @@ import logging
 from typing import Any
 
 import pytest
-from conftest import RecordedLive, TestClient
 
 from compute.errors import InvalidParameter
 from service.app import create_app
 from service.settings import Settings
+from tests.service.recorded_live import RecordedLive, TestClient
 
 
 def test_the_seed_comes_once(sqlite_settings: Settings):

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import RecordedLive, TestClient
 from sqlalchemy import select
 
 from service.app import create_app
@@ -18,6 +17,7 @@ from service.database.models import Base
 from service.problems import PROBLEM_TYPES
 from service.reconstructions.examples import NEW_RECONSTRUCTIONS
 from service.settings import Settings
+from tests.service.recorded_live import RecordedLive, TestClient
 
 TABLE = Path(__file__).parents[2] / "docs" / "bad-input.md"
 BODY_LIMIT_BYTES = 65536

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 import schemathesis
-from conftest import RecordedLive, TestClient
 from schemathesis.config import SchemathesisConfig
 
 from service.app import create_app
 from service.settings import Settings
+from tests.service.recorded_live import RecordedLive, TestClient
 
 SEED = 20031
 EXAMPLES = 15

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from conftest import RecordedLive, TestClient
 
 from service.app import create_app
 from service.settings import Settings
+from tests.service.recorded_live import RecordedLive, TestClient
 
 METHODS = ("post", "get", "patch", "delete")
 # Making comes first, then reading and changing; what deletes or retires comes last.

@@ -5,13 +5,13 @@ import logging
 from typing import Any
 
 import pytest
-from conftest import RecordedLive, TestClient
 from sqlalchemy.exc import OperationalError
 
 from service.app import create_app
 from service.problem_handlers import json_safe, shown
 from service.problems import PROBLEM_TYPES
 from service.settings import Settings
+from tests.service.recorded_live import RecordedLive, TestClient
 
 
 def test_every_problem_type_has_a_page_for_programs_and_for_people(sqlite_client: Any):

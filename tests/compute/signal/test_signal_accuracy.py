@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from signal_lines import GAIN, NOISE, OFFSET, READ, gaussian_counts, measured
 
 from compute.signal.finder import CentroidFinder
 from compute.signal.settings import CentroidSettings
+from tests.compute.signal.signal_lines import GAIN, NOISE, OFFSET, READ, gaussian_counts, measured
 
 LINES, PIXELS = 4000, 128
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from signal_lines import NOISE, assert_same, varied_lines
 
 from compute.signal.finder import CentroidFinder
 from compute.signal.noise import LineNoise
 from compute.signal.reference import find_peaks_reference
 from compute.signal.settings import CentroidSettings
+from tests.compute.signal.signal_lines import NOISE, assert_same, varied_lines
 
 
 @pytest.fixture(scope="module")

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from signal_lines import FULL, NOISE, gaussian_counts, measured
 
 from compute.signal.finder import CentroidFinder
 from compute.signal.peaks import PeakFlag
 from compute.signal.reference import find_peaks_reference
 from compute.signal.settings import CentroidSettings
+from tests.compute.signal.signal_lines import FULL, NOISE, gaussian_counts, measured
 
 
 @pytest.fixture(params=["kernel", "reference"])

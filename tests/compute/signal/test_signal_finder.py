@@ -5,13 +5,19 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from signal_lines import NOISE, assert_same, gaussian_counts, measured, varied_lines
 
 from compute.errors import InvalidParameter
 from compute.signal.finder import CentroidFinder
 from compute.signal.noise import LineNoise
 from compute.signal.reference import find_peaks_reference
 from compute.signal.settings import CentroidSettings
+from tests.compute.signal.signal_lines import (
+    NOISE,
+    assert_same,
+    gaussian_counts,
+    measured,
+    varied_lines,
+)
 
 WEIGHTINGS = ["edge-corrected", "above-threshold", "above-background"]
 

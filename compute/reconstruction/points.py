@@ -15,6 +15,7 @@ from compute.reconstruction.linear import reconstruct_linear
 Array = NDArray[np.float64]
 
 MAX_ITERATIONS = 30
+_DIAGONAL = np.arange(3)
 INCONSISTENT_PROBABILITY = 1e-4
 """Chance that a good point is flagged as inconsistent."""
 DEGENERATE_RATIO = 1e-14
@@ -44,100 +45,92 @@ def reconstruct(
     """
     cameras = models if isinstance(models, CameraStack) else CameraStack.of(models)
     readings = np.asarray(readings_px, dtype=np.float64)
-    corrected = cameras.corrected(readings)
-    used = np.isfinite(corrected)
-    sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), readings.shape)
+    target = cameras.corrected(readings)
     with np.errstate(divide="ignore", invalid="ignore"):
-        weights = 1.0 / (sigma * np.abs(cameras.correction_slope(readings)))
-    weights = np.where(used & np.isfinite(weights), weights, 0.0)
-    target = np.where(used, corrected, 0.0)
+        weights = 1.0 / (sigma_px * np.abs(cameras.correction_slope(readings)))
+    used = np.isfinite(target) & np.isfinite(weights)
+    count = used.sum(axis=1)
+
+    start = reconstruct_linear(cameras, np.where(used, target, np.nan))
+    position, rows, converged = _refine(cameras, target, np.where(used, weights, 0.0), start)
+    gram = rows.transpose(0, 2, 1) @ rows
+    normal, chi2 = gram[:, :3, :3], gram[:, 3, 3]
 
     flags = np.zeros(len(readings), dtype=np.int32)
-    enough = used.sum(axis=1) >= 3
-    flags[~enough] |= PointFlag.TOO_FEW_SENSORS
-    start = reconstruct_linear(cameras, corrected)
-    flags[enough & ~np.isfinite(start[:, 0])] |= PointFlag.DEGENERATE
-
-    position, converged = _refine(cameras, target, weights, start)
-    flags[np.isfinite(start[:, 0]) & ~converged] |= PointFlag.NO_CONVERGENCE
-
-    projected, slope = cameras.linearised(position)
-    jacobian = _masked(slope, used) * weights[..., None]
-    residual = _masked(target - projected, used) * weights
-    normal = np.einsum("nsi,nsj->nij", jacobian, jacobian)
+    flags[count < 3] = PointFlag.TOO_FEW_SENSORS
+    flags[(count >= 3) & ~np.isfinite(start[:, 0])] = PointFlag.DEGENERATE
+    flags[np.isfinite(start[:, 0]) & ~converged] = PointFlag.NO_CONVERGENCE
     normal[flags != 0] = np.eye(3)
     spectrum = np.linalg.eigvalsh(normal)
-    flat = (flags == 0) & (spectrum[:, 0] <= DEGENERATE_RATIO * spectrum[:, 2])
-    flags[flat] |= PointFlag.DEGENERATE
-    normal[flat] = np.eye(3)
-
-    covariance = np.linalg.inv(normal)
+    flags[spectrum[:, 0] <= DEGENERATE_RATIO * spectrum[:, 2]] = PointFlag.DEGENERATE
+    missing = flags != 0
+    normal[missing] = np.eye(3)
+    covariance: Array = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     if parameter_covariance is not None:
+        weighted = rows[..., :3] * np.where(used, weights, 0.0)[..., None]
         covariance = covariance + _calibration_share(
-            cameras, position, jacobian * weights[..., None], covariance, parameter_covariance
+            cameras, position, weighted, covariance, parameter_covariance
         )
-    chi2 = (residual**2).sum(axis=1)
-    freedom = used.sum(axis=1) - 3
+
     limits = np.array(
-        [chi2_limit(count, INCONSISTENT_PROBABILITY) for count in range(readings.shape[1] + 1)]
+        [chi2_limit(sensors - 3, INCONSISTENT_PROBABILITY) for sensors in range(len(cameras) + 1)]
     )
-    with np.errstate(invalid="ignore"):
-        missing = flags != 0
-        flags[~missing & (freedom == 0)] |= PointFlag.NO_REDUNDANCY
-        loose = ~missing & (freedom > 0) & (chi2 > limits[np.maximum(freedom, 0)])
-    flags[loose] |= PointFlag.INCONSISTENT
-    position = np.where(missing[:, None], np.nan, position)
-    covariance = np.where(missing[:, None, None], np.nan, covariance)
-    return PointBatch(position, covariance, np.where(missing, np.nan, chi2), used, flags)
+    flags[~missing & (count == 3)] |= PointFlag.NO_REDUNDANCY
+    flags[~missing & (chi2 > limits[count])] |= PointFlag.INCONSISTENT
+    position[missing], covariance[missing], chi2[missing] = np.nan, np.nan, np.nan
+    return PointBatch(position, covariance, chi2, used, flags)
 
 
 def _refine(
     cameras: CameraStack, target: Array, weights: Array, start: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Levenberg-Marquardt for all points; returns positions (N, 3) and which converged (N,)."""
-    seen = weights > 0.0
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Levenberg-Marquardt for all points.
+
+    Returns:
+        Positions (N, 3), the weighted equations there (N, S, 4) and which converged (N,).
+    """
     position = start.copy()
+    rows = _equations(cameras, position, target, weights)
+    gram = rows.transpose(0, 2, 1) @ rows
     damping = np.full(len(start), 1e-6)
     converged = np.zeros(len(start), dtype=np.bool_)
-    projected, slope = cameras.linearised(position)
-    residual = _masked(target - projected, seen) * weights
     # A start behind a lens has no residual; the point stays unconverged and is flagged.
-    cost = (residual**2).sum(axis=1)
-    active = np.isfinite(cost)
+    index = np.flatnonzero(np.isfinite(gram[:, 3, 3]))
     for _ in range(MAX_ITERATIONS):
-        index = np.flatnonzero(active)
         if len(index) == 0:
             break
-        jacobian = _masked(slope[index], seen[index]) * weights[index, :, None]
-        gradient = np.einsum("nsi,ns->ni", jacobian, residual[index])
-        normal = np.einsum("nsi,nsj->nij", jacobian, jacobian)
-        diagonal = np.einsum("nii->ni", normal)
+        here = gram[index]
+        normal = here[:, :3, :3]
+        diagonal = normal[:, _DIAGONAL, _DIAGONAL]
         floor = 1e-300 + 1e-15 * diagonal.max(axis=1, keepdims=True)
-        normal += np.eye(3) * (damping[index, None] * diagonal + floor)[:, None, :]
-        step = np.linalg.solve(normal, gradient[..., None])[..., 0]
+        normal[:, _DIAGONAL, _DIAGONAL] += damping[index, None] * diagonal + floor
+        step = np.linalg.solve(normal, here[:, :3, 3:])[..., 0]
         trial = position[index] + step
-        trial_projected, trial_slope = cameras.linearised(trial)
-        trial_residual = _masked(target[index] - trial_projected, seen[index]) * weights[index]
-        trial_cost = (trial_residual**2).sum(axis=1)
-        better = trial_cost <= cost[index]
-        # The next step would be shorter by the curvature over this one's length: below a
-        # nanometre, far under any rounding of the result, it is not worth taking.
-        length = np.linalg.norm(step, axis=1)
-        small = length <= 1e-6
+        trial_rows = _equations(cameras, trial, target[index], weights[index])
+        trial_gram = trial_rows.transpose(0, 2, 1) @ trial_rows
+        better = trial_gram[:, 3, 3] <= here[:, 3, 3]
         accepted = index[better]
         position[accepted] = trial[better]
-        residual[accepted] = trial_residual[better]
-        slope[accepted] = trial_slope[better]
-        cost[accepted] = trial_cost[better]
+        rows[accepted] = trial_rows[better]
+        gram[accepted] = trial_gram[better]
         damping[index] *= np.where(better, 0.1, 10.0)
+        # The next step would be shorter by the curvature over this one's length: below a
+        # nanometre, far under any rounding of the result, it is not worth taking.
+        small = np.abs(step).max(axis=1) <= 1e-6
         converged[index] = small
-        active[index[small | (damping[index] > 1e12)]] = False
-    return position, converged
+        index = index[~small & (damping[index] < 1e12)]
+    return position, rows, converged
 
 
-def _masked(values: Array, seen: NDArray[np.bool_]) -> Array:
-    """Zero the entries of sensors that did not see the point (they may be NaN)."""
-    return np.where(seen if values.ndim == 2 else seen[..., None], values, 0.0)
+def _equations(cameras: CameraStack, position: Array, target: Array, weights: Array) -> Array:
+    """Return weighted slopes and residuals side by side, shape (N, S, 4); 0 where not used."""
+    projected, slope = cameras.linearised(position)
+    rows = np.empty((*projected.shape, 4))
+    rows[..., :3] = slope
+    rows[..., 3] = target - projected
+    rows *= weights[..., None]
+    rows[weights == 0.0] = 0.0
+    return rows
 
 
 def _calibration_share(
@@ -147,9 +140,9 @@ def _calibration_share(
 
     dX = -N^-1 J' W (d reading / d parameters) d parameters.
     """
-    gain = np.einsum("nij,nsj->nis", inverse, weighted)
+    gain = inverse @ weighted.transpose(0, 2, 1)
     slopes = np.nan_to_num(cameras.parameter_jacobian(position))
-    spread = np.einsum("nis,nsp->nisp", gain, slopes).reshape(len(position), 3, -1)
+    spread = (gain[..., None] * slopes[:, None]).reshape(len(position), 3, -1)
     share: Array = spread @ covariance @ spread.transpose(0, 2, 1)
     return share
 

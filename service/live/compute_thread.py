@@ -1,7 +1,6 @@
 """The one thread that owns Warp: processes the frames of all devices, batch by batch."""
 
 import logging
-import sys
 from collections.abc import Callable
 from concurrent.futures import Future
 from queue import SimpleQueue
@@ -11,11 +10,6 @@ from typing import TypeVar
 _log = logging.getLogger(__name__)
 
 T = TypeVar("T")
-
-SWITCH_INTERVAL_S = 0.001
-"""How long a thread may hold the interpreter while another waits. The default of 5 ms is five
-frames at 1 kHz."""
-
 
 class ComputeThread:
     """Calls every registered worker whenever frames wait, and jobs that need this thread.
@@ -33,7 +27,6 @@ class ComputeThread:
 
     def start(self) -> None:
         """Start the thread."""
-        sys.setswitchinterval(SWITCH_INTERVAL_S)
         self._thread.start()
 
     @property

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from compute.camera.model import SensorModel
 from compute.errors import InvalidParameter, InvalidRecording
 from hardware.driver import DeviceDescription
 from hardware.frame import LineFrame
+from hardware.recording import RecordingWriter
+from hardware.replay import ReplayDriver
 from hardware.simulated.bar import sensor_bar
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import RotatingBar, StillPoints
@@ -128,6 +131,32 @@ def test_the_same_frames_give_the_same_messages(live: LiveManager) -> None:
     for message in (*first, *second):
         del message["exposure_ns"]
     assert first == second
+
+
+def test_a_replay_gives_the_same_bits(live: LiveManager, tmp_path: Path) -> None:
+    settings = simulation(duration_s=0.1)
+    path = tmp_path / "bar.h5"
+    driver = SimulatedDriver("sim", settings)
+    driver.open()
+    with RecordingWriter(path, driver.description) as writer:
+        for frame in driver.frames():
+            writer.append(frame)
+    direct = run_to_the_end(live, settings, nominal())
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    hub.batches.clear()
+    hub.messages.clear()
+    live.start_device("sim", ReplayDriver("sim", path, speed=None), "c1", nominal())
+    wait_for(lambda: any(message["state"] == "ended" for message in hub.messages))
+    replayed = [
+        message
+        for batch in hub.batches
+        for message in frame_messages(batch, frozenset({"points", "peaks"}))
+    ]
+    assert len(replayed) == 100
+    for message in (*direct, *replayed):
+        del message["exposure_ns"]
+    assert replayed == direct
 
 
 def test_markers_lit_together_are_told_apart_by_the_fourth_sensor(live: LiveManager) -> None:

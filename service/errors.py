@@ -87,6 +87,12 @@ class CalibrationOfAnotherDevice(LumilineError):
     code = "calibration-of-another-device"
 
 
+class UpgradeRequired(LumilineError):
+    """The path is a websocket; plain HTTP requests have nothing there."""
+
+    code = "upgrade-required"
+
+
 class NotReady(LumilineError):
     """A part that requests need (database, live pipeline) does not answer."""
 

@@ -8,6 +8,7 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from starlette.datastructures import QueryParams
 
 from compute.errors import InvalidParameter, LumilineError
+from service.errors import UpgradeRequired
 from service.live.hub import Subscription
 from service.live.manager import LiveManager
 from service.live.messages import CONTENTS, ENCODINGS, Content, Encoding, encode
@@ -47,6 +48,15 @@ async def stream(websocket: WebSocket) -> None:
         pass
     finally:
         live.hub.unsubscribe(subscription)
+
+
+@router.get("/api/v1/stream", include_in_schema=False)
+def stream_by_http() -> None:
+    """Tell a plain HTTP client what is here."""
+    raise UpgradeRequired(
+        "this is a websocket: open it as ws://HOST:PORT/api/v1/stream?device=ID, "
+        "not as http:// (docs/stream.md describes its messages)"
+    )
 
 
 def _request(query: QueryParams) -> tuple[str, frozenset[Content], Encoding]:

@@ -20,12 +20,13 @@ def reading_sigma(
     Args:
         calibration: the calibration in use.
         readings_px: shape (N, S); only the shape is used.
-        sigma_px: the readings' own deviations, shape (N, S); None: the calibration's.
+        sigma_px: the readings' own deviations, shape (N, S); where NaN, and for None, the
+            calibration's are taken.
     """
     own = np.array([fit.sigma_px for fit in calibration.sensors])
     rms = np.array([fit.rms_px for fit in calibration.sensors])
     given = np.array([fit.sigma_source == "given" for fit in calibration.sensors])
     misfit = np.where(given, np.sqrt(np.maximum(rms**2 - own**2, 0.0)), 0.0)
-    if sigma_px is None:
-        return np.broadcast_to(np.hypot(own, misfit), readings_px.shape)
-    return np.where(given, np.hypot(sigma_px, misfit), np.maximum(sigma_px, own))
+    sigma = np.broadcast_to(own if sigma_px is None else sigma_px, readings_px.shape)
+    sigma = np.where(np.isnan(sigma), own, sigma)
+    return np.where(given, np.hypot(sigma, misfit), np.maximum(sigma, own))

@@ -11,6 +11,7 @@ _log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
+
 class ComputeThread:
     """Calls every registered worker whenever frames wait, and jobs that need this thread.
 

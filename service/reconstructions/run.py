@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from compute.calibration.result import Calibration
+from compute.calibration.weights import reading_sigma
 from compute.reconstruction.points import reconstruct
 from hardware.driver import SensorDescription
 from service.calibrations.observations import observations
@@ -24,8 +25,7 @@ def run_reconstruction(
         DuplicatePoint, UnknownSensor, ReadingOutsideSensor: what is wrong with the readings.
     """
     observed = observations(points, sensors)
-    assumed = np.array([fit.sigma_px for fit in calibration.sensors])
-    sigma = np.where(np.isfinite(observed.sigma_px), observed.sigma_px, assumed)
+    sigma = reading_sigma(calibration, observed.readings_px, observed.sigma_px)
     batch = reconstruct(
         calibration.models, observed.readings_px, sigma, np.array(calibration.covariance)
     )

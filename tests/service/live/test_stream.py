@@ -229,3 +229,10 @@ def test_the_stream_ends_when_the_client_closes(server: str) -> None:
         websocket.close()
         with pytest.raises(ConnectionClosed):
             deque(iter(lambda: websocket.recv(timeout=5.0), None), maxlen=0)
+
+
+def test_a_plain_http_request_is_told_to_open_a_websocket(server: str) -> None:
+    answer = httpx.get(f"{server}/api/v1/stream?device=sim")
+    assert answer.status_code == 426
+    assert answer.json()["type"] == "/problems/upgrade-required"
+    assert "ws://" in answer.json()["detail"]

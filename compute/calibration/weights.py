@@ -29,4 +29,5 @@ def reading_sigma(
     misfit = np.where(given, np.sqrt(np.maximum(rms**2 - own**2, 0.0)), 0.0)
     sigma = np.broadcast_to(own if sigma_px is None else sigma_px, readings_px.shape)
     sigma = np.where(np.isnan(sigma), own, sigma)
-    return np.where(given, np.hypot(sigma, misfit), np.maximum(sigma, own))
+    trusted: Array = np.where(given, np.hypot(sigma, misfit), np.maximum(sigma, own))
+    return trusted

@@ -19,7 +19,8 @@ def run_reconstruction(
 ) -> list[NamedEstimate]:
     """Return the estimates, the calibration's covariance included.
 
-    Readings without a standard deviation get the calibration's for their sensor.
+    Readings without a standard deviation get the calibration's for their sensor; none is trusted
+    further than the calibration reproduced its control points.
 
     Raises:
         DuplicatePoint, UnknownSensor, ReadingOutsideSensor: what is wrong with the readings.

@@ -1,15 +1,37 @@
 """Building blocks of the edge's models: strict base model, ids, texts, times, pages."""
 
+import json
+import re
 from datetime import datetime
 from typing import Annotated, Any, Generic, TypeVar
 
 from fastapi import Path, Query
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
+from compute.errors import InvalidParameter
+
 SLUG_PATTERN = r"^[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?$"
 
 Slug = Annotated[str, StringConstraints(pattern=SLUG_PATTERN)]
 """An id: lower case letters, digits and hyphens, at most 63 characters."""
+
+
+def checked_slug(text: str) -> str:
+    """Return an id that came another way than through a model or a path.
+
+    Raises:
+        InvalidParameter: it does not have the form of an id.
+    """
+    # fullmatch: "$" alone would let a line's end through.
+    if re.fullmatch(SLUG_PATTERN, text) is None:
+        cut = text if len(text) <= 100 else text[:97] + "..."
+        raise InvalidParameter(
+            f"{json.dumps(cut)} is not an id; an id has 1 to 63 lower case letters, digits and "
+            "hyphens, with no hyphen at either end",
+            id=cut,
+        )
+    return text
+
 
 # A NUL cannot be stored in PostgreSQL's text.
 Text200 = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\u0000]*$")]

@@ -9,11 +9,12 @@ from starlette.datastructures import QueryParams
 
 from compute.errors import InvalidParameter, LumilineError
 from service.errors import UpgradeRequired
-from service.live.hub import Subscription
+from service.live.hub import StreamEnded, Subscription
 from service.live.manager import LiveManager
-from service.live.messages import CONTENTS, ENCODINGS, Content, Encoding, encode
+from service.live.messages import CONTENTS, ENCODINGS, Content, Encoding, describe_message, encode
 from service.problem_handlers import problem_response
 from service.problems import problem_type_of
+from service.schema import checked_slug
 
 router = APIRouter()
 
@@ -46,6 +47,8 @@ async def stream(websocket: WebSocket) -> None:
             tasks.create_task(_until_closed(websocket))
     except* WebSocketDisconnect:
         pass
+    except* StreamEnded:
+        await websocket.close(1001, "the device was deleted")
     finally:
         live.hub.unsubscribe(subscription)
 
@@ -80,21 +83,20 @@ def _request(query: QueryParams) -> tuple[str, frozenset[Content], Encoding]:
     encoding = next((known for known in ENCODINGS if known == wanted), None)
     if encoding is None:
         raise InvalidParameter(f'encoding is "{wanted}"; it must be {" or ".join(ENCODINGS)}')
-    return query["device"], frozenset(chosen), encoding
+    return checked_slug(query["device"]), frozenset(chosen), encoding
 
 
 def _greeting(live: LiveManager, subscription: Subscription) -> dict[str, Any]:
     """Return the first message: what will come, and how things stand."""
     description = live.describe(subscription.device_id)
     status = live.status(subscription.device_id)
+    unknown: dict[str, Any] = {"sensors": [], "frame_rate_hz": None, "markers": None}
     return {
         "type": "hello",
         "version": 1,
         "device": subscription.device_id,
         "content": sorted(subscription.content),
-        "sensors": [sensor.name for sensor in description.sensors] if description else [],
-        "frame_rate_hz": description.frame_rate_hz if description else None,
-        "markers": description.markers if description else None,
+        **(describe_message(description) if description else unknown),
         "state": status.state,
         "reason": status.reason,
         "calibration": status.calibration_id,

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable
 from concurrent.futures import Future
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from typing import TypeVar
 
@@ -40,17 +40,21 @@ class ComputeThread:
         self._wake.set()
 
     def submit(self, job: Callable[[], T]) -> "Future[T]":
-        """Run a job in the thread, between two batches."""
+        """Run a job in the thread, between two batches; it fails once the thread is closed."""
         future: Future[T] = Future()
 
         def run() -> None:
             try:
+                if self._closing:
+                    raise RuntimeError("the live pipeline is closed")
                 future.set_result(job())
             except BaseException as error:  # noqa: BLE001 - the waiter gets it
                 future.set_exception(error)
 
         self._jobs.put(run)
         self._wake.set()
+        if self._closing and not self._thread.is_alive():
+            self._run_jobs()
         return future
 
     def add(self, name: str, worker: Callable[[], bool]) -> None:
@@ -74,9 +78,8 @@ class ComputeThread:
             self._wake.clear()
             busy = True
             while busy and not self._closing:
-                while not self._jobs.empty():
-                    self._jobs.get()()
                 busy = False
+                self._run_jobs()
                 for name, worker in list(self._workers.items()):
                     try:
                         busy = worker() or busy
@@ -84,3 +87,14 @@ class ComputeThread:
                         # A worker reports its own failure; this is the last line of defence.
                         _log.exception("worker %s failed and is removed", name)
                         self.remove(name)
+                    # A start or stop waits for one device's batch, not for a round of all.
+                    self._run_jobs()
+        self._run_jobs()
+
+    def _run_jobs(self) -> None:
+        while True:
+            try:
+                job = self._jobs.get_nowait()
+            except Empty:
+                return
+            job()

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from threading import Lock
 from typing import Any
 
@@ -15,6 +15,10 @@ from service.live.messages import (
     frame_messages,
     missed_message,
 )
+
+
+class StreamEnded(Exception):
+    """There will be no more messages."""
 
 
 class Subscription:
@@ -36,6 +40,7 @@ class Subscription:
         self._capacity = capacity
         self._queue: deque[Payload] = deque()
         self._ready = asyncio.Event()
+        self._ended = False
 
     def offer(self, payloads: Iterable[Payload]) -> None:
         """Add messages; runs in the loop."""
@@ -46,9 +51,20 @@ class Subscription:
             self._queue.append(payload)
         self._ready.set()
 
+    def end(self) -> None:
+        """Let ``next`` raise StreamEnded after what waits; runs in the loop."""
+        self._ended = True
+        self._ready.set()
+
     async def next(self) -> Payload:
-        """Return the next message, or how many were missed since the last."""
+        """Return the next message, or how many were missed since the last.
+
+        Raises:
+            StreamEnded: the device was deleted and all its messages were taken.
+        """
         while not self._queue:
+            if self._ended:
+                raise StreamEnded
             self._ready.clear()
             await self._ready.wait()
         if self.missed:
@@ -102,10 +118,22 @@ class Hub:
         for client in clients:
             _deliver(client, [encode(message, client.encoding)])
 
+    def end(self, device_id: str, message: dict[str, Any]) -> None:
+        """Send all clients of a device a last message and end their streams."""
+        self.publish(device_id, message)
+        with self._lock:
+            clients = list(self._subscriptions.get(device_id, ()))
+        for client in clients:
+            _call(client, client.end)
+
 
 def _deliver(client: Subscription, payloads: list[Payload]) -> None:
+    _call(client, client.offer, payloads)
+
+
+def _call(client: Subscription, action: Callable[..., None], *arguments: object) -> None:
     try:
-        client.loop.call_soon_threadsafe(client.offer, payloads)
+        client.loop.call_soon_threadsafe(action, *arguments)
     except RuntimeError:
         # The loop is closed: the service is ending and the client is gone.
         return

@@ -6,6 +6,7 @@ from typing import Any, Final, Literal, get_args
 
 import msgpack
 
+from hardware.driver import DeviceDescription
 from hardware.frame import FrameFlag
 from service.live.batch import FrameBatch
 
@@ -62,6 +63,15 @@ def frame_messages(batch: FrameBatch, content: frozenset[Content]) -> Iterator[d
 def status_message(device_id: str, state: str, reason: str | None) -> dict[str, Any]:
     """Return the message that tells of a change of the device's state."""
     return {"type": "status", "device": device_id, "state": state, "reason": reason}
+
+
+def describe_message(description: DeviceDescription) -> dict[str, Any]:
+    """Return what a client needs to know of a running device, for hello and status messages."""
+    return {
+        "sensors": [sensor.name for sensor in description.sensors],
+        "frame_rate_hz": description.frame_rate_hz,
+        "markers": description.markers,
+    }
 
 
 def missed_message(device_id: str, messages: int) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from service.live.batch import FrameBatch
 Array = NDArray[np.float64]
 
 MAX_FRAMES = 64
-"""Frames that are processed together when they have piled up."""
+"""Frames that are processed together, at most, when they have piled up."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,10 +36,14 @@ class Reader:
         """Start to read; the driver is open."""
         self._thread.start()
 
-    def stop(self) -> None:
-        """Close the driver and wait for the thread."""
+    def close_driver(self) -> None:
+        """End the frames without waiting for the thread."""
         self._stopping = True
         self._driver.close()
+
+    def stop(self) -> None:
+        """Close the driver and wait for the thread."""
+        self.close_driver()
         self._thread.join(JOIN_TIMEOUT_S)
         if self._thread.is_alive():
             _log.error("device %s: its reader did not end %g s after closing the driver",

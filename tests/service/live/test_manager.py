@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,9 @@ from hardware.simulated.scenes import RotatingBar, StillPoints
 from hardware.simulated.settings import SimulationSettings
 from service.live.batch import FrameBatch
 from service.live.hub import Hub
-from service.live.manager import DeviceStatus, LiveManager
+from service.live.manager import BATCH_SECONDS, DeviceStatus, LiveManager
 from service.live.messages import frame_messages
+from service.live.processor import DeviceProcessor
 
 
 class RecordingHub(Hub):
@@ -257,7 +258,9 @@ def test_a_driver_that_cannot_be_opened_starts_nothing(live: LiveManager) -> Non
 
     with pytest.raises(InvalidRecording):
         live.start_device("sim", Closed("sim", simulation()))
-    assert live.status("sim").state == "stopped"
+    assert live.status("sim") == DeviceStatus("failed", "no such recording")
+    live.start_device("sim", SimulatedDriver("sim", simulation()))
+    assert live.status("sim").state != "failed"
 
 
 def test_a_description_that_the_kernel_cannot_take_closes_the_driver(live: LiveManager) -> None:
@@ -302,4 +305,81 @@ def test_a_calibration_of_other_sensors_is_refused(live: LiveManager) -> None:
     other = replace(known, sensors=(first, *known.sensors[1:]))
     with pytest.raises(InvalidParameter, match="another"):
         live.start_device("sim", SimulatedDriver("sim", simulation()), "c1", other)
-    assert live.status("sim").state == "stopped"
+    assert live.status("sim").state == "failed"
+
+    # A running one goes on with what it has: its source was changed, and works from the next start.
+    live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), "c1", known)
+    live.set_calibration("sim", "c2", other)
+    assert live.status("sim").calibration_id == "c1"
+    live.set_calibration("sim", "c3", known)
+    assert live.status("sim").calibration_id == "c3"
+    live.stop_device("sim")
+    live.set_calibration("sim", "c4", known)
+    assert live.status("sim").calibration_id == "c3"
+
+
+def test_a_failure_of_the_processing_ends_the_device(
+    live: LiveManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    process = DeviceProcessor.process
+
+    def fail_after_20(self: DeviceProcessor, frames: Sequence[LineFrame]) -> FrameBatch:
+        if frames[-1].sequence > 20:
+            raise ArithmeticError("singular")
+        return process(self, frames)
+
+    monkeypatch.setattr(DeviceProcessor, "process", fail_after_20)
+    driver = SimulatedDriver("sim", SimulationSettings())
+    live.start_device("sim", driver, "c1", nominal())
+    wait_for(lambda: any(message["state"] == "failed" for message in hub.messages))
+    status = live.status("sim")
+    assert status.state == "failed"
+    assert status.reason is not None
+    assert "singular" in status.reason
+    wait_for(lambda: "reader-sim" not in [thread.name for thread in threading.enumerate()])
+    live.start_device("sim", SimulatedDriver("sim", simulation()), "c1", nominal())
+    assert live.status("sim").state != "failed"
+
+
+def test_a_device_with_slow_frames_takes_few_at_a_time(
+    live: LiveManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Other devices wait for one batch: 64 slow frames would be seconds."""
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    process = DeviceProcessor.process
+
+    def slow(self: DeviceProcessor, frames: Sequence[LineFrame]) -> FrameBatch:
+        time.sleep(2.0 * BATCH_SECONDS * len(frames))
+        return process(self, frames)
+
+    monkeypatch.setattr(DeviceProcessor, "process", slow)
+    live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), "c1", nominal())
+    wait_for(lambda: len(hub.batches) > 5)
+    assert {len(batch.frames) for batch in hub.batches[1:]} == {1}
+
+
+def test_status_never_waits(live: LiveManager) -> None:
+    """The event loop asks for it; a start or stop may hold the manager for seconds."""
+    live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), "c1", nominal())
+    answers: list[DeviceStatus] = []
+    with live._lock:
+        asking = threading.Thread(
+            target=lambda: (live.describe("sim"), answers.append(live.status("sim")))
+        )
+        asking.start()
+        asking.join(10.0)
+        assert len(answers) == 1
+
+
+def test_a_closed_manager_starts_nothing_and_does_not_hang() -> None:
+    manager = LiveManager("cpu")
+    manager.start_device("sim", SimulatedDriver("sim", SimulationSettings()))
+    manager.close()
+    assert not manager.ready
+    with pytest.raises(RuntimeError, match="closed"):
+        manager.start_device("other", SimulatedDriver("sim", SimulationSettings()))
+    names = [thread.name for thread in threading.enumerate()]
+    assert "reader-sim" not in names

@@ -236,3 +236,28 @@ def test_a_plain_http_request_is_told_to_open_a_websocket(server: str) -> None:
     assert answer.status_code == 426
     assert answer.json()["type"] == "/problems/upgrade-required"
     assert "ws://" in answer.json()["detail"]
+
+
+def test_a_deleted_device_ends_its_streams(server: str) -> None:
+    source = {"kind": "simulated", "settings": {"frame_rate_hz": 100}}
+    body = {"id": "brief", "title": "Brief", "source": source}
+    httpx.post(f"{server}/api/v1/devices", json=body).raise_for_status()
+    with streaming(server, "device=brief") as websocket:
+        hello = receive(websocket)
+        assert (hello["state"], hello["sensors"]) == ("stopped", [])
+        httpx.post(f"{server}/api/v1/devices/brief/start", timeout=60.0).raise_for_status()
+        running = receive(websocket)
+        assert (running["state"], len(running["sensors"])) == ("running", 4)
+        httpx.delete(f"{server}/api/v1/devices/brief").raise_for_status()
+        states = []
+        with pytest.raises(ConnectionClosed) as closed:
+            deque((states.append(m) for m in iter(lambda: receive(websocket), None)), maxlen=0)
+    assert closed.value.rcvd is not None
+    assert closed.value.rcvd.code == 1001
+    assert states[-1] == {"type": "status", "device": "brief", "state": "deleted", "reason": None}
+
+
+def test_an_id_that_cannot_be_one_is_refused(server: str) -> None:
+    with pytest.raises(InvalidStatus) as caught, connect(stream_url(server, "device=a%00b")):
+        pass
+    assert caught.value.response.status_code == 422

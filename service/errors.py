@@ -57,6 +57,18 @@ class DeviceInUse(LumilineError):
     code = "device-in-use"
 
 
+class DeviceRunning(LumilineError):
+    """The sensors of a running device do not change; stop it first."""
+
+    code = "device-running"
+
+
+class SensorsChanged(LumilineError):
+    """The calibration is of other sensors than the device has now; calibrate the device again."""
+
+    code = "sensors-changed"
+
+
 class DeviceWithoutDriver(LumilineError):
     """An external device has no driver that could be started: its readings are posted."""
 

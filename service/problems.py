@@ -22,6 +22,8 @@ _STATUS: Final[dict[str, int]] = {
     own.CalibrationExists.code: 409,
     own.ReconstructionExists.code: 409,
     own.DeviceInUse.code: 409,
+    own.DeviceRunning.code: 409,
+    own.SensorsChanged.code: 409,
     own.DeviceWithoutDriver.code: 409,
     own.CalibrationActive.code: 409,
     own.CalibrationRetired.code: 409,

@@ -23,12 +23,14 @@ from service.calibrations.schema import (
     NewCalibration,
     State,
 )
+from service.calibrations.sensors import check_sensors
 from service.dependencies import DatabaseDep, OperationDep
 from service.devices.store import get_device, sensors_of_row
 from service.errors import (
     CalibrationActive,
     CalibrationExists,
     CalibrationRetired,
+    SensorsChanged,
     UnknownCalibration,
     UnknownDevice,
 )
@@ -72,6 +74,7 @@ def list_calibrations(
     responses=problems(
         UnknownDevice,
         CalibrationExists,
+        SensorsChanged,
         TooFewPoints,
         DegeneratePoints,
         DuplicatePoint,
@@ -94,7 +97,9 @@ def create_calibration(
         store.check_unused(session, request.id)
     outcome = run_calibration(request, sensors)
     with database.write() as session:
-        get_device(session, request.device, lock=True)
+        # The run held no lock: the device may have been given other sensors meanwhile.
+        device = get_device(session, request.device, lock=True)
+        check_sensors(device.id, sensors_of_row(device), sensors)
         row = store.add_calibration(session, request.device, outcome, request.note, request.id)
         made = store.document(session, row)
     response.headers["Location"] = f"/api/v1/calibrations/{made.id}"
@@ -117,12 +122,12 @@ def get_calibration(calibration_id: CalibrationPath, database: DatabaseDep) -> C
     "/{calibration_id}/activate",
     operation_id="activate-calibration",
     summary="Activate a calibration",
-    responses=problems(UnknownCalibration, CalibrationRetired),
+    responses=problems(UnknownCalibration, CalibrationRetired, SensorsChanged),
 )
 def activate_calibration(
     calibration_id: CalibrationPath, operation: OperationDep
 ) -> CalibrationSummary:
-    """Make this the active calibration of its device, live from the next frame on.
+    """Make this the active calibration of its device, in a running one from the next frame on.
 
     The move is written into the device's history of activations. To roll back, activate the
     previous one again.

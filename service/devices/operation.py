@@ -12,6 +12,7 @@ from compute.errors import LumilineError
 from service.calibrations import store as calibrations
 from service.calibrations.run import result_of
 from service.calibrations.schema import CalibrationSummary
+from service.calibrations.sensors import check_sensors
 from service.database.engine import Database
 from service.database.models import DeviceRow
 from service.devices import store
@@ -54,15 +55,19 @@ class Operation:
         """Change a device; a new source works from the device's next start.
 
         Raises:
-            UnknownDevice, DeviceInUse, or what the driver raises when it is opened.
+            UnknownDevice, DeviceInUse, DeviceRunning, or what the driver raises when it is opened.
         """
         with self._database.read() as session:
             store.get_device(session, device_id)
         sensors = None
         if "source" in change.model_fields_set:
             sensors = sensors_of(device_id, change.source, self._recordings_dir)
-        with self._exclusive(device_id), self._database.write() as session:
-            return store.document(session, store.change_device(session, device_id, change, sensors))
+        with self._exclusive(device_id):
+            # Before the transaction: the live side may be busy starting another device.
+            running = self._live.status(device_id).state == "running"
+            with self._database.write() as session:
+                row = store.change_device(session, device_id, change, sensors, running=running)
+                return store.document(session, row)
 
     def delete(self, device_id: str, *, cascade: bool) -> None:
         """Delete a device and stop it; raises UnknownDevice, DeviceInUse."""
@@ -106,8 +111,11 @@ class Operation:
     def activate(self, calibration_id: str) -> CalibrationSummary:
         """Make a calibration its device's active one, in the database and then live.
 
+        What is refused is refused before the database's commit. After it nothing is: where the
+        running device cannot take the calibration it keeps its own, until its next start.
+
         Raises:
-            UnknownCalibration, CalibrationRetired.
+            UnknownCalibration, CalibrationRetired, SensorsChanged.
         """
         with self._database.read() as session:
             device_id = calibrations.get_calibration(session, calibration_id).device_id
@@ -116,7 +124,12 @@ class Operation:
                 row = calibrations.activate(session, calibration_id)
                 summary = calibrations.summary(session, row)
                 result = result_of(row.content)
-            self._live.set_calibration(device_id, calibration_id, result)
+                device = store.get_device(session, device_id)
+                check_sensors(device_id, store.sensors_of_row(device), result.models)
+            try:
+                self._live.set_calibration(device_id, calibration_id, result)
+            except Exception:  # noqa: BLE001 - committed: an error would say that it was not
+                _log.exception("device %s does not use %s yet", device_id, calibration_id)
         return summary
 
     def autostart(self) -> None:

@@ -14,6 +14,7 @@ from service.devices.schema import Activation, Device, DeviceChange, NewDevice, 
 from service.errors import (
     DeviceExists,
     DeviceInUse,
+    DeviceRunning,
     DeviceWithoutDriver,
     UnknownDevice,
     UnknownRecording,
@@ -68,12 +69,17 @@ def get_device(device_id: DevicePath, database: DatabaseDep) -> Device:
     operation_id="change-device",
     summary="Change a device",
     responses=problems(
-        UnknownDevice, UnknownRecording, DeviceInUse, InvalidParameter, InvalidRecording
+        UnknownDevice,
+        UnknownRecording,
+        DeviceInUse,
+        DeviceRunning,
+        InvalidParameter,
+        InvalidRecording,
     ),
 )
 def change_device(device_id: DevicePath, request: ChangeBody, operation: OperationDep) -> Device:
     """Change what is given. A new source works from the next start of the device; sensors that
-    calibrations refer to cannot change.
+    calibrations refer to cannot change, nor can those of a running device.
     """
     return operation.change(device_id, request)
 

@@ -7,6 +7,7 @@ from pydantic import TypeAdapter
 from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
+from service.calibrations.sensors import same_sensors
 from service.calibrations.store import active_id
 from service.database.engine import insert
 from service.database.models import (
@@ -17,7 +18,7 @@ from service.database.models import (
     ReconstructionRow,
 )
 from service.devices.schema import Device, DeviceChange, NewDevice, Sensor, Source
-from service.errors import DeviceExists, DeviceInUse, UnknownDevice
+from service.errors import DeviceExists, DeviceInUse, DeviceRunning, UnknownDevice
 
 _SOURCE: TypeAdapter[Source] = TypeAdapter(Source)
 _SENSORS = TypeAdapter(list[Sensor])
@@ -65,13 +66,26 @@ def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> D
 
 
 def change_device(
-    session: Session, device_id: str, change: DeviceChange, sensors: list[Sensor] | None
+    session: Session,
+    device_id: str,
+    change: DeviceChange,
+    sensors: list[Sensor] | None,
+    *,
+    running: bool,
 ) -> DeviceRow:
-    """Change what the request gives; ``sensors`` are those of a new source.
+    """Change what the request gives.
+
+    Args:
+        session: the session.
+        device_id: the device.
+        change: the request.
+        sensors: those of a new source; None without one.
+        running: whether the device runs, with the sensors that it has now.
 
     Raises:
         UnknownDevice.
         DeviceInUse: the new source has other sensors, and calibrations of the old ones exist.
+        DeviceRunning: the new source has other sensors, and the device runs with the old ones.
     """
     row = get_device(session, device_id, lock=True)
     given = change.model_fields_set
@@ -83,6 +97,12 @@ def change_device(
         described = _SENSORS.dump_python(sensors, mode="json")
         if described != row.sensors:
             _refuse_if_used(session, device_id, "changing its sensors would orphan them")
+        if running and not same_sensors(sensors, sensors_of_row(row)):
+            raise DeviceRunning(
+                f'device "{device_id}" is running, and the new source has other sensors; stop the '
+                "device first",
+                device=device_id,
+            )
         row.source = _SOURCE.dump_python(change.source, mode="json")
         row.sensors = described
     row.updated_at = datetime.now(UTC)

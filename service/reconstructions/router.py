@@ -14,6 +14,7 @@ from service.errors import (
     CalibrationRetired,
     NoActiveCalibration,
     ReconstructionExists,
+    SensorsChanged,
     UnknownCalibration,
     UnknownDevice,
     UnknownReconstruction,
@@ -69,6 +70,7 @@ def list_reconstructions(
         CalibrationRetired,
         NoActiveCalibration,
         ReconstructionExists,
+        SensorsChanged,
         DuplicatePoint,
         UnknownSensor,
         ReadingOutsideSensor,
@@ -85,7 +87,7 @@ def create_reconstruction(
         sensors = sensors_of_row(get_device(session, request.device))
         calibration = store.calibration_for(session, request)
         calibration_id, result = calibration.id, result_of(calibration.content)
-    estimates = run_reconstruction(request.points, sensors, result)
+    estimates = run_reconstruction(request.device, request.points, sensors, result)
     with database.write() as session:
         get_device(session, request.device, lock=True)
         row = store.add_reconstruction(session, request, calibration_id, estimates)

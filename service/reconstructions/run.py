@@ -9,10 +9,12 @@ from compute.calibration.weights import reading_sigma
 from compute.reconstruction.points import reconstruct
 from hardware.driver import SensorDescription
 from service.calibrations.observations import observations
+from service.calibrations.sensors import check_sensors
 from service.reconstructions.schema import NamedEstimate, ObservedPoint
 
 
 def run_reconstruction(
+    device_id: str,
     points: Sequence[ObservedPoint],
     sensors: Sequence[SensorDescription],
     calibration: Calibration,
@@ -23,8 +25,10 @@ def run_reconstruction(
     further than the calibration reproduced its control points.
 
     Raises:
+        SensorsChanged: the calibration is of other sensors than the device's.
         DuplicatePoint, UnknownSensor, ReadingOutsideSensor: what is wrong with the readings.
     """
+    check_sensors(device_id, sensors, calibration.models)
     observed = observations(points, sensors)
     sigma = reading_sigma(calibration, observed.readings_px, observed.sigma_px)
     batch = reconstruct(

@@ -315,6 +315,9 @@ builds("title emptied")(lambda: Sent("PATCH", "/api/v1/devices/sim", {"title": "
 builds("other sensors under calibrations")(
     lambda: Sent("PATCH", "/api/v1/devices/sim", {"source": external()["source"]})
 )
+builds("other sensors of a running device")(
+    lambda: Sent("PATCH", "/api/v1/devices/running", {"source": external()["source"]})
+)
 builds("unknown device changed")(lambda: Sent("PATCH", "/api/v1/devices/nothing", {"title": "New"}))
 builds("external device started")(lambda: Sent("POST", "/api/v1/devices/bar/start"))
 builds("unknown device started")(lambda: Sent("POST", "/api/v1/devices/nothing/start"))
@@ -339,13 +342,15 @@ builds("unknown problem type")(lambda: Sent("GET", "/problems/nothing"))
 
 @pytest.fixture(scope="module")
 def bad_input_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A server with an external device "bar" and a retired calibration "old" of "sim"."""
+    """A server with an external device "bar", a running one, a retired calibration of "sim"."""
     data_dir = tmp_path_factory.mktemp("bad-input")
     settings = Settings(data_dir=data_dir, body_limit_bytes=BODY_LIMIT_BYTES)
     app = create_app(settings, RecordedLive())
     with TestClient(app, raise_server_exceptions=False) as client:
         for sent in (
             post_device(external(id="bar")),
+            post_device({"id": "running", "title": "Running", "source": {"kind": "simulated"}}),
+            Sent("POST", "/api/v1/devices/running/start"),
             post_calibration(calibration() | {"id": "old"}),
             Sent("POST", "/api/v1/calibrations/old/retire"),
         ):

@@ -1,6 +1,7 @@
 """The OpenAPI document: problem responses by their types, and the shared schemas."""
 
 from collections import defaultdict
+from collections.abc import Sequence
 from typing import Any, Final
 
 from fastapi import FastAPI
@@ -12,6 +13,7 @@ from service.errors import (
     BodyTooLarge,
     DuplicateKey,
     MalformedJson,
+    NotReady,
     UnsupportedMediaType,
 )
 from service.problems import MEDIA_TYPE, PROBLEM_TYPES, Problem, ProblemType, problem_type_of
@@ -20,6 +22,7 @@ Responses = dict[int | str, dict[str, Any]]
 
 _INVALID: Final = PROBLEM_TYPES["invalid-request"]
 _OF_EVERY_OPERATION: Final = (PROBLEM_TYPES["internal-error"],)
+_OF_RESOURCES: Final = (problem_type_of(NotReady),)
 _OF_BODIES: Final = tuple(
     problem_type_of(error)
     for error in (MalformedJson, DuplicateKey, UnsupportedMediaType, BodyTooLarge, NonFiniteValue)
@@ -83,10 +86,10 @@ def _document(app: FastAPI) -> dict[str, Any]:
     )
     schemas |= found["$defs"]
     _require_discriminators(schemas, schemas)
-    for item in document["paths"].values():
+    for path, item in document["paths"].items():
         for method, operation in item.items():
             if method != "parameters":
-                _complete(operation)
+                _complete(operation, _OF_RESOURCES if path.startswith("/api/") else ())
     return document
 
 
@@ -110,10 +113,10 @@ def _require_discriminators(node: Any, schemas: dict[str, Any]) -> None:
             _require_discriminators(value, schemas)
 
 
-def _complete(operation: dict[str, Any]) -> None:
-    """Add the problems that follow from what the operation takes."""
+def _complete(operation: dict[str, Any], of_path: Sequence[ProblemType]) -> None:
+    """Add the problems that follow from the operation's path and from what it takes."""
     responses = operation["responses"]
-    kinds = list(_OF_EVERY_OPERATION)
+    kinds = [*_OF_EVERY_OPERATION, *of_path]
     if responses.get("422", {}).get("content", {}).get("application/json"):
         del responses["422"]  # FastAPI's own description of validation errors
     if operation.get("requestBody") or operation.get("parameters"):

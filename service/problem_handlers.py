@@ -28,6 +28,7 @@ _log = logging.getLogger(__name__)
 
 _INPUT_CHARACTERS = 200
 _SHOWN_IN_DETAIL = 3
+_RETRY_AFTER_S = 5
 _BY_STATUS = {404: "not-found", 405: "method-not-allowed", 413: BodyTooLarge.code}
 
 
@@ -65,7 +66,7 @@ def problem_response(
     context: Mapping[str, object] | None = None,
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """Return the response that carries a problem document."""
+    """Return the response that carries a problem document; 503 says when to try again."""
     problem = Problem(
         type=kind.type,
         title=kind.title,
@@ -76,6 +77,8 @@ def problem_response(
         context=json_safe(context) if context else None,
     )
     content = json.dumps(problem.model_dump(exclude_none=True), ensure_ascii=True)
+    if kind.status == 503:
+        headers = {"Retry-After": str(_RETRY_AFTER_S), **(headers or {})}
     return Response(content, kind.status, headers, MEDIA_TYPE)
 
 

@@ -1,14 +1,21 @@
 """The database engine and its transactions, for SQLite and PostgreSQL."""
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event, text
 from sqlalchemy.engine import make_url
-from sqlalchemy.exc import IntegrityError
+from sqlalchemy.exc import DBAPIError, IntegrityError, InterfaceError, OperationalError
+from sqlalchemy.exc import TimeoutError as NoFreeConnection
 from sqlalchemy.orm import Session
 
+from service.errors import NotReady
+
+_log = logging.getLogger(__name__)
+
+_CONNECT_TIMEOUT_S = 5
 _BUSY_TIMEOUT_MS = 5000
 
 
@@ -21,22 +28,30 @@ class Database:
         Args:
             url: SQLAlchemy URL, ``sqlite:///file`` or ``postgresql+psycopg://...``.
         """
-        sqlite = make_url(url).get_backend_name() == "sqlite"
-        self.engine = create_engine(url, pool_pre_ping=not sqlite)
+        parts = make_url(url)
+        sqlite = parts.get_backend_name() == "sqlite"
+        if parts.get_backend_name() == "postgresql" and "connect_timeout" not in parts.query:
+            # The driver's own is two minutes, for which a request would wait.
+            parts = parts.update_query_dict({"connect_timeout": str(_CONNECT_TIMEOUT_S)})
+        self.engine = create_engine(parts, pool_pre_ping=not sqlite)
         if sqlite:
             _configure_sqlite(self.engine)
         self._writer = self.engine.execution_options(lumiline_write=True)
 
     @contextmanager
     def read(self) -> Iterator[Session]:
-        """Yield a session for reading; nothing is committed."""
-        with Session(self.engine) as session:
+        """Yield a session for reading; nothing is committed. Raises NotReady."""
+        with _answering(), Session(self.engine) as session:
             yield session
 
     @contextmanager
     def write(self) -> Iterator[Session]:
-        """Yield a session for writing; commits at the end, rolls back on an exception."""
-        with Session(self._writer) as session, session.begin():
+        """Yield a session for writing; commits at the end, rolls back on an exception.
+
+        Raises:
+            NotReady: the database does not answer, or another process keeps it locked.
+        """
+        with _answering(), Session(self._writer) as session, session.begin():
             yield session
 
     def check(self) -> None:
@@ -47,6 +62,21 @@ class Database:
     def close(self) -> None:
         """Close all connections."""
         self.engine.dispose()
+
+
+@contextmanager
+def _answering() -> Iterator[None]:
+    """Turn the failures of a database that does not answer into NotReady."""
+    try:
+        yield
+    except (OperationalError, InterfaceError, NoFreeConnection) as error:
+        # The driver's text is for the log: it may hold the server's address and user.
+        _log.error("database: %s", error.orig if isinstance(error, DBAPIError) else error)
+        raise NotReady(
+            f"the database is locked or does not answer ({type(error).__name__}); try again, and "
+            "look into the server's log when it stays so",
+            part="database",
+        ) from error
 
 
 def insert(session: Session, row: object, taken: Exception) -> None:

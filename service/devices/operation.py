@@ -95,10 +95,11 @@ class Operation:
             return self._live.status(device_id)
 
     def stop(self, device_id: str) -> DeviceStatus:
-        """Stop a device; raises UnknownDevice."""
+        """Stop a device, also while the database does not answer; raises UnknownDevice."""
         with self._exclusive(device_id):
-            with self._database.read() as session:
-                store.get_device(session, device_id)
+            if self._live.status(device_id).state == "stopped":
+                with self._database.read() as session:
+                    store.get_device(session, device_id)
             self._live.stop_device(device_id)
             return self._live.status(device_id)
 

@@ -27,7 +27,10 @@ def configuration_file() -> Path:
 class Settings(BaseSettings):
     """What an administrator may set; every value has a default that works as it stands."""
 
-    model_config = SettingsConfigDict(env_prefix="LUMILINE_", extra="forbid", frozen=True)
+    # Errors without the values: one may be the database's URL, under whatever misspelt name.
+    model_config = SettingsConfigDict(
+        env_prefix="LUMILINE_", extra="forbid", frozen=True, hide_input_in_errors=True
+    )
 
     data_dir: Path = Field(default_factory=default_data_dir)
     """Where the SQLite file and the folder ``recordings`` lie."""

@@ -5,9 +5,9 @@ import json
 import typer
 
 from service.app import create_app
-from service.settings import Settings
+from service.cli.serve import load_settings
 
 
 def run() -> None:
     """Print the document; nothing is opened or started."""
-    typer.echo(json.dumps(create_app(Settings()).openapi(), indent=2, ensure_ascii=False))
+    typer.echo(json.dumps(create_app(load_settings()).openapi(), indent=2, ensure_ascii=False))

@@ -1,11 +1,14 @@
 """`lumiline serve`: runs the service under uvicorn."""
 
-from typing import Any
+from typing import Any, Final
 
 import typer
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from service.settings import Settings
+
+_KNOWN: Final = tuple(Settings.model_fields)
 
 
 def run(**given: Any) -> None:
@@ -41,8 +44,16 @@ def load_settings(**given: Any) -> Settings:
         return Settings(**{name: value for name, value in given.items() if value is not None})
     except ValidationError as error:
         for item in error.errors():
-            name = ".".join(str(part) for part in item["loc"])
-            typer.echo(f"setting {name}: {item['msg']}, got {item['input']!r}", err=True)
+            typer.echo(_complaint(item), err=True)
     except (FileNotFoundError, ValueError) as error:
         typer.echo(f"settings: {error}", err=True)
     raise typer.Exit(2)
+
+
+def _complaint(item: ErrorDetails) -> str:
+    """Say what is wrong with a setting; values that may hold a password are not shown."""
+    name = ".".join(str(part) for part in item["loc"])
+    if item["type"] == "extra_forbidden":
+        return f"setting {name}: there is no such setting; there are {', '.join(_KNOWN)}"
+    shown = "" if item["loc"][0] == "database_url" else f", got {item['input']!r}"
+    return f"setting {name}: {item['msg']}{shown}"

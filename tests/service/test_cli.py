@@ -48,3 +48,26 @@ def test_a_wrong_setting_is_named(monkeypatch: pytest.MonkeyPatch):
     assert result.exit_code == 2
     assert "setting port" in result.output
     assert "70000" in result.output
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'database_ur1 = "postgresql+psycopg://user:s3cret@host/db"',
+        'database_url = ["postgresql+psycopg://user:s3cret@host/db"]',
+        '[database]\nurl = "postgresql+psycopg://user:s3cret@host/db"',
+    ],
+)
+@pytest.mark.parametrize("command", ["serve", "openapi"])
+def test_a_wrong_setting_does_not_print_the_password(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str, command: str
+):
+    monkeypatch.setattr("uvicorn.run", lambda *_, **__: pytest.fail("must not run"))
+    (tmp_path / "lumiline.toml").write_text(text)
+    monkeypatch.setenv("LUMILINE_CONFIG", str(tmp_path / "lumiline.toml"))
+    result = run(command)
+    assert result.exit_code == 2
+    assert "setting database" in result.output
+    assert "s3cret" not in result.output
+    if "database_url" not in text:
+        assert "there are data_dir, database_url, host" in result.output

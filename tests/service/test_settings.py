@@ -45,3 +45,11 @@ def test_what_does_not_fit_is_refused(tmp_path: Path, text: str):
     (tmp_path / "lumiline.toml").write_text(text)
     with pytest.raises(ValidationError, match=text.split(" ", maxsplit=1)[0]):
         Settings()
+
+
+@pytest.mark.parametrize("text", ['database_ur1 = "x:s3cret@y"', 'database_url = ["x:s3cret@y"]'])
+def test_the_error_does_not_hold_the_value(tmp_path: Path, text: str):
+    (tmp_path / "lumiline.toml").write_text(text)
+    with pytest.raises(ValidationError) as caught:
+        Settings()
+    assert "s3cret" not in str(caught.value)

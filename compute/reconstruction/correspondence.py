@@ -10,10 +10,14 @@ from compute.reconstruction.points import chi2_limit, reconstruct
 
 Array = NDArray[np.float64]
 
-MAX_CANDIDATES = 20_000
-"""Combinations of peaks that are tried; 11 markers on 4 sensors make 14,641."""
+MAX_CANDIDATES = 2_500
+"""Combinations of peaks that are tried; 7 markers on 4 sensors make 2,401."""
 FALSE_REJECTION = 1e-6
 """Chance that the peaks of one marker are not taken together."""
+CHANCE_GROUPS = 0.01
+"""Expected number of combinations that fit by chance, beyond which leftover peaks cast doubt."""
+CHANCE_BAND = 400.0
+"""Combinations with chi2 of up to this times the limit tell how many fit by chance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,19 +35,27 @@ class Correspondence:
     ambiguous: NDArray[np.bool_]
 
 
-def match_peaks(cameras: CameraStack, position_px: Array, sigma_px: Array) -> Correspondence:
+def match_peaks(
+    cameras: CameraStack,
+    position_px: Array,
+    sigma_px: Array,
+    parameter_covariance: Array | None = None,
+) -> Correspondence:
     """Group the peaks of S sensors to markers by the consistency of four or more planes.
 
     N markers on three sensors make N^3 points, each of which fits exactly; the fourth sensor
     tells the N true ones from the ghosts. Every combination of one peak from each sensor that
     saw anything is tried; the consistent ones are taken by increasing chi2, each peak once. A
     marker whose peaks could also be shared with another consistent combination is marked as
-    ambiguous. With three sensors, or peaks left over, only a single peak on each is grouped.
+    ambiguous. So are all when peaks are left over on two sensors or more, so that markers were
+    not seen by all, and combinations are so many that some fit by chance. With three sensors, or
+    peaks left over, only a single peak on each is grouped.
 
     Args:
         cameras: S calibrated cameras.
         position_px: peaks of each sensor, shape (S, K); NaN where there are fewer than K.
         sigma_px: their standard deviations, shape (S, K).
+        parameter_covariance: as in ``reconstruct``.
     """
     sensors = len(cameras)
     counts = np.isfinite(position_px).sum(axis=1)
@@ -52,7 +64,7 @@ def match_peaks(cameras: CameraStack, position_px: Array, sigma_px: Array) -> Co
     seeing = np.flatnonzero(counts > 0)
     combinations = int(np.prod(counts[seeing], dtype=np.int64)) if len(seeing) >= 3 else 0
     if len(seeing) >= 4 and 1 < combinations <= MAX_CANDIDATES:
-        groups = _consistent(cameras, position_px, sigma_px, seeing, free)
+        groups = _consistent(cameras, position_px, sigma_px, parameter_covariance, seeing, free)
     left = free.sum(axis=1)
     if (left == 1).sum() >= 3 and left.max() == 1:
         # One peak on each sensor: nothing to choose, three of them do.
@@ -72,6 +84,7 @@ def _consistent(
     cameras: CameraStack,
     position_px: Array,
     sigma_px: Array,
+    parameter_covariance: Array | None,
     seeing: NDArray[np.intp],
     free: NDArray[np.bool_],
 ) -> list[tuple[Array, Array, bool]]:
@@ -82,8 +95,9 @@ def _consistent(
     sigmas = np.full_like(readings, np.nan)
     readings[:, seeing] = position_px[seeing, choice]
     sigmas[:, seeing] = sigma_px[seeing, choice]
-    points = reconstruct(cameras, readings, sigmas)
-    limit = chi2_limit(len(seeing) - 3, FALSE_REJECTION)
+    points = reconstruct(cameras, readings, sigmas, parameter_covariance)
+    freedom = len(seeing) - 3
+    limit = chi2_limit(freedom, FALSE_REJECTION)
     chi2 = np.where(np.isfinite(points.chi2), points.chi2, np.inf)
     good = np.flatnonzero(chi2 <= limit)
     order = good[np.argsort(chi2[good], kind="stable")]
@@ -94,4 +108,10 @@ def _consistent(
         shares = (choice[good] == choice[index]).any(axis=1)
         free[seeing, choice[index]] = False
         groups.append((readings[index], sigmas[index], bool(shares.sum() > 1)))
+    # Misfits of wrong combinations are spread evenly over a range much wider than the noise: how
+    # many lie in a wide band around zero tells how many lie within the limit.
+    band = np.count_nonzero((chi2 > limit) & (chi2 <= CHANCE_BAND * limit))
+    by_chance = band / (CHANCE_BAND ** (freedom / 2) - 1.0)
+    if by_chance > CHANCE_GROUPS and free.any(axis=1).sum() >= 2:
+        groups = [(reading, sigma, True) for reading, sigma, _ in groups]
     return groups

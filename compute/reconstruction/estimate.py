@@ -26,7 +26,9 @@ class PointFlag(IntFlag):
     INCONSISTENT = 16
     """The residual is larger than the readings' noise explains."""
     AMBIGUOUS = 32
-    """Another correspondence between the sensors fits nearly as well."""
+    """Another grouping of the sensors' peaks is as likely."""
+    DOUBTFUL_PEAK = 64
+    """One of its peaks is saturated or merged with another."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from compute.camera.model import SensorModel
+from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
 from compute.reconstruction.estimate import PointBatch, PointFlag
 from compute.reconstruction.linear import reconstruct_linear
@@ -18,6 +18,8 @@ MAX_ITERATIONS = 30
 _DIAGONAL = np.arange(3)
 INCONSISTENT_PROBABILITY = 1e-4
 """Chance that a good point is flagged as inconsistent."""
+UNINFORMATIVE_RATIO = 1e3
+"""A reading this many times less certain than the third best is not used."""
 DEGENERATE_RATIO = 1e-14
 """Smallest ratio of eigenvalues of the normal matrix; its root is the planes' conditioning."""
 
@@ -30,15 +32,16 @@ def reconstruct(
 ) -> PointBatch:
     """Reconstruct points from the readings of any three or more sensors.
 
-    Minimises the sum over sensors of ((reading - projection) / sigma)^2 by Levenberg-Marquardt,
-    from the linear solution, for all points at once.
+    Minimises r' S^-1 r by Levenberg-Marquardt, from the linear solution, for all points at once:
+    r are readings less projections, S their covariance, the readings' noise plus what the
+    cameras' own covariance does to the projections at that place.
 
     Args:
         models: S calibrated cameras (or their stack, when it is used again and again).
         readings_px: shape (N, S) [px]; NaN where a sensor did not see the point.
-        sigma_px: standard deviations of the readings, shape (N, S) or (S,) [px].
-        parameter_covariance: joint covariance of the cameras' parameters, shape (7 S, 7 S); its
-            share is added to each point's covariance. None: the cameras are taken as exact.
+        sigma_px: standard deviations of the readings, shape (N, S) or (S,) [px], positive.
+        parameter_covariance: joint covariance of the cameras' parameters, shape (7 S, 7 S).
+            None: the cameras are taken as exact.
 
     Returns:
         The points; those that cannot be had carry NaN and a flag that says why.
@@ -46,13 +49,13 @@ def reconstruct(
     cameras = models if isinstance(models, CameraStack) else CameraStack.of(models)
     readings = np.asarray(readings_px, dtype=np.float64)
     target = cameras.corrected(readings)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weights = 1.0 / (sigma_px * np.abs(cameras.correction_slope(readings)))
-    used = np.isfinite(target) & np.isfinite(weights)
+    sigma = sigma_px * np.abs(cameras.correction_slope(readings))
+    used = _informative(np.isfinite(target) & np.isfinite(sigma) & (sigma > 0.0), sigma)
     count = used.sum(axis=1)
 
     start = reconstruct_linear(cameras, np.where(used, target, np.nan))
-    position, rows, converged = _refine(cameras, target, np.where(used, weights, 0.0), start)
+    whitening = _whitening(cameras, start, np.where(used, sigma, 1.0), used, parameter_covariance)
+    position, rows, converged = _refine(cameras, np.where(used, target, np.nan), whitening, start)
     gram = rows.transpose(0, 2, 1) @ rows
     normal, chi2 = gram[:, :3, :3], gram[:, 3, 3]
 
@@ -66,11 +69,6 @@ def reconstruct(
     missing = flags != 0
     normal[missing] = np.eye(3)
     covariance: Array = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    if parameter_covariance is not None:
-        weighted = rows[..., :3] * np.where(used, weights, 0.0)[..., None]
-        covariance = covariance + _calibration_share(
-            cameras, position, weighted, covariance, parameter_covariance
-        )
 
     limits = np.array(
         [chi2_limit(sensors - 3, INCONSISTENT_PROBABILITY) for sensors in range(len(cameras) + 1)]
@@ -81,16 +79,46 @@ def reconstruct(
     return PointBatch(position, covariance, chi2, used, flags)
 
 
+def _informative(seen: NDArray[np.bool_], sigma: Array) -> NDArray[np.bool_]:
+    """Leave out readings that say next to nothing beside the three best, shape (N, S).
+
+    They would count as redundancy and have none.
+    """
+    if seen.shape[1] < 4:
+        return seen
+    third = np.partition(np.where(seen, sigma, np.inf), 2, axis=1)[:, 2:3]
+    return seen & (sigma <= UNINFORMATIVE_RATIO * third)
+
+
+def _whitening(
+    cameras: CameraStack,
+    position: Array,
+    sigma: Array,
+    used: NDArray[np.bool_],
+    parameter_covariance: Array | None,
+) -> Array:
+    """Return W with W S W' = 1, shape (N, S, S), for the covariance S of the used readings."""
+    if parameter_covariance is None:
+        return np.eye(len(cameras)) / sigma[:, :, None]
+    sensors = len(cameras)
+    slopes = np.nan_to_num(cameras.parameter_jacobian(position)) * used[..., None]
+    blocks = parameter_covariance.reshape(sensors, PARAMETER_COUNT, sensors, PARAMETER_COUNT)
+    covariance: Array = np.einsum("nsp,sptq,ntq->nst", slopes, blocks, slopes)
+    diagonal = np.arange(sensors)
+    covariance[:, diagonal, diagonal] += sigma**2
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
+
+
 def _refine(
-    cameras: CameraStack, target: Array, weights: Array, start: Array
+    cameras: CameraStack, target: Array, whitening: Array, start: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Levenberg-Marquardt for all points.
 
     Returns:
-        Positions (N, 3), the weighted equations there (N, S, 4) and which converged (N,).
+        Positions (N, 3), the whitened equations there (N, S, 4) and which converged (N,).
     """
     position = start.copy()
-    rows = _equations(cameras, position, target, weights)
+    rows = _equations(cameras, position, target, whitening)
     gram = rows.transpose(0, 2, 1) @ rows
     damping = np.full(len(start), 1e-6)
     converged = np.zeros(len(start), dtype=np.bool_)
@@ -106,7 +134,7 @@ def _refine(
         normal[:, _DIAGONAL, _DIAGONAL] += damping[index, None] * diagonal + floor
         step = np.linalg.solve(normal, here[:, :3, 3:])[..., 0]
         trial = position[index] + step
-        trial_rows = _equations(cameras, trial, target[index], weights[index])
+        trial_rows = _equations(cameras, trial, target[index], whitening[index])
         trial_gram = trial_rows.transpose(0, 2, 1) @ trial_rows
         better = trial_gram[:, 3, 3] <= here[:, 3, 3]
         accepted = index[better]
@@ -122,29 +150,15 @@ def _refine(
     return position, rows, converged
 
 
-def _equations(cameras: CameraStack, position: Array, target: Array, weights: Array) -> Array:
-    """Return weighted slopes and residuals side by side, shape (N, S, 4); 0 where not used."""
+def _equations(cameras: CameraStack, position: Array, target: Array, whitening: Array) -> Array:
+    """Return whitened slopes and residuals side by side, shape (N, S, 4); 0 where not used."""
     projected, slope = cameras.linearised(position)
     rows = np.empty((*projected.shape, 4))
     rows[..., :3] = slope
     rows[..., 3] = target - projected
-    rows *= weights[..., None]
-    rows[weights == 0.0] = 0.0
-    return rows
-
-
-def _calibration_share(
-    cameras: CameraStack, position: Array, weighted: Array, inverse: Array, covariance: Array
-) -> Array:
-    """Propagate the cameras' covariance to the points, shape (N, 3, 3).
-
-    dX = -N^-1 J' W (d reading / d parameters) d parameters.
-    """
-    gain = inverse @ weighted.transpose(0, 2, 1)
-    slopes = np.nan_to_num(cameras.parameter_jacobian(position))
-    spread = (gain[..., None] * slopes[:, None]).reshape(len(position), 3, -1)
-    share: Array = spread @ covariance @ spread.transpose(0, 2, 1)
-    return share
+    rows[np.isnan(target)] = 0.0
+    whitened: Array = whitening @ rows
+    return whitened
 
 
 @cache

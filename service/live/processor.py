@@ -15,7 +15,7 @@ from compute.reconstruction.estimate import PointBatch, PointFlag
 from compute.reconstruction.points import reconstruct
 from compute.signal.finder import CentroidFinder
 from compute.signal.noise import LineNoise
-from compute.signal.peaks import PeakBatch
+from compute.signal.peaks import PeakBatch, PeakFlag
 from compute.signal.settings import CentroidSettings
 from hardware.driver import DeviceDescription
 from hardware.frame import LineFrame
@@ -134,6 +134,10 @@ def _reconstruct(
     """Return the points of all frames and the frame that each belongs to."""
     shape = (len(frames), sensors, -1)
     position = peaks.position_px.reshape(shape).astype(np.float64)
+    flags = np.where(np.isfinite(position), peaks.flags.reshape(shape), 0)
+    # A line that runs over the sensor's end is drawn inwards by far more than its noise: not seen.
+    position[(flags & PeakFlag.CLIPPED) != 0] = np.nan
+    doubtful = position[(flags & (PeakFlag.SATURATED | PeakFlag.MERGED)) != 0]
     spread = peaks.sigma_px.reshape(shape).astype(np.float64)
     amplitude = peaks.amplitude.reshape(shape)
     rows: list[Array] = []
@@ -141,7 +145,7 @@ def _reconstruct(
     owner: list[int] = []
     ambiguous: list[bool] = []
     # A strobed exposure shows one marker: the brightest peak is it, weaker ones are reflections.
-    brightest = np.where(np.isfinite(amplitude), amplitude, -1.0).argmax(axis=2)[..., None]
+    brightest = np.where(np.isfinite(position), amplitude, -1.0).argmax(axis=2)[..., None]
     strobed = np.take_along_axis(position, brightest, axis=2)[..., 0]
     strobed_sigma = np.take_along_axis(spread, brightest, axis=2)[..., 0]
     for index, frame in enumerate(frames):
@@ -152,7 +156,7 @@ def _reconstruct(
             ambiguous.append(False)
             continue
         sigma = reading_sigma(active.calibration, spread[index].T, spread[index].T).T
-        found = match_peaks(active.cameras, position[index], sigma)
+        found = match_peaks(active.cameras, position[index], sigma, active.covariance)
         rows.extend(found.readings_px)
         sigmas.extend(found.sigma_px)
         owner.extend([index] * len(found.readings_px))
@@ -166,7 +170,8 @@ def _reconstruct(
         reading_sigma(active.calibration, readings, deviations),
         active.covariance,
     )
-    if any(ambiguous):
-        flags = points.flags | np.where(ambiguous, int(PointFlag.AMBIGUOUS), 0).astype(np.int32)
-        points = replace(points, flags=flags)
+    found_flags = np.where(ambiguous, int(PointFlag.AMBIGUOUS), 0)
+    from_doubtful = np.isin(readings, doubtful).any(axis=1)
+    found_flags |= np.where(from_doubtful, int(PointFlag.DOUBTFUL_PEAK), 0)
+    points = replace(points, flags=(points.flags | found_flags).astype(np.int32))
     return points, np.array(owner, dtype=np.intp)

@@ -135,17 +135,64 @@ def test_no_points_at_all() -> None:
 
 
 def test_the_share_of_the_parameters_is_their_jacobian() -> None:
-    """A small change of the cameras moves the point as the covariance assumes."""
-    models, points = rig(), control_points(1)
+    """A small change of the cameras moves the point as the covariance assumes.
+
+    With three sensors, where there is nothing to weigh one against another.
+    """
+    models, points = rig(3), control_points(1)
     readings = project(models, points)
     rng = np.random.default_rng(2)
     scale = np.array([1e-1, 1e-1, 1e-5, 1e-5, 1e-5, 1e-2, 1e-2])
-    step = rng.standard_normal((4, 7)) * scale
+    step = rng.standard_normal((3, 7)) * scale
     direction = step.ravel()
     outer = np.outer(direction, direction)
-    plain = reconstruct(models, readings, np.full(4, 0.1))
-    share = reconstruct(models, readings, np.full(4, 0.1), outer).covariance_mm2[0]
+    plain = reconstruct(models, readings, np.full(3, 0.1))
+    share = reconstruct(models, readings, np.full(3, 0.1), outer).covariance_mm2[0]
     share -= plain.covariance_mm2[0]
     changed = tuple(model.moved(part) for model, part in zip(models, step, strict=True))
-    moved = reconstruct(changed, readings, np.full(4, 0.1)).position_mm[0] - plain.position_mm[0]
+    moved = reconstruct(changed, readings, np.full(3, 0.1)).position_mm[0] - plain.position_mm[0]
     assert np.allclose(share, np.outer(moved, moved), rtol=1e-2, atol=1e-3 * (moved @ moved))
+
+
+@pytest.mark.parametrize("extent", [0.5, 1.5, 2.5])
+def test_chi2_knows_the_calibration(extent: float) -> None:
+    """Inside and outside the frame, a good point is inconsistent no oftener than noise makes it.
+
+    Far outside, the cameras' errors are many times the readings' noise.
+    """
+    models, sigma = rig(), 0.05
+    frame = control_points(19)
+    rng = np.random.default_rng(12)
+    middle = np.array([0.0, 0.0, 1500.0])
+    chi2, squares, flagged, total = [], [], 0, 0
+    for _ in range(60):
+        noisy = project(models, frame) + sigma * rng.standard_normal((19, 4))
+        calibration = calibrate(frame, noisy, geometry(models), np.full((19, 4), sigma))
+        points = middle + extent * rng.uniform(-200.0, 200.0, (50, 3))
+        readings = project(models, points) + sigma * rng.standard_normal((50, 4))
+        covariance = np.array(calibration.covariance)
+        batch = reconstruct(calibration.models, readings, np.full(4, sigma), covariance)
+        error = batch.position_mm - points
+        # Points of one calibration share its errors: average them first.
+        squares.append(
+            np.einsum("ni,nij,nj->n", error, np.linalg.inv(batch.covariance_mm2), error).mean()
+        )
+        chi2.append(batch.chi2.mean())
+        flagged += int((batch.flags & PointFlag.INCONSISTENT > 0).sum())
+        total += 50
+    for values, expected in ((chi2, 1.0), (squares, 3.0)):
+        error_of_mean = np.std(values, ddof=1) / np.sqrt(len(values))
+        assert np.mean(values) == pytest.approx(expected, abs=5 * error_of_mean)
+    assert flagged <= 5  # 0.3 are expected of 3000
+
+
+def test_a_reading_that_says_nothing_is_no_redundancy() -> None:
+    readings = project(rig(), control_points(1))
+    readings[0, 3] += 300.0
+    batch = reconstruct(rig(), readings, np.array([0.05, 0.05, 0.05, 1e4]))
+    assert batch.used[0].tolist() == [True, True, True, False]
+    assert batch.flags[0] == PointFlag.NO_REDUNDANCY
+    for useless in (np.inf, 0.0, -1.0, np.nan):
+        again = reconstruct(rig(), readings, np.array([0.05, 0.05, 0.05, useless]))
+        assert np.allclose(again.position_mm, batch.position_mm)
+        assert not again.used[0, 3]

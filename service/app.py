@@ -10,8 +10,6 @@ from fastapi import FastAPI
 from service.body_limit import BodyLimit
 from service.calibrations.router import router as calibrations
 from service.database.engine import Database
-from service.database.migrate import migrate
-from service.database.seed import seed
 from service.devices.operation import Operation
 from service.devices.router import router as devices
 from service.live.manager import LiveManager
@@ -20,6 +18,7 @@ from service.problem_handlers import install_problem_handlers
 from service.reconstructions.router import router as reconstructions
 from service.server import router as server
 from service.settings import Settings
+from service.start import prepare
 from service.stream import router as stream
 from service.version import package_version
 
@@ -45,7 +44,7 @@ def create_app(settings: Settings, live: LiveManager | None = None) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         database = Database(settings.effective_database_url)
         try:
-            await run_sync(_prepare, settings, database)
+            await run_sync(prepare, settings, database)
             manager = live if live is not None else LiveManager(settings.compute_device)
             try:
                 operation = Operation(database, manager, settings.recordings_dir)
@@ -74,9 +73,3 @@ def create_app(settings: Settings, live: LiveManager | None = None) -> FastAPI:
         app.include_router(router)
     install_openapi(app)
     return app
-
-
-def _prepare(settings: Settings, database: Database) -> None:
-    settings.recordings_dir.mkdir(parents=True, exist_ok=True)
-    if migrate(database):
-        seed(database)

@@ -1,11 +1,13 @@
 """Brings a database to the newest revision of migrations/."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from sqlalchemy import Connection
+from sqlalchemy.orm import Session
 
 import migrations
 from service.database.engine import Database
@@ -20,12 +22,31 @@ def alembic_config(connection: Connection) -> Config:
     return config
 
 
-def migrate(database: Database, revision: str = "head") -> bool:
-    """Upgrade the database to ``revision`` in one transaction; return whether it was new."""
+def migrate(
+    database: Database, revision: str = "head", fill: Callable[[Session], None] | None = None
+) -> bool:
+    """Upgrade the database to ``revision`` and fill it when it is new, in one transaction.
+
+    Whether a database is new is seen from its revision. Committed together with the first
+    content, that says that both are there: a start that was cut short leaves neither, and what
+    a user deleted does not come back.
+
+    Args:
+        database: the database.
+        revision: the revision to reach.
+        fill: stores the first content of a new database.
+
+    Returns:
+        Whether it was new.
+    """
     with database.engine.execution_options(lumiline_write=True).begin() as connection:
         if connection.dialect.name == "postgresql":
             # Several servers may start at once; the lock ends with the transaction.
             connection.exec_driver_sql("SELECT pg_advisory_xact_lock(5421078)")
         new = MigrationContext.configure(connection).get_current_revision() is None
         command.upgrade(alembic_config(connection), revision)
+        if new and fill is not None:
+            with Session(connection) as session:
+                fill(session)
+                session.flush()
     return new

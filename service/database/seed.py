@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from sqlalchemy.orm import Session
 
 from compute.calibration.result import Calibration, SensorFit
 from compute.calibration.run import QUANTISATION_PX
@@ -11,7 +12,6 @@ from hardware.simulated.bar import PITCH_UM, simulated_sensor_models
 from service.calibrations.run import Outcome, calibration_content
 from service.calibrations.schema import ControlPointErrors
 from service.calibrations.store import activate, add_calibration
-from service.database.engine import Database
 from service.devices.schema import NewDevice, Sensor, SimulatedSource
 from service.devices.store import add_device
 
@@ -32,8 +32,8 @@ def nominal_calibration() -> Calibration:
     return Calibration("metric", fits, tuple(tuple(row) for row in covariance.tolist()), ())
 
 
-def seed(database: Database) -> None:
-    """Store the simulated device and its active nominal calibration, in one transaction."""
+def seed(session: Session) -> None:
+    """Store the simulated device and its active nominal calibration."""
     device = NewDevice(
         id=DEVICE_ID,
         title="Simulated sensor bar with a rotating bar of two markers",
@@ -45,7 +45,6 @@ def seed(database: Database) -> None:
     content = calibration_content(DEVICE_ID, "nominal", [], result)
     errors = ControlPointErrors(fitted=None, leave_one_out=None)
     outcome = Outcome(result, content, errors.model_dump(mode="json"))
-    with database.write() as session:
-        add_device(session, device, sensors)
-        add_calibration(session, DEVICE_ID, outcome, NOTE, CALIBRATION_ID)
-        activate(session, CALIBRATION_ID)
+    add_device(session, device, sensors)
+    add_calibration(session, DEVICE_ID, outcome, NOTE, CALIBRATION_ID)
+    activate(session, CALIBRATION_ID)

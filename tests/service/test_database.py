@@ -9,11 +9,13 @@ from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from sqlalchemy import inspect, select, text
 from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
 
 from service.database.engine import Database
 from service.database.migrate import alembic_config, migrate
 from service.database.models import ActivationRow, ActiveCalibrationRow, Base, DeviceRow
 from service.database.seed import seed
+from service.devices.store import delete_device
 
 
 @pytest.fixture
@@ -39,16 +41,14 @@ def test_down_and_up_again(database: Database):
     with database.engine.begin() as connection:
         command.downgrade(alembic_config(connection), "base")
         assert set(inspect(connection).get_table_names()) <= {"alembic_version"}
-    assert migrate(database) is True
-    seed(database)
+    assert migrate(database, fill=seed) is True
     assert migrate(database) is False
     with database.read() as session:
         assert session.scalars(select(DeviceRow.id)).all() == ["sim"]
 
 
 def test_a_failed_write_leaves_nothing(database: Database):
-    migrate(database)
-    seed(database)
+    migrate(database, fill=seed)
 
     def fail_half_way() -> None:
         with database.write() as session:
@@ -62,8 +62,7 @@ def test_a_failed_write_leaves_nothing(database: Database):
 
 
 def test_the_pointer_cannot_point_to_a_calibration_of_another_device(database: Database):
-    migrate(database)
-    seed(database)
+    migrate(database, fill=seed)
     now = datetime.now(UTC)
     with database.write() as session:
         session.add(
@@ -82,8 +81,7 @@ def test_the_pointer_cannot_point_to_a_calibration_of_another_device(database: D
 
 
 def test_times_come_back_as_utc(database: Database):
-    migrate(database)
-    seed(database)
+    migrate(database, fill=seed)
     there = datetime(2024, 7, 1, 12, 0, tzinfo=timezone(timedelta(hours=5)))
     with database.write() as session:
         session.get_one(DeviceRow, "sim").updated_at = there
@@ -94,8 +92,7 @@ def test_times_come_back_as_utc(database: Database):
 
 
 def test_a_time_without_zone_is_refused(database: Database):
-    migrate(database)
-    seed(database)
+    migrate(database, fill=seed)
     with pytest.raises(Exception, match="no time zone"), database.write() as session:
         session.get_one(DeviceRow, "sim").updated_at = datetime(2024, 7, 1)  # noqa: DTZ001
 
@@ -111,3 +108,29 @@ def test_sqlite_is_set_up_for_one_writer_and_many_readers(tmp_path):
     finally:
         database.close()
     assert values == {"journal_mode": "wal", "foreign_keys": 1, "busy_timeout": 5000}
+
+
+def devices(database: Database) -> list[str]:
+    with database.read() as session:
+        return list(session.scalars(select(DeviceRow.id)))
+
+
+def test_a_first_start_that_was_cut_short_is_made_again(database: Database):
+    def cut_short(session: Session) -> None:
+        seed(session)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        migrate(database, fill=cut_short)
+    with database.engine.connect() as connection:
+        assert inspect(connection).get_table_names() == []
+    assert migrate(database, fill=seed) is True
+    assert devices(database) == ["sim"]
+
+
+def test_the_first_content_comes_once(database: Database):
+    migrate(database, fill=seed)
+    with database.write() as session:
+        delete_device(session, "sim", cascade=True)
+    assert migrate(database, fill=seed) is False
+    assert devices(database) == []

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 FLATNESS_LIMIT = 1e-3
 """Smallest extent of the control points, as a fraction of their largest, that is not flat."""
 SAME_POSITION_MM = 1e-6
+SIGMA_RANGE_PX = (1e-6, 1e4)
+"""Standard deviations that mean something, and whose squares keep their digits."""
 
 
 def check_observations(
@@ -104,12 +106,13 @@ def _check_sigma(sigma_px: Array, readings_px: Array, sensors: Sequence[SensorGe
         raise InvalidParameter(
             f"standard deviations have shape {sigma_px.shape}, readings {readings_px.shape}"
         )
-    wrong = np.isfinite(readings_px) & ~(np.isfinite(sigma_px) & (sigma_px > 0.0))
+    low, high = SIGMA_RANGE_PX
+    wrong = np.isfinite(readings_px) & ~((sigma_px >= low) & (sigma_px <= high))
     if wrong.any():
         row, column = np.argwhere(wrong)[0]
         raise InvalidParameter(
             f"the standard deviation of point {row + 1} by sensor {sensors[column].name} is "
-            f"{sigma_px[row, column]} px; it must be positive and finite"
+            f"{sigma_px[row, column]} px; it must lie in {low:g} .. {high:g} px"
         )
 
 

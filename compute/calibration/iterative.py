@@ -99,9 +99,6 @@ def _iterate(
                     "use the metric method",
                     sensor=sensor,
                 )
-        # The last L belongs to the readings corrected before; solve once more for these.
-        design = np.hstack([homogeneous, -corrected[:, None] * points])
-        parameters = _solve(design, corrected, sensor, normal_equations)
     matrix = np.array([parameters[:4], [*parameters[4:], 1.0]])
     return IterativeDlt(matrix, np.array(principal_points), cubic, change)
 

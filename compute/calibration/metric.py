@@ -1,6 +1,6 @@
 """Geometric refinement of one sensor's seven parameters, with their covariance."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ class RefinedSensor:
     cofactor: Array
     residuals_px: Array
     """Fitted minus measured reading, shape (N,)."""
+    iteration_change_px: float | None = None
+    """See ``SensorFit``."""
 
 
 def refine(
@@ -76,22 +78,33 @@ def refine(
     model = best[1]
     cameras = CameraStack.of([model])
     jacobian = cameras.parameter_jacobian(points_mm)[:, 0] * weights[:, None]
-    _check_determined(jacobian, sensor)
+    _check_determined(model, points_mm, weights)
     residuals = cameras.project(points_mm)[:, 0] - readings_px
     return RefinedSensor(model, cofactor(jacobian), residuals)
 
 
-def _check_determined(jacobian: Array, sensor: SensorGeometry) -> None:
-    """Raise DegeneratePoints when the readings leave a combination of parameters open."""
+def _check_determined(model: SensorModel, points_mm: Array, weights: Array) -> None:
+    """Raise DegeneratePoints when the readings leave a combination of parameters open.
+
+    Seen from the points' centroid: from far away, a turn and a shift look alike.
+    """
+    middle = points_mm.mean(axis=0)
+    here = replace(
+        model,
+        offset_x_mm=model.offset_x_mm + float(model.rotation[0] @ middle),
+        offset_z_mm=model.offset_z_mm + float(model.rotation[2] @ middle),
+    )
+    slopes = CameraStack.of([here]).parameter_jacobian(points_mm - middle)[:, 0]
+    jacobian = slopes * weights[:, None]
     singular = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0), compute_uv=False)
     ratio = float(singular[-1] / singular[0])
     if ratio < DETERMINED_RATIO:
         raise DegeneratePoints(
-            f"sensor {sensor.name} cannot be calibrated with these {len(jacobian)} control points: "
+            f"sensor {model.name} cannot be calibrated with these {len(jacobian)} control points: "
             "seen along its slit they coincide or line up so that many cameras fit as well "
             f"(ratio of singular values {ratio:.1e}, at least {DETERMINED_RATIO:g} is needed); "
             "add points off their grid",
-            sensor=sensor.name,
+            sensor=model.name,
         )
 
 

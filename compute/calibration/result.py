@@ -22,7 +22,10 @@ class SensorFit:
         max_px: largest absolute residual [px].
         sigma_px: standard deviation of one reading [px] that the covariance rests on.
         sigma_source: where it comes from: given with the readings (their root mean square),
-            estimated from the residuals, or, with neither, assumed (a pixel's quantisation).
+            estimated from the residuals, or, with fewer than ten points, assumed (a pixel's
+            quantisation, or the residuals where they are larger).
+        iteration_change_px: largest change of a corrected reading in the last iteration of the
+            iterative DLT [px], which runs a fixed number of them; None for other methods.
         chi2_per_dof: weighted sum of squares per degree of freedom, about 1 when the given
             standard deviations are right; None without redundancy or without given ones.
     """
@@ -34,6 +37,7 @@ class SensorFit:
     sigma_px: float
     sigma_source: Literal["given", "residuals", "assumed"]
     chi2_per_dof: float | None
+    iteration_change_px: float | None = None
 
 
 @dataclass(frozen=True)

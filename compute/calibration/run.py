@@ -1,6 +1,7 @@
 """Calibrate a device: every sensor's model from control points, with a joint covariance."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,15 @@ from compute.camera.dlt import model_from_matrix
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter, NoConvergence
+from compute.reconstruction.points import chi2_limit
 
 Array = NDArray[np.float64]
 
 SIGMA_FLOOR_PX = 1e-6
 """Smallest deviation estimated from residuals: exact data still leave rounding."""
 QUANTISATION_PX = 1.0 / np.sqrt(12.0)
+UNEXPLAINED_PROBABILITY = 0.01
+"""Chance that right deviations are taken for too small."""
 
 
 def calibrate(
@@ -101,26 +105,42 @@ def _published(
     cameras = CameraStack.of([model])
     residuals = (cameras.project(points_mm) - cameras.corrected(readings_px[:, None]))[:, 0]
     jacobian = cameras.parameter_jacobian(points_mm)[:, 0] / sigma_px[:, None]
-    return RefinedSensor(model, cofactor(jacobian), residuals)
+    return RefinedSensor(model, cofactor(jacobian), residuals, fitted.change_px)
 
 
 def _assess(refined: RefinedSensor, sigma_px: Array | None) -> tuple[SensorFit, float]:
     """Return the fit's figures and the factor from cofactor to covariance."""
     residuals = refined.residuals_px
     freedom = len(residuals) - PARAMETER_COUNT
-    rms = float(np.sqrt((residuals**2).mean()))
-    worst = float(np.abs(residuals).max())
+    square_sum = float((residuals**2).sum())
+    chi2_per_dof, factor = None, 1.0
+    source: Literal["given", "residuals", "assumed"]
     if sigma_px is not None:
-        chi2 = float(((residuals / sigma_px) ** 2).sum())
-        sigma = float(np.sqrt((sigma_px**2).mean()))
-        ratio = chi2 / freedom if freedom > 0 else None
-        fit = SensorFit(refined.model, len(residuals), rms, worst, sigma, "given", ratio)
-        return fit, 1.0
-    if freedom > 0:
-        sigma = max(float(np.sqrt((residuals**2).sum() / freedom)), SIGMA_FLOOR_PX)
-        fit = SensorFit(refined.model, len(residuals), rms, worst, sigma, "residuals", None)
-        return fit, sigma**2
+        source, sigma = "given", float(np.sqrt((sigma_px**2).mean()))
+        if freedom > 0:
+            chi2 = float(((residuals / sigma_px) ** 2).sum())
+            chi2_per_dof = chi2 / freedom
+            # Residuals that the given deviations do not explain: the covariance grows with them.
+            if chi2 > chi2_limit(freedom, UNEXPLAINED_PROBABILITY):
+                factor = chi2_per_dof
+    elif freedom > 2:
+        # n - 9 instead of n - 7: the estimate's own uncertainty included, so that errors squared
+        # over the covariance average 7, as they would with a known deviation.
+        source, sigma = "residuals", max(float(np.sqrt(square_sum / (freedom - 2))), SIGMA_FLOOR_PX)
+        factor = sigma**2
+    else:
+        # One or two residuals more than parameters say too little.
+        spread = float(np.sqrt(square_sum / max(freedom, 1)))
+        source, sigma = "assumed", max(float(QUANTISATION_PX), spread)
+        factor = sigma**2
     fit = SensorFit(
-        refined.model, len(residuals), rms, worst, float(QUANTISATION_PX), "assumed", None
+        refined.model,
+        len(residuals),
+        float(np.sqrt((residuals**2).mean())),
+        float(np.abs(residuals).max()),
+        sigma,
+        source,
+        chi2_per_dof,
+        refined.iteration_change_px,
     )
-    return fit, float(QUANTISATION_PX**2)
+    return fit, factor

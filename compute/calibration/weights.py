@@ -15,7 +15,8 @@ def reading_sigma(
 
     A reading is not known better than the model reproduces its control points. Where these came
     with their deviations, what the residuals exceed them by is misfit and is added in squares;
-    where they came without, the residuals hold both, and are the least that is taken.
+    where they came without, the residuals hold both, and are the least that is taken. Where the
+    deviation was assumed, there is nothing to compare with.
 
     Args:
         calibration: the calibration in use.
@@ -24,10 +25,11 @@ def reading_sigma(
             calibration's are taken.
     """
     own = np.array([fit.sigma_px for fit in calibration.sensors])
-    rms = np.array([fit.rms_px for fit in calibration.sensors])
-    given = np.array([fit.sigma_source == "given" for fit in calibration.sensors])
-    misfit = np.where(given, np.sqrt(np.maximum(rms**2 - own**2, 0.0)), 0.0)
+    excess = np.array([max((fit.chi2_per_dof or 1.0) - 1.0, 0.0) for fit in calibration.sensors])
+    least = np.array(
+        [fit.sigma_px if fit.sigma_source == "residuals" else 0.0 for fit in calibration.sensors]
+    )
     sigma = np.broadcast_to(own if sigma_px is None else sigma_px, readings_px.shape)
     sigma = np.where(np.isnan(sigma), own, sigma)
-    trusted: Array = np.where(given, np.hypot(sigma, misfit), np.maximum(sigma, own))
+    trusted: Array = np.maximum(np.hypot(sigma, own * np.sqrt(excess)), least)
     return trusted

@@ -61,7 +61,7 @@ def test_each_sensor_uses_the_points_that_it_saw() -> None:
 def test_covariance_is_honest() -> None:
     """Normalised squared errors of the 7 parameters average 7 with given deviations.
 
-    With deviations estimated from the residuals they follow 7 F(7, n - 7).
+    With deviations estimated from the residuals, whose uncertainty is allowed for, they do too.
     """
     models, points = rig(1), control_points(40)
     exact = project(models, points)
@@ -80,10 +80,10 @@ def test_covariance_is_honest() -> None:
     assert np.mean(given_squares) == pytest.approx(7.0, abs=5 * np.sqrt(14 / runs))
     mean, variance = f_distribution.stats(7, freedom)
     assert np.mean(estimated_squares) == pytest.approx(
-        7.0 * mean, abs=5 * 7 * np.sqrt(variance / runs)
+        7.0, abs=5 * 7 * np.sqrt(variance / runs) / mean
     )
     assert np.sqrt(np.mean(np.square(estimates))) == pytest.approx(
-        sigma, rel=5 * np.sqrt(1 / (2 * freedom * runs))
+        sigma * np.sqrt(mean), rel=5 * np.sqrt(1 / (2 * freedom * runs))
     )
 
 
@@ -247,7 +247,7 @@ def test_readings_outside_the_sensor(value: float) -> None:
         calibrate(points, readings, geometry(rig()))
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, 1e-320, 1e5])
 def test_deviations_must_be_positive(value: float) -> None:
     points, readings = observations()
     sigma = np.full(readings.shape, 0.1)
@@ -307,3 +307,39 @@ def test_a_box_seen_along_its_edges_is_refused(noise_px: float) -> None:
         calibrate(points, project(rig(), points) + noise, geometry(rig()))
     moved = points + np.random.default_rng(1).uniform(-30.0, 30.0, points.shape)
     calibrate(moved, project(rig(), moved) + noise, geometry(rig()))
+
+
+def test_eight_points_leave_the_deviation_assumed() -> None:
+    """One residual more than parameters: its size says next to nothing of the noise."""
+    models, points = rig(), control_points(8)
+    rng = np.random.default_rng(3)
+    found = calibrate(
+        points, project(models, points) + 0.05 * rng.standard_normal((8, 4)), geometry(models)
+    )
+    for fit in found.sensors:
+        assert fit.sigma_source == "assumed"
+        assert fit.sigma_px >= 1 / np.sqrt(12)
+    ten = control_points(10)
+    found = calibrate(ten, project(models, ten), geometry(models))
+    assert {fit.sigma_source for fit in found.sensors} == {"residuals"}
+
+
+def test_deviations_that_are_too_small_do_not_make_the_covariance_small() -> None:
+    models, points = rig(1), control_points(40)
+    rng = np.random.default_rng(5)
+    readings = project(models, points) + 0.3 * rng.standard_normal((40, 1))
+    right = calibrate(points, readings, geometry(models), np.full((40, 1), 0.3))
+    wrong = calibrate(points, readings, geometry(models), np.full((40, 1), 0.03))
+    ratio = np.array(wrong.covariance)[0][0] / np.array(right.covariance)[0][0]
+    assert wrong.sensors[0].chi2_per_dof == pytest.approx(ratio * 100, rel=1e-3)
+    assert ratio == pytest.approx(1.0, abs=5 * np.sqrt(2 / 33))
+
+
+def test_a_frame_far_from_the_worlds_origin_is_as_good() -> None:
+    models, points = rig(), control_points(19)
+    rng = np.random.default_rng(6)
+    readings = project(models, points) + rng.standard_normal((19, 4))
+    here = calibrate(points, readings, geometry(models))
+    far = calibrate(points + np.array([9e5, -9e5, 9e5]), readings, geometry(models))
+    for first, second in zip(here.sensors, far.sensors, strict=True):
+        assert first.rms_px == pytest.approx(second.rms_px, rel=1e-3)

@@ -12,7 +12,7 @@ _KNOWN: Final = tuple(Settings.model_fields)
 
 
 def run(**given: Any) -> None:
-    """Run until interrupted.
+    """Run until interrupted; ends the command with one line when it cannot start.
 
     Args:
         given: settings from the command line; None: not given.
@@ -21,7 +21,9 @@ def run(**given: Any) -> None:
     import uvicorn
 
     from service.app import create_app
+    from service.cli.start_check import check_start
 
+    check_start(settings)
     uvicorn.run(create_app(settings), **server_options(settings))
 
 

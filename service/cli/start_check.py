@@ -1,0 +1,74 @@
+"""Prepares what `lumiline serve` needs; what cannot be had ends the command with one line."""
+
+import typer
+from alembic.util import CommandError
+from sqlalchemy import URL
+from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
+
+from compute.errors import LumilineError
+from service.database.engine import Database
+from service.settings import Settings
+from service.start import prepare
+
+_FAILED = 1
+_WRONG_SETTING = 2
+
+
+def check_start(settings: Settings) -> None:
+    """Make ready what the service needs before it serves; it would do so itself, with tracebacks.
+
+    Raises:
+        typer.Exit: the message was printed; code 2 for a setting that means nothing, else 1.
+    """
+    database = _database(settings.effective_database_url)
+    name = _without_password(database.engine.url)
+    try:
+        prepare(settings, database)
+    except OSError as error:
+        raise _end(
+            f"data directory {settings.data_dir} cannot be used: {error.strerror or error}; "
+            "data_dir must name a directory that can be written",
+            _FAILED,
+        ) from None
+    except CommandError as error:
+        raise _end(
+            f"database {name} is not of this version of the service: {error}; use the version "
+            "that wrote it, or a newer one",
+            _FAILED,
+        ) from None
+    except (SQLAlchemyError, LumilineError) as error:
+        reason = str(error.orig if isinstance(error, DBAPIError) else error)
+        for secret in _secrets(database.engine.url):
+            reason = reason.replace(secret, "***")
+        reason = "; ".join(line.strip() for line in reason.splitlines() if line.strip())
+        raise _end(f"database {name} cannot be used: {reason}", _FAILED) from None
+    finally:
+        database.close()
+
+
+def _database(url: str) -> Database:
+    try:
+        return Database(url)
+    except (ArgumentError, ImportError, ValueError) as error:
+        # Not the error's text, which may hold the URL.
+        raise _end(
+            f"setting database_url: not the URL of a database that the service can use "
+            f"({type(error).__name__}); it must be sqlite:///FILE or "
+            "postgresql+psycopg://USER:PASSWORD@HOST/DATABASE",
+            _WRONG_SETTING,
+        ) from None
+
+
+def _secrets(url: URL) -> list[str]:
+    given = [url.password, *url.normalized_query.get("password", ())]
+    return [secret for secret in given if secret]
+
+
+def _without_password(url: URL) -> str:
+    shown = url.difference_update_query(["password", "connect_timeout"])
+    return shown.render_as_string(hide_password=True)
+
+
+def _end(message: str, code: int) -> typer.Exit:
+    typer.echo(f"error: {message}", err=True)
+    return typer.Exit(code)

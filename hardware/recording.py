@@ -144,11 +144,11 @@ class RecordingWriter:
         self._write()
         self._file.flush()
 
-    def close(self) -> None:
-        """Write what is left and mark the file complete; may be called twice."""
+    def close(self, *, complete: bool = True) -> None:
+        """Write what is left and mark the file as complete or not; may be called twice."""
         if self._file:
             self._write()
-            self._file.attrs["complete"] = True
+            self._file.attrs["complete"] = complete
             self._file.close()
 
     def __enter__(self) -> Self:
@@ -160,7 +160,7 @@ class RecordingWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
+        self.close(complete=kind is None)
 
     def _write(self) -> None:
         frames, self._pending = self._pending, []

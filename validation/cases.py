@@ -36,12 +36,17 @@ KNOWN = "known cameras, [5.24]"
 
 @dataclass(frozen=True)
 class Column:
-    """One way of calibrating and reconstructing, with its errors; or why it has none."""
+    """One way of calibrating and reconstructing, with its errors; or why it has none.
+
+    ``iteration_change_px``: by how much a corrected reading still changed in the last iteration
+    of the iterative DLT [px]; None for other ways.
+    """
 
     label: str
     errors: AxisErrors | None
     principal_points_mm: tuple[float, ...] | None = None
     reason: str | None = None
+    iteration_change_px: float | None = None
 
 
 @dataclass(frozen=True)
@@ -174,7 +179,9 @@ def _iterative(
         scale.to_mm(float(fit.principal_point_px[-1]))
         for fit, scale in zip(fits, scales, strict=True)
     )
-    return Column(label, AxisErrors.of(found - wanted.points_mm), principal)
+    change = max(fit.change_px for fit in fits)
+    errors = AxisErrors.of(found - wanted.points_mm)
+    return Column(label, errors, principal, iteration_change_px=change)
 
 
 def _pixels(readings_mm: Array, scales: Sequence[PixelScale]) -> Array:

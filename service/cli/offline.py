@@ -1,5 +1,8 @@
 """Jobs without a server: calibrate from a CSV file, record and replay line scans."""
 
+import os
+import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import islice
@@ -60,7 +63,10 @@ def run_calibrate(path: Path, pixels: int, method: str, output: Path | None) -> 
     else:
         console.print("fewer than three sensors saw each point: no points were reconstructed")
     if output is not None:
-        output.write_bytes(DOCUMENT.dump_json(found, indent=2) + b"\n")
+        try:
+            output.write_bytes(DOCUMENT.dump_json(found, indent=2) + b"\n")
+        except OSError as error:
+            raise fail(f"{output} cannot be written: {error.strerror}") from error
         console.print(f"written: {output}")
 
 
@@ -84,9 +90,14 @@ def run_record(output: Path, seconds: float, settings: Path | None) -> None:
             RecordingWriter(output, driver.description) as writer,
             _bar("recording", total) as (bar, task),
         ):
-            for frame in driver.frames():
-                writer.append(frame)
-                bar.advance(task)
+            # Ctrl-C ends the frames, so that the file is closed whole and can be read.
+            interrupted = signal.signal(signal.SIGINT, lambda *_: driver.close())
+            try:
+                for frame in driver.frames():
+                    writer.append(frame)
+                    bar.advance(task)
+            finally:
+                signal.signal(signal.SIGINT, interrupted)
     except (OSError, ValidationError) as error:
         raise fail(str(error)) from error
     except LumilineError as error:
@@ -113,6 +124,9 @@ def run_replay(path: Path, calibration: Path, output: Path | None) -> None:
                     target.write(f"{encode(message, 'json')!s}\n")
                 bar.advance(task, len(batch))
         driver.close()
+    except BrokenPipeError:
+        # The reader of our output has gone, `| head` for example; nothing is left to say.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (OSError, ValidationError) as error:
         raise fail(str(error)) from error
     except LumilineError as error:

@@ -6,6 +6,8 @@ from rich.table import Table
 from service.cli.output import console, error_table, fail, print_json, progress_console
 from validation.cases import CASES, CaseResult
 
+SETTLED_PX = 0.01
+
 
 def run(name: str | None, *, as_json: bool) -> None:
     """List the cases, or run one of them, or ``all``."""
@@ -63,4 +65,9 @@ def _print(result: CaseResult) -> None:
     for column in result.ours:
         if column.reason is not None:
             console.print(f"{column.label}: {column.reason}")
+        if column.iteration_change_px is not None and column.iteration_change_px > SETTLED_PX:
+            console.print(
+                f"{column.label}: not settled, a corrected reading still changes by "
+                f"{column.iteration_change_px:.2g} px in the last of 30 iterations"
+            )
     console.print(result.note, style="italic")

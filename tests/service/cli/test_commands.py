@@ -3,12 +3,15 @@
 import csv
 import json
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
+from hardware.recording_reader import read_recording
 from validation.thesis_data import DFW_V500, load_test
 
 
@@ -101,6 +104,50 @@ def test_record_and_replay(frame_csv: Path, tmp_path: Path) -> None:
     assert [message["sequence"] for message in messages] == list(range(100))
     assert {message["marker"] for message in messages} == set(range(19))
     assert all(message["points"][0]["position_mm"] for message in messages)
+
+
+def test_an_interrupted_recording_is_a_recording(tmp_path: Path) -> None:
+    path = tmp_path / "long.h5"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "service.cli", "record", str(path), "--seconds", "3000"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    end = time.monotonic() + 120.0
+    while not (path.exists() and path.stat().st_size > 5_000_000):
+        assert process.poll() is None
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=120.0)
+    assert process.returncode == 0, errors
+    info = read_recording(path)
+    assert info.complete
+    assert 100 < info.frames < 3_000_000
+
+
+def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
+    recording, nominal = tmp_path / "bar.h5", tmp_path / "nominal.json"
+    nominal.write_bytes(nominal_document())
+    lumiline("record", recording, "--seconds", "1")
+    command = ["replay", str(recording), "--calibration", str(nominal)]
+    with subprocess.Popen(
+        [sys.executable, "-m", "service.cli", *command],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.readline()
+        process.stdout.close()
+        errors = process.stderr.read().decode()
+        assert process.wait(120.0) == 0
+    assert "error" not in errors.lower()
+
+
+def test_an_output_that_cannot_be_written(frame_csv: Path, tmp_path: Path) -> None:
+    output = tmp_path / "nowhere" / "calibration.json"
+    run = lumiline("calibrate", frame_csv, "--pixels", "640", "--output", output, code=2)
+    assert "cannot be written" in run.stderr
+    assert "Traceback" not in run.stderr
 
 
 def nominal_document() -> bytes:

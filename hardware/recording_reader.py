@@ -1,10 +1,12 @@
 """The reader of recordings: checks a file from end to end, then gives its frames back."""
 
+import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import h5py
 import numpy as np
@@ -17,6 +19,10 @@ from hardware.frame import FrameFlag, LineFrame
 from hardware.recording import CHUNK_FRAMES, COLUMNS, FORMAT, NO_MARKER, VERSION, line_shape
 
 _DESCRIPTION = TypeAdapter(DeviceDescription)
+
+_MOST_HZ: Final = 1e6
+_MOST_UM: Final = 1000.0
+_FULL: Final = 2**16 - 1
 
 
 @dataclass(frozen=True)
@@ -135,6 +141,7 @@ class RecordingReader:
             ) from error
         except InvalidParameter as error:
             raise self._invalid(f"describes an unusable device: {error.detail}") from error
+        self._check_values(description)
         frames = self._checked_shapes(shape)
         sequence = self.column("sequence")
         device_ns = self.column("exposure_device_ns")
@@ -155,6 +162,39 @@ class RecordingReader:
             lost=int(sequence[-1] - sequence[0]) + 1 - frames if frames else 0,
             complete=attributes.get("complete") is True,
         )
+
+    def _check_values(self, description: DeviceDescription) -> None:
+        """Check that the description's values mean something; NaN and infinities fit nowhere."""
+        rate, gain = description.frame_rate_hz, description.electrons_per_count
+        noise, offset = description.read_noise_electrons, description.offset_counts
+        names = Counter(sensor.name for sensor in description.sensors)
+        checks = [
+            ("frame_rate_hz", rate, 0 <= rate <= _MOST_HZ, f"0 (not known) to {_MOST_HZ:g}"),
+            ("bits", description.bits, 1 <= description.bits <= 16, "1 to 16"),
+            ("electrons_per_count", gain, 0 < gain < math.inf, "positive"),
+            ("read_noise_electrons", noise, 0 <= noise < math.inf, "0 or more"),
+            ("offset_counts", offset, abs(offset) <= _FULL, f"within -{_FULL} to {_FULL}"),
+            ("markers", description.markers, description.markers >= 0, "0 or more"),
+            *(
+                ("a sensor's name", name, 1 <= len(name) <= 64 and "\0" not in name,
+                 "1 to 64 characters without NUL")
+                for name in names
+            ),
+            *(
+                ("a sensor's name", name, count == 1, "a name of its own")
+                for name, count in names.items()
+            ),
+            *(
+                ("pitch_um", sensor.pitch_um, 0 < sensor.pitch_um <= _MOST_UM,
+                 f"positive, at most {_MOST_UM:g}")
+                for sensor in description.sensors
+            ),
+        ]  # fmt: skip
+        for name, value, good, right in checks:
+            if not good:
+                raise self._invalid(
+                    f"describes an unusable device: {name} is {value!r}; it must be {right}"
+                )
 
     def _attributes(self) -> dict[str, object]:
         """Return the root's attributes as plain Python values."""

@@ -1,11 +1,16 @@
 """Makes the driver that a device's source describes; drivers' libraries load only here."""
 
+from dataclasses import asdict
 from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
 
 from compute.errors import InvalidParameter
 from hardware.driver import Driver
 from service.devices.schema import ExternalSource, ReplaySource, Sensor, Source
 from service.errors import DeviceWithoutDriver, UnknownRecording
+
+_SENSORS = TypeAdapter(list[Sensor])
 
 
 def make_driver(device_id: str, source: Source, recordings_dir: Path) -> Driver:
@@ -53,22 +58,36 @@ def sensors_of(device_id: str, source: Source, recordings_dir: Path) -> list[Sen
     """Return the sensors that a source has: given with an external one, else its driver's.
 
     Raises:
-        InvalidParameter: two sensors have one name.
+        InvalidParameter: two sensors have one name, or a driver's cannot be used here.
         LumilineError: the driver cannot be opened.
     """
     if isinstance(source, ExternalSource):
-        names = [sensor.name for sensor in source.sensors]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise InvalidParameter(
-                f'two sensors are called "{twice}"; give each sensor a name of its own',
-                sensor=twice,
-            )
-        return source.sensors
+        sensors = source.sensors
+    else:
+        sensors = _sensors_of_driver(device_id, source, recordings_dir)
+    names = [sensor.name for sensor in sensors]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InvalidParameter(
+            f'two sensors are called "{twice}"; give each sensor a name of its own',
+            sensor=twice,
+        )
+    return sensors
+
+
+def _sensors_of_driver(device_id: str, source: Source, recordings_dir: Path) -> list[Sensor]:
     driver = make_driver(device_id, source, recordings_dir)
     try:
         driver.open()
         described = driver.description.sensors
     finally:
         driver.close()
-    return [Sensor(sensor.name, sensor.pixels, sensor.pitch_um) for sensor in described]
+    try:
+        return _SENSORS.validate_python([asdict(sensor) for sensor in described])
+    except ValidationError as error:
+        first = error.errors()[0]
+        index, *field = first["loc"]
+        raise InvalidParameter(
+            f"sensor {int(index) + 1} of the driver cannot be used: "
+            f"{'.'.join(map(str, field))} is {first['input']!r}: {first['msg']}"
+        ) from error

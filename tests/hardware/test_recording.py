@@ -310,3 +310,60 @@ def test_a_changed_byte_in_the_lines_is_found(tmp_path: Path) -> None:
         pytest.raises(InvalidRecording, match=r"r\.h5 has damaged data in frames/lines"),
     ):
         list(reader.frames())
+
+
+def rewritten(path: Path, **changes: Any) -> Path:
+    """A recording whose description was changed after it was written."""
+    write(path)
+    with h5py.File(path, "r+") as file:
+        description = json.loads(file.attrs["description"])
+        for name, value in changes.items():
+            if name in description:
+                description[name] = value
+            else:
+                description["sensors"][1][name.removeprefix("sensor_")] = value
+        file.attrs["description"] = json.dumps(description)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"sensor_name": ""}, "a sensor's name is ''; it must be 1 to 64 characters"),
+        ({"sensor_name": "n" * 65}, "n'; it must be 1 to 64 characters"),
+        ({"sensor_name": "a\0b"}, "without NUL"),
+        ({"sensor_name": "s0"}, "a sensor's name is 's0'; it must be a name of its own"),
+        ({"sensor_pitch_um": 0.0}, "pitch_um is 0.0; it must be positive, at most 1000"),
+        ({"sensor_pitch_um": float("nan")}, "pitch_um is nan"),
+        ({"sensor_pitch_um": 1000.5}, "pitch_um is 1000.5"),
+        ({"bits": 0}, "bits is 0; it must be 1 to 16"),
+        ({"bits": 17}, "bits is 17; it must be 1 to 16"),
+        ({"electrons_per_count": 0.0}, "electrons_per_count is 0.0; it must be positive"),
+        ({"electrons_per_count": float("inf")}, "electrons_per_count is inf"),
+        ({"read_noise_electrons": -1.0}, "read_noise_electrons is -1.0; it must be 0 or more"),
+        ({"offset_counts": float("-inf")}, "offset_counts is -inf; it must be within -65535"),
+        ({"frame_rate_hz": float("inf")}, r"frame_rate_hz is inf; it must be 0 \(not known\) to"),
+        ({"frame_rate_hz": float("nan")}, "frame_rate_hz is nan"),
+        ({"frame_rate_hz": -1.0}, "frame_rate_hz is -1.0"),
+        ({"frame_rate_hz": 1e300}, r"frame_rate_hz is 1e\+300"),
+    ],
+)
+def test_a_description_that_means_nothing_is_refused(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    refuse(rewritten(tmp_path / "r.h5", **changes), f"describes an unusable device: .*{message}")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sensor_name": "n" * 64},
+        {"sensor_pitch_um": 1000.0},
+        {"bits": 1},
+        {"bits": 16},
+        {"frame_rate_hz": 0.0},
+        {"read_noise_electrons": 0.0},
+    ],
+)
+def test_what_is_just_possible_is_read(tmp_path: Path, changes: dict[str, Any]) -> None:
+    assert read_recording(rewritten(tmp_path / "r.h5", **changes)).frames > 0

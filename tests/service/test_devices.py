@@ -1,10 +1,17 @@
 """Devices: created, changed, deleted, started, on both databases."""
 
+import math
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from hardware.driver import DeviceDescription, SensorDescription
+from hardware.recording import RecordingWriter
+from hardware.simulated.driver import SimulatedDriver
 from service.settings import Settings
 
 EXTERNAL = {
@@ -153,3 +160,59 @@ def test_a_file_that_is_no_recording_is_refused(client: Any, settings: Settings)
     refused = client.post("/api/v1/devices", json=replay("text.h5"))
     assert refused.status_code == 422
     assert refused.json()["type"] == "/problems/invalid-recording"
+
+
+@pytest.fixture
+def record(settings: Settings) -> Callable[..., None]:
+    """Writes a recording "odd.h5" of two sensors, its description changed."""
+
+    def write(pixels: int = 16, **changes: Any) -> None:
+        sensors = (SensorDescription("a", pixels, 7.0), SensorDescription("b", pixels, 7.0))
+        described = DeviceDescription("bar", sensors, 100.0, 12, 12.0, 30.0, 64.0, 0)
+        with RecordingWriter(settings.recordings_dir / "odd.h5", replace(described, **changes)):
+            pass
+
+    return write
+
+
+def test_a_recordings_sensors_are_the_devices(client: Any, record: Callable[..., None]):
+    record()
+    made = client.post("/api/v1/devices", json=replay("odd.h5"))
+    assert made.status_code == 201
+    assert [sensor["name"] for sensor in made.json()["sensors"]] == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"frame_rate_hz": math.inf},
+        {"bits": 99},
+        {"sensors": (SensorDescription("", 16, 7.0),)},
+        {"sensors": (SensorDescription("a", 16, 0.0),)},
+        {"sensors": (SensorDescription("a", 16, 7.0),) * 2},
+    ],
+)
+def test_an_odd_recording_is_refused(
+    client: Any, record: Callable[..., None], changes: dict[str, Any]
+):
+    record(**changes)
+    refused = client.post("/api/v1/devices", json=replay("odd.h5"))
+    assert (refused.status_code, refused.json()["type"]) == (422, "/problems/invalid-recording")
+
+
+def test_a_drivers_sensor_that_the_service_cannot_use_is_refused(
+    client: Any, record: Callable[..., None]
+):
+    record(pixels=4)
+    refused = client.post("/api/v1/devices", json=replay("odd.h5"))
+    assert (refused.status_code, refused.json()["type"]) == (422, "/problems/invalid-parameter")
+    assert "sensor 1 of the driver cannot be used: pixels is 4" in refused.json()["detail"]
+
+
+def test_two_sensors_of_a_driver_may_not_share_a_name(client: Any, monkeypatch: pytest.MonkeyPatch):
+    twins = [SensorDescription("a", 16, 7.0)] * 2
+    monkeypatch.setattr(SimulatedDriver, "description", SimpleNamespace(sensors=twins))
+    body = {"id": "second", "title": "Second", "source": {"kind": "simulated"}}
+    refused = client.post("/api/v1/devices", json=body)
+    assert (refused.status_code, refused.json()["type"]) == (422, "/problems/invalid-parameter")
+    assert 'two sensors are called "a"' in refused.json()["detail"]

@@ -84,7 +84,7 @@ def reproduce(
 
 @app.command()
 def bench(
-    name: Annotated[str | None, typer.Argument(help="live, centroids.")] = None,
+    name: Annotated[str | None, typer.Argument(help="live, centroids, points.")] = None,
     seconds: Annotated[float, typer.Option(min=1.0, help="Duration of live.")] = 60.0,
     device: Annotated[str | None, typer.Option(help="cpu, cuda:0, ... for centroids.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,

@@ -13,6 +13,7 @@ from service.cli.spawn import ServiceFailedError, running_service
 BENCHMARKS = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
     "centroids": "raw lines to peak positions, beside NumPy and SciPy",
+    "points": "readings to points, beside SciPy",
 }
 
 
@@ -35,6 +36,10 @@ def run(name: str | None, *, seconds: float, device: str | None, as_json: bool) 
 
         options = [*(["--json"] if as_json else []), *(["--device", device] if device else [])]
         centroids.main(options)
+    elif name == "points":
+        from benchmarks import points
+
+        points.main(["--json"] if as_json else [])
     else:
         raise fail(f'there is no benchmark "{name}"; there are {", ".join(BENCHMARKS)}')
 

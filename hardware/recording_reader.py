@@ -193,7 +193,7 @@ class RecordingReader:
         for name, value, good, right in checks:
             if not good:
                 raise self._invalid(
-                    f"describes an unusable device: {name} is {value!r}; it must be {right}"
+                    f"describes an unusable device: {name} is {value!r:.80}; it must be {right}"
                 )
 
     def _attributes(self) -> dict[str, object]:

@@ -9,12 +9,14 @@ from fastapi import FastAPI
 
 from service.body_limit import BodyLimit
 from service.calibrations.router import router as calibrations
+from service.cross_origin import CrossOriginGuard
 from service.database.engine import Database
 from service.devices.operation import Operation
 from service.devices.router import router as devices
+from service.head import HeadAsGet
 from service.live.manager import LiveManager
 from service.openapi import install_openapi
-from service.problem_handlers import install_problem_handlers
+from service.problem_handlers import install_problem_handlers, no_such_websocket
 from service.reconstructions.router import router as reconstructions
 from service.server import router as server
 from service.settings import Settings
@@ -68,8 +70,11 @@ def create_app(settings: Settings, live: LiveManager | None = None) -> FastAPI:
     )
     app.state.settings = settings
     app.add_middleware(BodyLimit, limit_bytes=settings.body_limit_bytes)
+    app.add_middleware(HeadAsGet)
+    app.add_middleware(CrossOriginGuard)
     install_problem_handlers(app)
     for router in (devices, calibrations, reconstructions, stream, server):
         app.include_router(router)
+    app.add_api_websocket_route("/{path:path}", no_such_websocket)  # the last to be tried
     install_openapi(app)
     return app

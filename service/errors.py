@@ -99,6 +99,12 @@ class CalibrationOfAnotherDevice(LumilineError):
     code = "calibration-of-another-device"
 
 
+class CrossOrigin(LumilineError):
+    """A web page of another origin asked for a change, or for a websocket."""
+
+    code = "cross-origin"
+
+
 class UpgradeRequired(LumilineError):
     """The path is a websocket; plain HTTP requests have nothing there."""
 

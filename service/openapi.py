@@ -11,6 +11,7 @@ from pydantic.json_schema import models_json_schema
 from compute.errors import LumilineError, NonFiniteValue
 from service.errors import (
     BodyTooLarge,
+    CrossOrigin,
     DuplicateKey,
     MalformedJson,
     NotReady,
@@ -23,6 +24,7 @@ Responses = dict[int | str, dict[str, Any]]
 _INVALID: Final = PROBLEM_TYPES["invalid-request"]
 _OF_EVERY_OPERATION: Final = (PROBLEM_TYPES["internal-error"],)
 _OF_RESOURCES: Final = (problem_type_of(NotReady),)
+_OF_CHANGES: Final = (problem_type_of(CrossOrigin),)
 _OF_BODIES: Final = tuple(
     problem_type_of(error)
     for error in (MalformedJson, DuplicateKey, UnsupportedMediaType, BodyTooLarge, NonFiniteValue)
@@ -89,7 +91,8 @@ def _document(app: FastAPI) -> dict[str, Any]:
     for path, item in document["paths"].items():
         for method, operation in item.items():
             if method != "parameters":
-                _complete(operation, _OF_RESOURCES if path.startswith("/api/") else ())
+                of_path = _OF_RESOURCES if path.startswith("/api/") else ()
+                _complete(operation, (*of_path, *(() if method == "get" else _OF_CHANGES)))
     return document
 
 
@@ -113,10 +116,10 @@ def _require_discriminators(node: Any, schemas: dict[str, Any]) -> None:
             _require_discriminators(value, schemas)
 
 
-def _complete(operation: dict[str, Any], of_path: Sequence[ProblemType]) -> None:
-    """Add the problems that follow from the operation's path and from what it takes."""
+def _complete(operation: dict[str, Any], others: Sequence[ProblemType]) -> None:
+    """Add the problems of every operation, ``others``, and those that follow from its input."""
     responses = operation["responses"]
-    kinds = [*_OF_EVERY_OPERATION, *of_path]
+    kinds = [*_OF_EVERY_OPERATION, *others]
     if responses.get("422", {}).get("content", {}).get("application/json"):
         del responses["422"]  # FastAPI's own description of validation errors
     if operation.get("requestBody") or operation.get("parameters"):

@@ -12,6 +12,8 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+from starlette.websockets import WebSocket
 
 from compute.errors import LumilineError, NonFiniteValue
 from service.errors import BodyTooLarge, MalformedJson
@@ -82,6 +84,23 @@ def problem_response(
     return Response(content, kind.status, headers, MEDIA_TYPE)
 
 
+async def refuse_websocket(response: Response, scope: Scope, receive: Receive, send: Send) -> None:
+    """Answer a websocket's handshake with a response, or close it where the server cannot."""
+    websocket = WebSocket(scope, receive, send)
+    if "websocket.http.response" in scope.get("extensions", {}):
+        await websocket.send_denial_response(response)
+    else:
+        await websocket.close(1008)
+
+
+async def no_such_websocket(websocket: WebSocket) -> None:
+    """Answer a handshake for a path that has no websocket."""
+    path = websocket.url.path
+    detail = f"no websocket has the path {path}; the stream is at /api/v1/stream"
+    response = problem_response(PROBLEM_TYPES["not-found"], detail, path)
+    await refuse_websocket(response, websocket.scope, websocket.receive, websocket.send)
+
+
 async def _domain_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, LumilineError)
     kind = problem_type_of(type(error))
@@ -135,7 +154,7 @@ async def _http_error(request: Request, error: Exception) -> Response:
 
 
 def allowed_methods(request: Request) -> list[str]:
-    """Return the methods that the request's path has, as the OpenAPI document lists them."""
+    """Return the methods that the request's path has: the OpenAPI document's, HEAD with GET."""
     segments = request.url.path.strip("/").split("/")
     methods: set[str] = set()
     for path, item in request.app.openapi()["paths"].items():
@@ -145,7 +164,9 @@ def allowed_methods(request: Request) -> list[str]:
             for part, segment in zip(template, segments, strict=True)
         ):
             methods |= {method.upper() for method in item if method != "parameters"}
-    return sorted(methods or {"GET"})
+    if "GET" in methods or not methods:
+        methods |= {"GET", "HEAD"}
+    return sorted(methods)
 
 
 async def _unexpected_error(request: Request, error: Exception) -> Response:

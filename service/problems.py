@@ -29,6 +29,7 @@ _STATUS: Final[dict[str, int]] = {
     own.CalibrationRetired.code: 409,
     own.NoActiveCalibration.code: 409,
     own.NotReady.code: 503,
+    own.CrossOrigin.code: 403,
     own.UpgradeRequired.code: 426,
     own.MalformedJson.code: 400,
     own.DuplicateKey.code: 400,

@@ -11,9 +11,9 @@ from service.live.manager import DeviceStatus, LiveManager
 with warnings.catch_warnings():
     # Starlette asks for httpx2 in place of httpx; both work, and the service itself uses httpx.
     warnings.simplefilter("ignore")
-    from starlette.testclient import TestClient
+    from starlette.testclient import TestClient, WebSocketDenialResponse
 
-__all__ = ["RecordedLive", "TestClient"]
+__all__ = ["RecordedLive", "TestClient", "WebSocketDenialResponse"]
 
 
 class RecordedLive(LiveManager):

@@ -29,10 +29,11 @@ def test_every_problem_type_has_a_page_for_programs_and_for_people(sqlite_client
 @pytest.mark.parametrize(
     ("method", "path", "allowed"),
     [
-        ("DELETE", "/api/v1/devices", "GET, POST"),
-        ("POST", "/api/v1/devices/sim", "DELETE, GET, PATCH"),
+        ("DELETE", "/api/v1/devices", "GET, HEAD, POST"),
+        ("POST", "/api/v1/devices/sim", "DELETE, GET, HEAD, PATCH"),
         ("GET", "/api/v1/devices/sim/start", "POST"),
-        ("POST", "/problems/not-found", "GET"),
+        ("POST", "/problems/not-found", "GET, HEAD"),
+        ("HEAD", "/api/v1/devices/sim/start", "POST"),
     ],
 )
 def test_a_wrong_method_says_which_are_right(

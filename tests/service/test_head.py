@@ -1,0 +1,42 @@
+"""HEAD: as GET, without the content."""
+
+from typing import Any
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/",
+        "/healthz",
+        "/readyz",
+        "/problems",
+        "/problems/not-found",
+        "/openapi.json",
+        "/docs",
+        "/api/v1/devices",
+        "/api/v1/devices/sim",
+        "/api/v1/calibrations/sim-nominal",
+        "/api/v1/devices/nothing",
+        "/api/v1/stream",
+        "/nowhere",
+        "/api/v1/calibrations?limit=0",
+    ],
+)
+def test_head_answers_as_get_does(sqlite_client: Any, path: str):
+    got, head = sqlite_client.get(path), sqlite_client.head(path)
+    assert head.status_code == got.status_code
+    assert dict(head.headers) == dict(got.headers)
+    assert int(head.headers["content-length"]) == len(got.content) > 0
+    assert head.content == b""
+
+
+def test_head_where_there_is_no_get(sqlite_client: Any):
+    head = sqlite_client.head("/api/v1/devices/sim/start")
+    assert (head.status_code, head.headers["allow"], head.content) == (405, "POST", b"")
+
+
+def test_the_contract_does_not_list_it(sqlite_client: Any):
+    for item in sqlite_client.get("/openapi.json").json()["paths"].values():
+        assert "head" not in item

@@ -16,6 +16,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from compute.errors import LumilineError, NonFiniteValue
+from service.error_location import location_in_body
 from service.errors import BodyTooLarge, MalformedJson
 from service.problems import (
     MEDIA_TYPE,
@@ -116,13 +117,28 @@ async def _validation_error(request: Request, error: Exception) -> Response:
         reason = item.get("ctx", {}).get("error", item["msg"])
         detail = f"the body is not JSON: {reason}; send a JSON document"
         return problem_response(problem_type_of(MalformedJson), detail, request.url.path)
+    body = _parsed(error.body)
     errors = [
-        FieldError(location=list(item["loc"]), message=item["msg"], input=shown(item.get("input")))
+        FieldError(
+            location=_location(item, body), message=item["msg"], input=shown(item.get("input"))
+        )
         for item in found
     ]
     not_finite = any(_is_not_finite(item.get("input")) for item in found)
     kind = problem_type_of(NonFiniteValue) if not_finite else PROBLEM_TYPES["invalid-request"]
     return problem_response(kind, _summary(errors), request.url.path, errors=errors)
+
+
+def _parsed(body: Any) -> Any:
+    """Return the body, which is the text that was read where it was JSON; see json_body."""
+    return json.loads(body) if isinstance(body, bytes) and body else body
+
+
+def _location(item: Mapping[str, Any], body: Any) -> list[str | int]:
+    source, *parts = item["loc"]
+    if source == "body":
+        parts = location_in_body(parts, body, missing=item["type"] == "missing")
+    return [source, *parts]
 
 
 def _is_not_finite(value: Any) -> bool:

@@ -1,8 +1,13 @@
 """HEAD: as GET, without the content."""
 
+import asyncio
 from typing import Any
 
 import pytest
+from starlette.responses import PlainTextResponse
+from starlette.types import Message, Receive, Scope, Send
+
+from service.head import HeadAsGet
 
 
 @pytest.mark.parametrize(
@@ -40,3 +45,25 @@ def test_head_where_there_is_no_get(sqlite_client: Any):
 def test_the_contract_does_not_list_it(sqlite_client: Any):
     for item in sqlite_client.get("/openapi.json").json()["paths"].values():
         assert "head" not in item
+
+
+def test_no_content_leaves_the_application():
+    # A server and a client would drop it, too, and hide it from the tests above.
+    async def sent() -> list[Message]:
+        async def app(scope: Scope, _: Receive, send: Send) -> None:
+            assert scope["method"] == "GET"
+            await PlainTextResponse("content")(scope, receive, send)
+
+        async def receive() -> Message:
+            raise AssertionError("nothing is read")
+
+        async def send(message: Message) -> None:
+            messages.append(message)
+
+        messages: list[Message] = []
+        await HeadAsGet(app)({"type": "http", "method": "HEAD"}, receive, send)
+        return messages
+
+    start, body = asyncio.run(sent())
+    assert (b"content-length", b"7") in start["headers"]
+    assert body == {"type": "http.response.body", "body": b""}

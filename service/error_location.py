@@ -1,0 +1,44 @@
+"""Where in a body an error lies: pydantic's location without its names of union members."""
+
+from collections.abc import Sequence
+from typing import Any
+
+Location = list[str | int]
+
+
+def location_in_body(location: Sequence[str | int], body: Any, *, missing: bool) -> Location:
+    """Return the path to the value; unchanged where it does not lead through the body.
+
+    Pydantic puts into a location which member of a union it tried, and that is no key of the
+    body: ``source, external, sensors, 1, name`` stands for ``source.sensors[1].name``.
+
+    Args:
+        location: the parts below the body.
+        body: the parsed body.
+        missing: whether the last part is a key that the body lacks.
+    """
+    parts = list(location)
+    last = [parts.pop()] if missing and parts else []
+    found = _path(parts, body)
+    return list(location) if found is None else found + last
+
+
+def _path(parts: Location, value: Any) -> Location | None:
+    """Return the parts that lead through the value, None where a needed one does not.
+
+    A part that is a key is taken as one first: a member's name may be the same as a key's.
+    """
+    if not parts:
+        return []
+    part, rest = parts[0], parts[1:]
+    if _has(value, part):
+        below = _path(rest, value[part])
+        if below is not None:
+            return [part, *below]
+    return None if isinstance(part, int) else _path(rest, value)
+
+
+def _has(value: Any, part: str | int) -> bool:
+    if isinstance(value, dict):
+        return part in value
+    return isinstance(value, list) and isinstance(part, int) and 0 <= part < len(value)

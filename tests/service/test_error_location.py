@@ -1,0 +1,75 @@
+"""Locations of errors: the path to the value in the body that was sent."""
+
+from typing import Any
+
+import pytest
+
+from service.error_location import location_in_body
+
+SENSORS = [{"name": "a", "pixels": 1, "pitch_um": 7.0}, {"pixels": 8}]
+
+
+def external(**more: Any) -> dict[str, Any]:
+    return {"id": "b", "title": "B", "source": {"kind": "external", "sensors": SENSORS} | more}
+
+
+def locations(answer: Any) -> list[list[str | int]]:
+    assert answer.status_code == 422
+    return [item["location"] for item in answer.json()["errors"]]
+
+
+def test_the_kind_of_a_source_is_not_part_of_the_path(sqlite_client: Any):
+    found = locations(sqlite_client.post("/api/v1/devices", json=external()))
+    assert found == [
+        ["body", "source", "sensors", 0, "pixels"],
+        ["body", "source", "sensors", 1, "name"],
+        ["body", "source", "sensors", 1, "pitch_um"],
+    ]
+
+
+def test_a_key_of_the_same_name_is(sqlite_client: Any):
+    body = external(external={"sensors": 3})
+    found = locations(sqlite_client.post("/api/v1/devices", json=body))
+    assert ["body", "source", "external"] in found
+    assert ["body", "source", "sensors", 1, "name"] in found
+
+
+def test_unions_inside_unions(sqlite_client: Any):
+    scene = {"kind": "rotating-bar", "length_mm": "long"}
+    source = {"kind": "simulated", "settings": {"scene": scene, "bits": 99}}
+    body = {"id": "b", "title": "B", "source": source}
+    assert locations(sqlite_client.post("/api/v1/devices", json=body)) == [
+        ["body", "source", "settings", "scene", "length_mm"],
+        ["body", "source", "settings", "bits"],
+    ]
+
+
+def test_readings(sqlite_client: Any):
+    readings = {"v": "x", "w": {"position_px": "y"}, "position": {"sigma_px": 0}}
+    points = [{"name": "a", "position_mm": [1, 2], "readings": readings}]
+    body = {"device": "sim", "points": points}
+    at = ["body", "points", 0]
+    assert locations(sqlite_client.post("/api/v1/calibrations", json=body)) == [
+        [*at, "position_mm", 2],
+        [*at, "readings", "v"],
+        [*at, "readings", "w", "position_px"],
+        [*at, "readings", "w", "sigma_px"],
+        [*at, "readings", "position", "position_px"],
+        [*at, "readings", "position", "sigma_px"],
+    ]
+
+
+@pytest.mark.parametrize("content", [b"", b"3"])
+def test_a_body_that_is_missing_or_no_object(sqlite_client: Any, content: bytes):
+    headers = {"content-type": "application/json"}
+    answer = sqlite_client.post("/api/v1/devices", content=content, headers=headers)
+    assert locations(answer) == [["body"]]
+
+
+def test_a_query_keeps_its_location(sqlite_client: Any):
+    assert locations(sqlite_client.get("/api/v1/devices?limit=0")) == [["query", "limit"]]
+
+
+@pytest.mark.parametrize("parts", [["a", 3, "b"], ["a", 0]])
+def test_what_does_not_lead_through_the_body_stays(parts: list[str | int]):
+    assert location_in_body(parts, {"a": []}, missing=False) == parts

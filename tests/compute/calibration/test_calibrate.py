@@ -309,6 +309,15 @@ def test_a_box_seen_along_its_edges_is_refused(noise_px: float) -> None:
     calibrate(moved, project(rig(), moved) + noise, geometry(rig()))
 
 
+def test_the_estimated_deviation_allows_for_its_own_uncertainty() -> None:
+    """1/(n - 9) of the sum of squares: the mean of 1/chi2 with n - 7 degrees of freedom."""
+    models, points = rig(), control_points(13)
+    rng = np.random.default_rng(3)
+    readings = project(models, points) + 0.2 * rng.standard_normal((13, 4))
+    for fit in calibrate(points, readings, geometry(models)).sensors:
+        assert fit.sigma_px == pytest.approx(fit.rms_px * np.sqrt(13 / 4))
+
+
 def test_eight_points_leave_the_deviation_assumed() -> None:
     """One residual more than parameters: its size says next to nothing of the noise."""
     models, points = rig(), control_points(8)

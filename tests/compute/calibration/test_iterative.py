@@ -51,6 +51,16 @@ def test_the_cubic_term_is_found() -> None:
     assert np.abs(found - points).mean() < np.abs(plain - points).mean() / 3
 
 
+@pytest.mark.parametrize("normalised", [False, True])
+def test_both_arithmetics_find_the_same_distortion(normalised: bool) -> None:
+    models, points = rig(1), control_points(60)
+    ideal = project(models, points)[:, 0]
+    readings = distorted(ideal, 2e-9, 1023.5)
+    found = iterative_dlt(points, readings, "s1", iterations=300, normalised=normalised)
+    assert found.cubic_per_px2 == pytest.approx(2e-9, rel=0.1)
+    assert found.principal_point_px[-1] == pytest.approx(1023.5, abs=60.0)
+
+
 def test_an_origin_in_the_lens_plane_is_beyond_the_published_form_only() -> None:
     """[5.1] sets the denominator's constant to 1; there it is 0 (Test 5.2)."""
     models, points = rig(1), control_points(19)

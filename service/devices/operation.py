@@ -18,7 +18,8 @@ from service.database.models import DeviceRow
 from service.devices import store
 from service.devices.drivers import make_driver, sensors_of
 from service.devices.schema import Device, DeviceChange, NewDevice
-from service.live.manager import DeviceStatus, LiveManager
+from service.live.manager import LiveManager
+from service.live.session import DeviceStatus
 
 _log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from hardware.driver import SensorDescription
 from hardware.simulated.settings import SimulationSettings
-from service.live.manager import DeviceStatus
+from service.live.session import DeviceStatus
 from service.schema import Document, Given, Moment, Name, Slug, Text200, absent
 
 RECORDING_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"

@@ -6,7 +6,8 @@ from typing import Any
 from compute.calibration.result import Calibration
 from hardware.driver import DeviceDescription, Driver
 from service.live.hub import Hub
-from service.live.manager import DeviceStatus, LiveManager
+from service.live.manager import LiveManager
+from service.live.session import DeviceStatus
 
 with warnings.catch_warnings():
     # Starlette asks for httpx2 in place of httpx; both work, and the service itself uses httpx.

@@ -23,9 +23,10 @@ from hardware.simulated.scenes import RotatingBar, StillPoints
 from hardware.simulated.settings import SimulationSettings
 from service.live.batch import FrameBatch
 from service.live.hub import Hub
-from service.live.manager import BATCH_SECONDS, DeviceStatus, LiveManager
+from service.live.manager import LiveManager
 from service.live.messages import frame_messages
 from service.live.processor import DeviceProcessor
+from service.live.session import BATCH_SECONDS, DeviceStatus
 
 
 class RecordingHub(Hub):

@@ -1,5 +1,7 @@
 """Reconstruction: exact, honest about its errors, and clear about points it cannot have."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -196,3 +198,17 @@ def test_a_reading_that_says_nothing_is_no_redundancy() -> None:
         again = reconstruct(rig(), readings, np.array([0.05, 0.05, 0.05, useless]))
         assert np.allclose(again.position_mm, batch.position_mm)
         assert not again.used[0, 3]
+
+
+def test_a_cubic_term_corrects_readings_and_their_deviations() -> None:
+    models, points = rig(), control_points(5)
+    cubic = tuple(replace(model, cubic_per_px2=2e-7) for model in models)
+    readings, sigma = project(models, points), np.array([0.1, 0.2, 0.1, 0.3])
+    stack = CameraStack.of(cubic)
+    found = reconstruct(cubic, readings, sigma)
+    slope = stack.correction_slope(readings)
+    assert slope.max() > 1.05
+    plain = reconstruct(models, stack.corrected(readings), sigma * slope)
+    assert np.allclose(found.position_mm, plain.position_mm, atol=1e-9)
+    assert np.allclose(found.covariance_mm2, plain.covariance_mm2, rtol=1e-9)
+    assert np.allclose(found.chi2, plain.chi2, rtol=1e-6)

@@ -20,10 +20,12 @@ def fitted_errors(
 ) -> Array:
     """Reconstruct the control points and return reconstructed minus given, shape (N, 3) [mm].
 
-    NaN for a point that fewer than three sensors saw. The sign is the thesis's (Appendix F).
+    As any readings are reconstructed, with the calibration's covariance. NaN for a point that
+    fewer than three sensors saw. The sign is the thesis's (Appendix F).
     """
     sigma = reading_sigma(calibration, readings_px, sigma_px)
-    found = reconstruct(calibration.models, readings_px, sigma)
+    covariance = np.array(calibration.covariance)
+    found = reconstruct(calibration.models, readings_px, sigma, covariance)
     return found.position_mm - points_mm
 
 

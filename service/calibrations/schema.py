@@ -71,7 +71,7 @@ class PointErrors(Document):
 
     statistics: AxisErrors | None = Field(description="Null when no point could be had.")
     differences_mm: list[Vector3 | None] = Field(
-        description="Given minus reconstructed, in the order of the points; null: no position."
+        description="Reconstructed minus given, in the order of the points; null: no position."
     )
 
 

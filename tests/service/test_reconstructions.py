@@ -1,5 +1,7 @@
 """Reconstructions: points from posted readings, stored, read, deleted; on both databases."""
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from hardware.simulated.frame_shape import frame_shape_mm
 from service.calibrations.examples import simulated_points
+from tests.service.recorded_live import TestClient
 
 URL = "/api/v1/reconstructions"
 OFFSETS = [[0, 0, 0], [140, -60, 200], [-90, 75, -300]]
@@ -101,3 +104,22 @@ def test_an_id_is_unique(client: Any):
     assert client.post(URL, json=body).status_code == 201
     refused = client.post(URL, json=body)
     assert (refused.status_code, refused.json()["type"]) == (409, "/problems/reconstruction-exists")
+
+
+def test_differences_are_reconstructed_minus_given(sqlite_client: TestClient) -> None:
+    """The published sign, and the same reconstruction as for posted readings."""
+    examples = Path(__file__).parents[2] / "docs" / "examples"
+    device, frame = (
+        json.loads((examples / f"{name}.json").read_text(encoding="utf-8"))
+        for name in ("device", "calibration")
+    )
+    assert sqlite_client.post("/api/v1/devices", json=device).status_code == 201
+    made = sqlite_client.post("/api/v1/calibrations", json=frame).json()
+    points = [{"name": p["name"], "readings": p["readings"]} for p in frame["points"]]
+    body = {"device": device["id"], "calibration": made["id"], "points": points}
+    estimates = sqlite_client.post("/api/v1/reconstructions", json=body).json()["estimates"]
+    for given, estimate, difference in zip(
+        frame["points"], estimates, made["errors"]["fitted"]["differences_mm"], strict=True
+    ):
+        found = np.subtract(estimate["position_mm"], given["position_mm"])
+        assert np.allclose(found, difference, atol=1e-6)

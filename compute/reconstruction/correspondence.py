@@ -15,7 +15,7 @@ MAX_CANDIDATES = 2_500
 FALSE_REJECTION = 1e-6
 """Chance that the peaks of one marker are not taken together."""
 CHANCE_GROUPS = 0.01
-"""Expected number of combinations that fit by chance, beyond which leftover peaks cast doubt."""
+"""Expected number of unexplained combinations that fit by chance, beyond which there is doubt."""
 CHANCE_BAND = 400.0
 """Combinations with chi2 of up to this times the limit tell how many fit by chance."""
 
@@ -47,9 +47,9 @@ def match_peaks(
     tells the N true ones from the ghosts. Every combination of one peak from each sensor that
     saw anything is tried; the consistent ones are taken by increasing chi2, each peak once. A
     marker whose peaks could also be shared with another consistent combination is marked as
-    ambiguous. So are all when peaks are left over on two sensors or more, so that markers were
-    not seen by all, and combinations are so many that some fit by chance. With three sensors, or
-    peaks left over, only a single peak on each is grouped.
+    ambiguous. So are all when so many peaks are left over, because sensors missed markers, that
+    some combination of them may fit by chance. With three sensors, or peaks left over, only a
+    single peak on each is grouped.
 
     Args:
         cameras: S calibrated cameras.
@@ -112,6 +112,8 @@ def _consistent(
     # many lie in a wide band around zero tells how many lie within the limit.
     band = np.count_nonzero((chi2 > limit) & (chi2 <= CHANCE_BAND * limit))
     by_chance = band / (CHANCE_BAND ** (freedom / 2) - 1.0)
-    if by_chance > CHANCE_GROUPS and free.any(axis=1).sum() >= 2:
+    # A wrong group is one of the combinations of peaks that no other group explains.
+    unexplained = float(np.prod(free[seeing].sum(axis=1) + 1.0))
+    if by_chance / len(choice) * unexplained > CHANCE_GROUPS:
         groups = [(reading, sigma, True) for reading, sigma, _ in groups]
     return groups

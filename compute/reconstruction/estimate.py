@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 from enum import IntFlag
-from functools import cache
 from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.model import Vector3
+from compute.flags import flag_names
 
 
 class PointFlag(IntFlag):
@@ -99,13 +99,7 @@ class PointBatch:
                     else None,
                     sigma if isfinite(sigma) else None,
                     tuple(name for name, use in zip(names, used, strict=True) if use),
-                    flag_names(flags),
+                    flag_names(PointFlag(flags)),
                 )
             )
         return estimates
-
-
-@cache
-def flag_names(flags: int) -> tuple[str, ...]:
-    """Return the flags that hold, as clients see them: ``too-few-sensors``, ..."""
-    return tuple(str(flag.name).lower().replace("_", "-") for flag in PointFlag(flags))

@@ -6,6 +6,8 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.flags import flag_names
+
 
 class PeakFlag(IntFlag):
     """Why a peak is to be used with care."""
@@ -31,7 +33,7 @@ class Peak:
         sigma_px: standard deviation of the position by the noise model [px].
         amplitude: maximum above the line's background [counts].
         width_px: full width at the peak's own threshold [px].
-        flags: names of the flags that hold, in lower case.
+        flags: names of the flags that hold, in lower case with hyphens.
     """
 
     sensor: str
@@ -81,8 +83,3 @@ class PeakBatch:
             )
             for k in range(int(self.count[line]))
         )
-
-
-def flag_names(flags: PeakFlag) -> tuple[str, ...]:
-    """Return the flags that hold, as clients see them: ``saturated``, ``clipped``, ..."""
-    return tuple(str(flag.name).lower() for flag in flags)

@@ -6,8 +6,8 @@ from typing import Any, Final, Literal, get_args
 
 import msgpack
 
+from compute.flags import flag_names
 from hardware.driver import DeviceDescription
-from hardware.frame import FrameFlag
 from service.live.batch import FrameBatch
 
 Content = Literal["points", "peaks"]
@@ -43,7 +43,7 @@ def frame_messages(batch: FrameBatch, content: frozenset[Content]) -> Iterator[d
             "device_ns": frame.exposure_device_ns,
             "marker": frame.marker,
             "calibration": batch.calibration_id,
-            "flags": _flag_names(frame.flags),
+            "flags": flag_names(frame.flags),
         }
         if "points" in content:
             message["points"] = [
@@ -77,7 +77,3 @@ def describe_message(description: DeviceDescription) -> dict[str, Any]:
 def missed_message(device_id: str, messages: int) -> dict[str, Any]:
     """Return the message that tells a slow client how many messages it did not get."""
     return {"type": "missed", "device": device_id, "messages": messages}
-
-
-def _flag_names(flags: FrameFlag) -> list[str]:
-    return [str(flag.name).lower().replace("_", "-") for flag in flags]

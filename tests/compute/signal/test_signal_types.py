@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter
+from compute.flags import flag_names
 from compute.signal.noise import LineNoise
-from compute.signal.peaks import Peak, PeakFlag, flag_names
+from compute.signal.peaks import Peak, PeakFlag
 from compute.signal.reference import find_peaks_reference
 from compute.signal.settings import CentroidSettings, sample_starts
 from tests.compute.signal.signal_lines import NOISE, gaussian_counts, measured

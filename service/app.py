@@ -1,6 +1,6 @@
 """The application factory: settings in, a FastAPI application with its lifespan out."""
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Final
 
@@ -34,12 +34,17 @@ types. Every example below works as it stands on a new server, which has the sim
 """
 
 
-def create_app(settings: Settings, live: LiveManager | None = None) -> FastAPI:
+def create_app(
+    settings: Settings,
+    live: LiveManager | None = None,
+    started: Callable[[], None] | None = None,
+) -> FastAPI:
     """Return the application; nothing is opened or started before its lifespan begins.
 
     Args:
         settings: the settings.
         live: takes the live pipeline's place, closed with the application all the same.
+        started: called once all is running and before requests are served.
     """
 
     @asynccontextmanager
@@ -53,6 +58,8 @@ def create_app(settings: Settings, live: LiveManager | None = None) -> FastAPI:
                 app.state.database, app.state.live = database, manager
                 app.state.operation = operation
                 await run_sync(operation.autostart)
+                if started is not None:
+                    started()
                 yield
             finally:
                 app.state.live = None

@@ -13,7 +13,7 @@ from hardware.simulated.bar import sensor_bar
 from hardware.simulated.renderer import BATCH, FrameRenderer
 from hardware.simulated.settings import SimulationSettings
 
-FIFO_S: Final = 0.25
+FIFO_S: Final = 1.0
 """What the device's memory holds; older exposures that nobody fetched are lost."""
 
 

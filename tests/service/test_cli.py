@@ -32,7 +32,9 @@ def test_serve_hands_the_settings_to_uvicorn(monkeypatch: pytest.MonkeyPatch, tm
     calls: list[Any] = []
     monkeypatch.setattr("uvicorn.run", lambda app, **given: calls.append((app, given)))
     monkeypatch.setenv("LUMILINE_PORT", "1234")
-    result = run("serve", "--data-dir", str(tmp_path), "--device", "cpu", "--host", "0.0.0.0")
+    result = run(
+        "serve", "--data-dir", str(tmp_path), "--compute-device", "cpu", "--host", "0.0.0.0"
+    )
     assert result.exit_code == 0
     [(served, given)] = calls
     assert served.state.settings == Settings(

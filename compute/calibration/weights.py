@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 def reading_sigma(
     calibration: Calibration, readings_px: Array, sigma_px: Array | None = None
 ) -> Array:
-    """Return the standard deviations with which readings (N, S) go into a reconstruction [px].
+    """Return the standard deviations with which readings (..., S) go into a reconstruction [px].
 
     A reading is not known better than the model reproduces its control points. Where these came
     with their deviations, what the residuals exceed them by is misfit and is added in squares;
@@ -20,8 +20,8 @@ def reading_sigma(
 
     Args:
         calibration: the calibration in use.
-        readings_px: shape (N, S); only the shape is used.
-        sigma_px: the readings' own deviations, shape (N, S); where NaN, and for None, the
+        readings_px: shape (..., S); only the shape is used.
+        sigma_px: the readings' own deviations, shape (..., S); where NaN, and for None, the
             calibration's are taken.
     """
     own = np.array([fit.sigma_px for fit in calibration.sensors])

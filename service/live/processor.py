@@ -138,7 +138,9 @@ def _reconstruct(
     # A line that runs over the sensor's end is drawn inwards by far more than its noise: not seen.
     position[(flags & PeakFlag.CLIPPED) != 0] = np.nan
     doubtful = position[(flags & (PeakFlag.SATURATED | PeakFlag.MERGED)) != 0]
-    spread = peaks.sigma_px.reshape(shape).astype(np.float64)
+    # By frame, peak and sensor for the calibration's figures, which are by sensor.
+    own = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
+    spread = reading_sigma(active.calibration, own, own).transpose(0, 2, 1)
     amplitude = peaks.amplitude.reshape(shape)
     rows: list[Array] = []
     sigmas: list[Array] = []
@@ -155,8 +157,7 @@ def _reconstruct(
             owner.append(index)
             ambiguous.append(False)
             continue
-        sigma = reading_sigma(active.calibration, spread[index].T, spread[index].T).T
-        found = match_peaks(active.cameras, position[index], sigma, active.covariance)
+        found = match_peaks(active.cameras, position[index], spread[index], active.covariance)
         rows.extend(found.readings_px)
         sigmas.extend(found.sigma_px)
         owner.extend([index] * len(found.readings_px))
@@ -164,12 +165,7 @@ def _reconstruct(
     if not rows:
         return _no_points(sensors), np.empty(0, dtype=np.intp)
     readings, deviations = np.array(rows), np.array(sigmas)
-    points = reconstruct(
-        active.cameras,
-        readings,
-        reading_sigma(active.calibration, readings, deviations),
-        active.covariance,
-    )
+    points = reconstruct(active.cameras, readings, deviations, active.covariance)
     found_flags = np.where(ambiguous, int(PointFlag.AMBIGUOUS), 0)
     from_doubtful = np.isin(readings, doubtful).any(axis=1)
     found_flags |= np.where(from_doubtful, int(PointFlag.DOUBTFUL_PEAK), 0)

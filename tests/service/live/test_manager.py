@@ -203,6 +203,24 @@ def test_a_line_over_the_sensors_end_is_not_used(live: LiveManager, illumination
         assert np.linalg.norm(np.subtract(found["position_mm"], point)) < 1.0
 
 
+def test_the_misfit_counts_once_however_markers_are_lit(live: LiveManager) -> None:
+    """One marker, the same lines: strobed or not, the point and its covariance are the same."""
+    known = nominal()
+    fits = tuple(replace(fit, sigma_px=0.01, chi2_per_dof=26.0) for fit in known.sensors)
+    misfit = replace(known, sensors=fits)
+    scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
+    found = []
+    for illumination in ("strobed", "simultaneous"):
+        hub = live.hub
+        assert isinstance(hub, RecordingHub)
+        hub.batches.clear()
+        hub.messages.clear()
+        settings = simulation(scene=scene, illumination=illumination, duration_s=0.02)
+        messages = run_to_the_end(live, settings, misfit)
+        found.append([message["points"][0]["covariance_mm2"] for message in messages])
+    assert np.allclose(found[0], found[1], rtol=1e-9)
+
+
 def test_a_saturated_peak_makes_a_doubtful_point(live: LiveManager) -> None:
     scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
     for electrons, flagged in ((1e5, False), (5e6, True)):

@@ -127,6 +127,20 @@ def test_the_summary_tells_duration_and_losses(tmp_path: Path) -> None:
     assert info.duration_s == pytest.approx(0.007)
 
 
+def record_until_it_breaks(path: Path) -> None:
+    with RecordingWriter(path, described()) as writer:
+        for sequence in range(10):
+            writer.append(numbered(sequence, described()))
+        raise OSError("the device was unplugged")
+
+
+def test_a_recording_cut_short_by_an_error_says_so(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="unplugged"):
+        record_until_it_breaks(tmp_path / "r.h5")
+    info = read_recording(tmp_path / "r.h5")
+    assert (info.frames, info.complete) == (10, False)
+
+
 def test_a_file_whose_writer_died_holds_what_was_flushed(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "live.h5", described())
     for sequence in range(40):

@@ -17,10 +17,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
-from compute.camera.model import SensorModel, vector3
 from compute.camera.stack import CameraStack
+from compute.optics.placement import place_sensor
 from compute.reconstruction.linear import reconstruct_linear
 from compute.reconstruction.points import reconstruct
 
@@ -45,22 +44,21 @@ class Method:
 
 def rig() -> CameraStack:
     """Four sensors on a bar of 600 mm that read in four directions, aimed 1.5 m away."""
-    models = []
-    for index, x in enumerate((-300.0, -100.0, 100.0, 300.0)):
-        position = np.array([x, 0.0, 0.0])
-        view = np.array([0.0, 0.0, 1500.0]) - position
-        view /= np.linalg.norm(view)
-        side = np.cross([0.0, 1.0, 0.0], view)
-        side /= np.linalg.norm(side)
-        angle = np.pi / 2 + index * np.pi / 4
-        along = np.cos(angle) * side + np.sin(angle) * np.cross(view, side)
-        rotation = np.array([along, np.cross(view, along), view])
-        offset = -rotation @ position
-        turn = vector3(Rotation.from_matrix(rotation).as_rotvec())
-        models.append(
-            SensorModel(f"s{index}", 2048, 3000.0, 1023.5, turn, float(offset[0]), float(offset[2]))
+    placed = [
+        place_sensor(
+            f"s{index}",
+            lens_position_mm=(x, 0.0, 0.0),
+            aim_mm=(0.0, 0.0, 1500.0),
+            measured_direction=(float(np.cos(angle)), float(np.sin(angle)), 0.0),
+            principal_distance_mm=36.0,
+            pixels=2048,
+            pitch_um=12.0,
         )
-    return CameraStack.of(models)
+        for index, (x, angle) in enumerate(
+            zip((-300.0, -100.0, 100.0, 300.0), np.pi / 2 + np.pi / 4 * np.arange(4), strict=True)
+        )
+    ]
+    return CameraStack.of([sensor.model for sensor in placed])
 
 
 def run(seconds: float = 0.3) -> list[Row]:

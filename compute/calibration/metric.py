@@ -75,11 +75,17 @@ def refine(
             "of it fits the readings; look for exchanged or wrong labels",
             sensor=sensor.name,
         )
-    model = best[1]
+    _check_determined(best[1], points_mm, weights)
+    return at_solution(best[1], points_mm, readings_px, sigma_px)
+
+
+def at_solution(
+    model: SensorModel, points_mm: Array, readings_px: Array, sigma_px: Array
+) -> RefinedSensor:
+    """Return a fitted camera with its residuals and the inverse of its normal matrix."""
     cameras = CameraStack.of([model])
-    jacobian = cameras.parameter_jacobian(points_mm)[:, 0] * weights[:, None]
-    _check_determined(model, points_mm, weights)
-    residuals = cameras.project(points_mm)[:, 0] - readings_px
+    residuals = (cameras.project(points_mm) - cameras.corrected(readings_px[:, None]))[:, 0]
+    jacobian = cameras.parameter_jacobian(points_mm)[:, 0] / sigma_px[:, None]
     return RefinedSensor(model, cofactor(jacobian), residuals)
 
 

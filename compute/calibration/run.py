@@ -1,6 +1,7 @@
 """Calibrate a device: every sensor's model from control points, with a joint covariance."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -8,11 +9,10 @@ from numpy.typing import NDArray
 
 from compute.calibration.checks import check_observations
 from compute.calibration.iterative import iterative_dlt
-from compute.calibration.metric import RefinedSensor, cofactor, refine
+from compute.calibration.metric import RefinedSensor, at_solution, refine
 from compute.calibration.result import Calibration, Method, SensorFit
 from compute.camera.dlt import model_from_matrix
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
-from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter, NoConvergence
 from compute.reconstruction.points import chi2_limit
 
@@ -102,10 +102,8 @@ def _published(
     model = model_from_matrix(
         fitted.matrix, sensor, points_mm.mean(axis=0), cubic_per_px2=fitted.cubic_per_px2
     )
-    cameras = CameraStack.of([model])
-    residuals = (cameras.project(points_mm) - cameras.corrected(readings_px[:, None]))[:, 0]
-    jacobian = cameras.parameter_jacobian(points_mm)[:, 0] / sigma_px[:, None]
-    return RefinedSensor(model, cofactor(jacobian), residuals, fitted.change_px)
+    refined = at_solution(model, points_mm, readings_px, sigma_px)
+    return replace(refined, iteration_change_px=fitted.change_px)
 
 
 def _assess(refined: RefinedSensor, sigma_px: Array | None) -> tuple[SensorFit, float]:

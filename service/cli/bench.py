@@ -1,14 +1,14 @@
 """`lumiline bench`: figures of speed, each beside what a user would pick instead."""
 
 import tempfile
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from service.cli.output import console, fail, print_json, progress_console
-from service.cli.spawn import ServiceFailedError, running_service
+from service.cli.output import console, fail, print_json, progress
+from service.cli.spawn import running_service
 
 BENCHMARKS = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
@@ -48,24 +48,20 @@ def _live(seconds: float, *, as_json: bool) -> None:
     from benchmarks.bare_stream import running_bare_stream
     from benchmarks.live import measure
 
-    bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(),
-        console=progress_console, transient=True, disable=as_json,
-    )  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder, bar:
-        task = bar.add_task("starting the service", total=None)
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         try:
-            with running_service(Path(folder)) as url:
-                bar.update(task, description="streaming", total=seconds)
-                figures = measure(
-                    url.replace("http", "ws", 1) + "/api/v1/stream?device=sim",
-                    seconds,
-                    lambda done: bar.update(task, completed=done),
-                )
-            bar.update(task, description="a bare websocket beside it", total=BARE_SECONDS)
-            with running_bare_stream() as url:
-                bare = measure(url, BARE_SECONDS, lambda done: bar.update(task, completed=done))
-        except (ServiceFailedError, RuntimeError) as error:
+            with progress("starting the service", quiet=as_json):
+                url = stack.enter_context(running_service(Path(folder)))
+            stream = url.replace("http", "ws", 1) + "/api/v1/stream?device=sim"
+            with progress("streaming", seconds, quiet=as_json) as done:
+                figures = measure(stream, seconds, done)
+            stack.close()
+            with (
+                progress("a bare websocket beside it", BARE_SECONDS, quiet=as_json) as done,
+                running_bare_stream() as url,
+            ):
+                bare = measure(url, BARE_SECONDS, done)
+        except RuntimeError as error:
             raise fail(str(error)) from error
     if as_json:
         print_json({"live": asdict(figures), "bare_websocket": asdict(bare)})

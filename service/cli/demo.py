@@ -1,14 +1,12 @@
 """`lumiline demo`: the main job, end to end, as a client of the real service."""
 
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from benchmarks.live import summarise
@@ -16,8 +14,8 @@ from compute.calibration.result import AxisErrors
 from hardware.simulated.scenes import CalibrationFrame, RotatingBar
 from service.cli.demo_client import DemoClient
 from service.cli.demo_picture import save_picture
-from service.cli.output import console, error_table, fail, millimetres, progress_console
-from service.cli.spawn import ServiceFailedError, running_service
+from service.cli.output import console, error_table, fail, millimetres, progress
+from service.cli.spawn import running_service
 from validation.published import DLT, PUBLISHED
 
 FRAME_SECONDS = 3.0
@@ -29,44 +27,24 @@ def run(output: Path, seconds: float) -> None:
     """Start the service, calibrate, stream, print the figures and write the picture."""
     data = output / "data"
     shutil.rmtree(data, ignore_errors=True)
-    with _progress("starting the service (the first time it compiles its kernels)"):
-        context = running_service(data)
+    with ExitStack() as stack:
         try:
-            url = context.__enter__()
-        except ServiceFailedError as error:
-            raise fail(str(error)) from error
-    try:
-        console.print(f"service: {url}  (SQLite in {data}, log in {data / 'service.log'})")
-        client = DemoClient(url)
-        try:
+            with progress("starting the service (the first time it compiles its kernels)"):
+                url = stack.enter_context(running_service(data))
+            console.print(f"service: {url}  (SQLite in {data}, log in {data / 'service.log'})")
+            client = stack.enter_context(closing(DemoClient(url)))
             _measured_frames(client)
             _simulated_calibration(client)
             _rotating_bar(client, seconds, output / "demo.png")
-        finally:
-            client.close()
-    except RuntimeError as error:
-        raise fail(str(error)) from error
-    finally:
-        context.__exit__(None, None, None)
-
-
-@contextmanager
-def _progress(text: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
-    """Show what goes on; yields a function that takes the amount done."""
-    bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
-        console=progress_console, transient=True,
-    )  # fmt: skip
-    with bar:
-        task = bar.add_task(text, total=total)
-        yield lambda done: bar.update(task, completed=done)
+        except RuntimeError as error:
+            raise fail(str(error)) from error
 
 
 def _measured_frames(client: DemoClient) -> None:
     """Tests 5.3 and 5.4 of the thesis: 19 LEDs, 4 sensors, as measured."""
     client.create_thesis_device()
     for number, distance in (("5.3", "3 m"), ("5.4", "1 m")):
-        with _progress(f"calibrating with the frame at {distance}"):
+        with progress(f"calibrating with the frame at {distance}"):
             calibration = client.calibrate_thesis_frame(number)
         errors = calibration["errors"]
         console.print()
@@ -90,9 +68,9 @@ def _axis_errors(document: dict[str, Any]) -> AxisErrors:
 def _simulated_calibration(client: DemoClient) -> None:
     """Calibrate the simulated device with the peaks of a frame that it sees."""
     client.show(asdict(FRAME))
-    with _progress("observing the simulated frame", FRAME_SECONDS) as progress:
-        observed = client.observe_frame(FRAME_SECONDS, progress)
-    with _progress("calibrating the simulated device"):
+    with progress("observing the simulated frame", FRAME_SECONDS) as done:
+        observed = client.observe_frame(FRAME_SECONDS, done)
+    with progress("calibrating the simulated device"):
         calibration = client.calibrate_simulated(FRAME.points(0.0), observed)
     table = Table(
         title=f"simulated device calibrated: {calibration['point_count']} markers",
@@ -120,8 +98,8 @@ def _simulated_calibration(client: DemoClient) -> None:
 def _rotating_bar(client: DemoClient, seconds: float, picture: Path) -> None:
     """Stream the bar of section 6.1.2 and print what came of it."""
     client.show(asdict(BAR))
-    with _progress("streaming the rotating bar", seconds) as progress:
-        stream = client.stream_bar(seconds, progress)
+    with progress("streaming the rotating bar", seconds) as done:
+        stream = client.stream_bar(seconds, done)
     figures = summarise(
         stream.sequence, stream.latency_ns, stream.exposure_ns[0], stream.exposure_ns[-1]
     )
@@ -145,7 +123,7 @@ def _rotating_bar(client: DemoClient, seconds: float, picture: Path) -> None:
         table.add_row(label, text)
     console.print()
     console.print(table)
-    with _progress("drawing"):
+    with progress("drawing"):
         save_picture(
             picture, time, (first, second), BAR.length_mm, np.array(stream.latency_ns) / 1e6
         )

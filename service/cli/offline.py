@@ -11,7 +11,6 @@ from typing import Final, TextIO, get_args
 
 import typer
 from pydantic import TypeAdapter, ValidationError
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from compute.calibration.crossvalidation import fitted_errors, leave_one_out
@@ -19,12 +18,12 @@ from compute.calibration.result import AxisErrors, Calibration, Method
 from compute.calibration.run import calibrate
 from compute.camera.model import SensorGeometry
 from compute.errors import LumilineError
+from service.calibrations.schema import LEAVE_ONE_OUT_POINTS
 from service.cli.observations_csv import read_observations
-from service.cli.output import console, error_table, fail, progress_console
+from service.cli.output import console, error_table, fail, progress, progress_console
 
 DOCUMENT = TypeAdapter(Calibration)
 METHODS: Final[tuple[Method, ...]] = get_args(Method)
-LEAVE_ONE_OUT_POINTS = 100
 
 
 def run_calibrate(path: Path, pixels: int, method: str, output: Path | None) -> None:
@@ -88,14 +87,14 @@ def run_record(output: Path, seconds: float, settings: Path | None) -> None:
         total = int(seconds * chosen.frame_rate_hz)
         with (
             RecordingWriter(output, driver.description) as writer,
-            _bar("recording", total) as (bar, task),
+            progress("recording", total) as done,
         ):
             # Ctrl-C ends the frames, so that the file is closed whole and can be read.
             interrupted = signal.signal(signal.SIGINT, lambda *_: driver.close())
             try:
-                for frame in driver.frames():
+                for count, frame in enumerate(driver.frames(), start=1):
                     writer.append(frame)
-                    bar.advance(task)
+                    done(count)
             finally:
                 signal.signal(signal.SIGINT, interrupted)
     except (OSError, ValidationError) as error:
@@ -117,12 +116,13 @@ def run_replay(path: Path, calibration: Path, output: Path | None) -> None:
         driver.open()
         processor = DeviceProcessor("replay", driver.description, "cpu")
         processor.set_calibration(str(calibration), known)
-        with _output(output) as target, _bar("replaying", None) as (bar, task):
-            frames = driver.frames()
+        with _output(output) as target, progress("replaying") as done:
+            frames, count = driver.frames(), 0
             while batch := list(islice(frames, MAX_FRAMES)):
                 for message in frame_messages(processor.process(batch), frozenset({"points"})):
                     target.write(f"{encode(message, 'json')!s}\n")
-                bar.advance(task, len(batch))
+                count += len(batch)
+                done(count)
         driver.close()
     except BrokenPipeError:
         # The reader of our output has gone, `| head` for example; nothing is left to say.
@@ -131,16 +131,6 @@ def run_replay(path: Path, calibration: Path, output: Path | None) -> None:
         raise fail(str(error)) from error
     except LumilineError as error:
         raise fail(error.detail) from error
-
-
-@contextmanager
-def _bar(text: str, total: int | None) -> Iterator[tuple[Progress, TaskID]]:
-    bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(),
-        console=progress_console, transient=True,
-    )  # fmt: skip
-    with bar:
-        yield bar, bar.add_task(text, total=total)
 
 
 @contextmanager

@@ -1,12 +1,14 @@
 """How commands print: tables for people on the terminal, JSON for machines."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from typing import Any
 
 import typer
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from compute.calibration.result import AxisErrors
@@ -14,6 +16,26 @@ from compute.calibration.result import AxisErrors
 console = Console()
 progress_console = Console(stderr=True)
 """Progress goes to standard error, so that standard output holds the result only."""
+
+
+@contextmanager
+def progress(
+    text: str, total: float | None = None, *, quiet: bool = False
+) -> Iterator[Callable[[float], None]]:
+    """Show on standard error what goes on; yields a function that takes the amount done.
+
+    Args:
+        text: what is done.
+        total: the whole amount; None: not known.
+        quiet: show nothing.
+    """
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
+        console=progress_console, transient=True, disable=quiet,
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task(text, total=total)
+        yield lambda done: bar.update(task, completed=done)
 
 
 def print_json(value: Any) -> None:

@@ -97,11 +97,9 @@ class Hub:
 
     def publish_batch(self, batch: FrameBatch) -> None:
         """Hand a batch of frames to the device's clients; callable from any thread."""
-        with self._lock:
-            clients = list(self._subscriptions.get(batch.device_id, ()))
         messages: dict[frozenset[Content], list[dict[str, Any]]] = {}
         payloads: dict[tuple[frozenset[Content], Encoding], list[Payload]] = {}
-        for client in clients:
+        for client in self._clients(batch.device_id):
             key = (client.content, client.encoding)
             if key not in payloads:
                 if client.content not in messages:
@@ -113,18 +111,18 @@ class Hub:
 
     def publish(self, device_id: str, message: dict[str, Any]) -> None:
         """Hand one message to all of the device's clients; callable from any thread."""
-        with self._lock:
-            clients = list(self._subscriptions.get(device_id, ()))
-        for client in clients:
+        for client in self._clients(device_id):
             _deliver(client, [encode(message, client.encoding)])
 
     def end(self, device_id: str, message: dict[str, Any]) -> None:
         """Send all clients of a device a last message and end their streams."""
         self.publish(device_id, message)
-        with self._lock:
-            clients = list(self._subscriptions.get(device_id, ()))
-        for client in clients:
+        for client in self._clients(device_id):
             _call(client, client.end)
+
+    def _clients(self, device_id: str) -> list[Subscription]:
+        with self._lock:
+            return list(self._subscriptions.get(device_id, ()))
 
 
 def _deliver(client: Subscription, payloads: list[Payload]) -> None:

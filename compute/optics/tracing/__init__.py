@@ -1,0 +1,1 @@
+"""Exact geometrical optics: surfaces, lenses and stops, rays through them."""

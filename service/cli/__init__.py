@@ -73,7 +73,7 @@ def demo(
 
 @app.command()
 def reproduce(
-    case: Annotated[str | None, typer.Argument(help="test-5.1 ... test-5.8, or all.")] = None,
+    case: Annotated[str | None, typer.Argument(help="A case's name, or all.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
 ) -> None:
     """Run published tests: the reference figures and ours side by side. No case: list them."""

@@ -4,7 +4,9 @@ from rich.progress import track
 from rich.table import Table
 
 from service.cli.output import console, error_table, fail, print_json, progress_console
-from validation.cases import CASES, CaseResult
+from validation.all_cases import ALL_CASES
+from validation.cases import CaseResult
+from validation.tables import Cell, ResultTable, TablesResult
 
 SETTLED_PX = 0.01
 
@@ -14,9 +16,9 @@ def run(name: str | None, *, as_json: bool) -> None:
     if name is None:
         _list(as_json=as_json)
         return
-    if name != "all" and name not in CASES:
-        raise fail(f'there is no case "{name}"; the cases are {", ".join(CASES)} and all')
-    chosen = list(CASES.values()) if name == "all" else [CASES[name]]
+    if name != "all" and name not in ALL_CASES:
+        raise fail(f'there is no case "{name}"; the cases are {", ".join(ALL_CASES)} and all')
+    chosen = list(ALL_CASES.values()) if name == "all" else [ALL_CASES[name]]
     results = [
         case.run()
         for case in track(
@@ -27,11 +29,14 @@ def run(name: str | None, *, as_json: bool) -> None:
         print_json(results if name == "all" else results[0])
         return
     for result in results:
-        _print(result)
+        if isinstance(result, TablesResult):
+            _print_tables(result)
+        else:
+            _print(result)
 
 
 def _list(*, as_json: bool) -> None:
-    rows = [{"name": c.name, "title": c.title, "source": c.source} for c in CASES.values()]
+    rows = [{"name": c.name, "title": c.title, "source": c.source} for c in ALL_CASES.values()]
     if as_json:
         print_json(rows)
         return
@@ -71,3 +76,30 @@ def _print(result: CaseResult) -> None:
                 f"{column.iteration_change_px:.2g} px in the last of 30 iterations"
             )
     console.print(result.note, style="italic")
+
+
+def _print_tables(result: TablesResult) -> None:
+    console.print()
+    console.print(f"{result.name}: {result.title}", style="bold")
+    console.print(result.source, style="italic")
+    for table in result.tables:
+        console.print()
+        console.print(_table(table))
+    for finding in result.findings:
+        console.print(f"- {finding}")
+
+
+def _table(table: ResultTable) -> Table:
+    shown = Table(title=table.title, title_justify="left")
+    for heading, *cells in zip(table.headings, *table.rows, strict=True):
+        numbers = any(isinstance(cell, float | int) for cell in cells)
+        shown.add_column(heading, justify="right" if numbers else "left")
+    for row in table.rows:
+        shown.add_row(*(_cell(cell) for cell in row))
+    return shown
+
+
+def _cell(cell: Cell) -> str:
+    if cell is None:
+        return "-"
+    return cell if isinstance(cell, str) else f"{cell:.4g}"

@@ -1,0 +1,1 @@
+"""Planning: what a device will reach, worked out before it is built."""

@@ -1,0 +1,94 @@
+"""Precision: the covariance that points will have, from the readings' standard deviations."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter
+from compute.reconstruction.estimate import PointFlag
+from compute.reconstruction.points import DEGENERATE_RATIO, UNINFORMATIVE_RATIO
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Precision:
+    """How precisely N points can be reconstructed; NaN where they cannot.
+
+    Args:
+        covariance_mm2: shape (N, 3, 3) [mm^2].
+        sd_mm: standard deviations of X, Y and Z, shape (N, 3) [mm].
+        sensors: how many sensors' readings count, int32, shape (N,).
+        flags: PointFlag values, TOO_FEW_SENSORS or DEGENERATE, int32, shape (N,).
+    """
+
+    covariance_mm2: Array
+    sd_mm: Array
+    sensors: NDArray[np.int32]
+    flags: NDArray[np.int32]
+
+
+def point_precision(cameras: CameraStack, points_mm: Array, sigma_px: Array) -> Precision:
+    """Return the covariance ``(sum_s g g' / sigma^2)^-1`` of reconstructed points.
+
+    g is the slope d reading / d point of each sensor. This is the covariance of the weighted
+    least-squares solution of [5.22]-[5.24] with exactly known cameras, and what
+    ``compute.reconstruction`` gives for the same readings: noise only. The calibration's own
+    uncertainty and a camera model that does not fit come on top.
+
+    Args:
+        cameras: S cameras.
+        points_mm: shape (N, 3) [mm].
+        sigma_px: standard deviations of the corrected readings, shape (N, S) or (S,) [px]; NaN
+            or infinite where a sensor does not see the point.
+
+    Raises:
+        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
+    """
+    points = np.asarray(points_mm, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InvalidParameter(
+            f"points_mm has the shape {points.shape}; it must be (N, 3)", points_mm=points.shape
+        )
+    shape = (len(points), len(cameras))
+    given = np.asarray(sigma_px, dtype=np.float64)
+    if given.shape not in (shape, shape[1:]):
+        raise InvalidParameter(
+            f"sigma_px has the shape {given.shape}; it must be {shape} or {shape[1:]}",
+            sigma_px=given.shape,
+        )
+    if (given <= 0.0).any():
+        raise InvalidParameter(
+            f"sigma_px has {given[given <= 0.0][0]}; it must be positive, or NaN where a sensor "
+            "does not see the point",
+            sigma_px=float(given[given <= 0.0][0]),
+        )
+    projected, slope = cameras.linearised(points)
+    sigma = np.where(np.isfinite(projected), np.broadcast_to(given, shape), np.nan)
+    used = _informative(sigma)
+    rows = np.where(used[..., None], slope / np.where(used, sigma, 1.0)[..., None], 0.0)
+    normal = rows.transpose(0, 2, 1) @ rows
+
+    sensors = used.sum(axis=1)
+    flags = np.zeros(len(points), dtype=np.int32)
+    flags[sensors < 3] = PointFlag.TOO_FEW_SENSORS
+    spectrum = np.linalg.eigvalsh(normal)
+    flat = spectrum[:, 0] <= DEGENERATE_RATIO * spectrum[:, 2]
+    flags[(sensors >= 3) & flat] = PointFlag.DEGENERATE
+    missing = flags != 0
+    normal[missing] = np.eye(3)
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    covariance[missing] = np.nan
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    return Precision(covariance, sd, sensors.astype(np.int32), flags)
+
+
+def _informative(sigma: Array) -> NDArray[np.bool_]:
+    """Say which readings the reconstruction will use, shape (N, S)."""
+    seen = np.isfinite(sigma)
+    if sigma.shape[1] < 4:
+        return seen
+    third = np.partition(np.where(seen, sigma, np.inf), 2, axis=1)[:, 2:3]
+    return seen & (sigma <= UNINFORMATIVE_RATIO * third)

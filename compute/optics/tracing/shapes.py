@@ -120,8 +120,10 @@ def sag(shape: Shape, x_mm: Array, y_mm: Array) -> Array:
         profile = cx * square / (1.0 + np.sqrt(1.0 - (1.0 + shape.conic) * cx**2 * square))
         if not isinstance(shape, Toroid):
             return np.asarray(profile)
-        # g is the profile's own sag; the turn then carries it to y.
+        # g is the profile's own sag; the turn then carries it to y. Beyond the axis is not the
+        # surface any more.
         turned = 1.0 - cy * profile
+        turned = np.where(turned >= 0.0, turned, np.nan)
         return np.asarray((1.0 - np.sqrt(turned**2 - (cy * y_mm) ** 2)) / cy)
 
 

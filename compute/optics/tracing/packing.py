@@ -1,0 +1,106 @@
+"""A stack of surfaces as records of plain numbers: what both tracers read."""
+
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.optics.tracing.shapes import Plane, Toroid
+from compute.optics.tracing.surfaces import Surface, SurfaceStack
+
+
+class Form(IntEnum):
+    """How a ray's crossing with a surface is found."""
+
+    PLANE = 0
+    QUADRIC = 1
+    """Conic or cylinder: cx x^2 + cy y^2 + e z^2 = 2 z."""
+    TOROID = 2
+
+
+SURFACE_RECORD: Final = np.dtype(
+    [
+        ("form", "<i4"),
+        ("turned", "<i4"),  # its rotation is not the identity
+        ("refracts", "<i4"),  # the indices before and behind it differ
+        ("elliptical", "<i4"),
+        ("vertex_mm", "<f8", 3),
+        ("rotation", "<f8", (3, 3)),  # own frame to the system's
+        ("cx", "<f8"),
+        ("cy", "<f8"),
+        ("e", "<f8"),  # (1 + conic constant) x curvature of the profile
+        ("index_before", "<f8"),
+        ("index_behind", "<f8"),
+        ("half_width_mm", "<f8"),
+        ("half_height_mm", "<f8"),
+        ("profile_reach_mm", "<f8"),  # of a toroid: where the profile ends in x
+        ("reach_mm", "<f8"),  # of a toroid: no point is farther from the vertex
+    ]
+)
+"""One surface. The kernel has the same record in C."""
+
+Records = NDArray[np.void]
+
+BACKWARD_SLACK_MM: Final = 1e-9
+"""A crossing so little behind a ray's start is at its start: surfaces may touch, numbers round."""
+
+OPEN_REACH: Final = 1e3
+"""A saddle with an open profile has no end; look for crossings within so many radii."""
+
+
+def pack(stack: SurfaceStack) -> Records:
+    """Return S surfaces of a stack and, last, its image plane: SURFACE_RECORD, shape (S+1,)."""
+    records = np.zeros(len(stack.surfaces) + 1, SURFACE_RECORD)
+    before = stack.index_in_front
+    for record, surface in zip(records, stack.surfaces, strict=False):
+        _fill(record, surface)
+        aperture = surface.aperture
+        record["half_width_mm"] = np.inf if aperture is None else aperture.width_mm / 2.0
+        record["half_height_mm"] = np.inf if aperture is None else aperture.height_mm / 2.0
+        record["elliptical"] = aperture is not None and aperture.outline == "elliptical"
+        record["index_before"], record["index_behind"] = before, surface.index_behind
+        record["refracts"] = before != surface.index_behind
+        before = surface.index_behind
+    image = records[-1]
+    _fill(image, stack.image)
+    image["half_width_mm"] = image["half_height_mm"] = np.inf
+    image["index_before"] = image["index_behind"] = before
+    return records
+
+
+def _fill(record: np.void, surface: Surface) -> None:
+    shape = surface.shape
+    cx, cy = shape.curvatures_per_mm
+    record["form"] = (
+        Form.PLANE
+        if isinstance(shape, Plane)
+        else Form.TOROID
+        if isinstance(shape, Toroid)
+        else Form.QUADRIC
+    )
+    record["turned"] = any(surface.rotation_vector_rad)
+    record["vertex_mm"], record["rotation"] = surface.vertex_mm, surface.rotation
+    record["cx"], record["cy"], record["e"] = cx, cy, (1.0 + shape.conic) * cx
+    if isinstance(shape, Toroid):
+        record["profile_reach_mm"], record["reach_mm"] = _reaches(shape)
+
+
+def _reaches(shape: Toroid) -> tuple[float, float]:
+    """Return where the profile ends in x, and a bound on the distance from the vertex [mm].
+
+    The profile is ``c x^2 = 2 g - e g^2``; turned about the axis, no point is farther from it
+    than the profile is, and only the sheet from the vertex to the axis counts.
+    """
+    cx, cy = shape.curvatures_per_mm
+    e = (1.0 + shape.conic) * cx
+    profile = 1.0 / np.sqrt(e * cx) if e * cx > 0.0 else np.inf
+    radius = abs(shape.radius_y_mm)
+    if cx * cy > 0.0:
+        # From the tangent plane (g = 0) to the axis (g = Ry), which the turn carries around it.
+        x = min(profile, np.sqrt((2.0 * radius + abs(e) * radius**2) / abs(cx)))
+        return profile, 1.001 * float(np.hypot(x, np.sqrt(2.0) * radius))
+    if e * cx > 0.0:
+        # Away from the axis, and the profile's ellipse is 1/|e| deep.
+        return profile, 1.001 * float(np.hypot(profile, np.sqrt(2.0) * (radius + 1.0 / abs(e))))
+    return profile, OPEN_REACH * (abs(shape.radius_x_mm) + radius)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from compute.camera.model import SensorModel, Vector3
@@ -54,12 +55,36 @@ def place_sensor(
     Raises:
         InvalidParameter: the aim lies on the lens, or the measured direction on the axis.
     """
+    rotation = sensor_rotation(name, lens_position_mm, aim_mm, measured_direction)
     position = np.asarray(lens_position_mm, dtype=np.float64)
+    offset = -rotation @ position
+    x, y, z = (float(value) for value in Rotation.from_matrix(rotation).as_rotvec())
+    model = SensorModel(
+        name=name,
+        pixels=pixels,
+        principal_distance_px=principal_distance_mm / (pitch_um * 1e-3),
+        principal_point_px=(pixels - 1) / 2,
+        rotation_vector_rad=(x, y, z),
+        offset_x_mm=float(offset[0]),
+        offset_z_mm=float(offset[2]),
+    )
+    return PlacedSensor(model, lens_position_mm, pitch_um)
+
+
+def sensor_rotation(
+    name: str, position_mm: Vector3, aim_mm: Vector3, measured_direction: Vector3
+) -> NDArray[np.float64]:
+    """Return the rotation from the world to a sensor's frame, shape (3, 3); see ``place_sensor``.
+
+    Raises:
+        InvalidParameter: the aim lies on the lens, or the measured direction on the axis.
+    """
+    position = np.asarray(position_mm, dtype=np.float64)
     axis = np.asarray(aim_mm, dtype=np.float64) - position
     distance = float(np.linalg.norm(axis))
     if distance == 0.0:
         raise InvalidParameter(
-            f"sensor {name} is aimed at its own lens {lens_position_mm}; aim it at another point",
+            f"sensor {name} is aimed at its own lens {position_mm}; aim it at another point",
             aim_mm=aim_mm,
         )
     axis /= distance
@@ -73,16 +98,4 @@ def place_sensor(
             measured_direction=measured_direction,
         )
     across /= np.linalg.norm(across)
-    rotation = np.stack([across, np.cross(axis, across), axis])
-    offset = -rotation @ position
-    x, y, z = (float(value) for value in Rotation.from_matrix(rotation).as_rotvec())
-    model = SensorModel(
-        name=name,
-        pixels=pixels,
-        principal_distance_px=principal_distance_mm / (pitch_um * 1e-3),
-        principal_point_px=(pixels - 1) / 2,
-        rotation_vector_rad=(x, y, z),
-        offset_x_mm=float(offset[0]),
-        offset_z_mm=float(offset[2]),
-    )
-    return PlacedSensor(model, lens_position_mm, pitch_um)
+    return np.stack([across, np.cross(axis, across), axis])

@@ -1,0 +1,201 @@
+"""Shapes of light lines: rays gathered on a fine grid, blurred by emitter and diffraction."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import fftfreq, irfft, next_fast_len, rfft, rfftfreq
+from scipy.interpolate import CubicSpline
+from scipy.special import j1
+
+from compute.optics.line_optics.pixel_row import PixelRow
+from compute.optics.line_optics.row_rays import RowRays
+
+Array = NDArray[np.float64]
+
+CELLS: Final = 16
+"""Cells of the fine grid in a pixel."""
+
+_TUBES: Final = 16  # ray tubes between two traced rays
+_MARGIN_PX: Final = 24  # room for the blur on both sides of a line
+# The tails of sinc^2 fall with the square of the distance and have no centre of gravity: they
+# fade out here; beyond lie about 0.2 % of the light.
+_TAIL_PX: Final = (12.0, 20.0)
+_BESIDE_PX: Final = 64.0  # light farther beside the row than this is left out
+_BLOCK: Final = 4_000_000  # grid cells worked on at once
+
+
+@dataclass(frozen=True, eq=False)
+class LineShapes:
+    """N light lines on the fine grid, in readings.
+
+    Cell k of line n covers ``first_px[n] - 1/2 + [k, k + 1] / CELLS``.
+
+    Args:
+        first_px: number of the pixel with which the grid begins, int64, shape (N,).
+        cell_sr: effective solid angle by cell, shape (N, G) [sr]; G is a multiple of CELLS.
+    """
+
+    first_px: NDArray[np.int64]
+    cell_sr: Array
+
+    @property
+    def total_sr(self) -> Array:
+        """Effective solid angle of each whole line, shape (N,) [sr]."""
+        total: Array = self.cell_sr.sum(axis=1)
+        return total
+
+    @property
+    def pixels_sr(self) -> Array:
+        """Effective solid angle by pixel, shape (N, G / CELLS) [sr]."""
+        pixels: Array = self.cell_sr.reshape(len(self.cell_sr), -1, CELLS).sum(axis=2)
+        return pixels
+
+    @property
+    def centres_px(self) -> Array:
+        """Readings of the middles of the cells, shape (N, G) [px]."""
+        cells = (np.arange(self.cell_sr.shape[1]) + 0.5) / CELLS - 0.5
+        return self.first_px[:, None] + cells
+
+    @property
+    def centroid_px(self) -> Array:
+        """Centre of gravity of each line, shape (N,) [px]; NaN for a line without light."""
+        with np.errstate(invalid="ignore"):
+            centroid: Array = (self.cell_sr * self.centres_px).sum(axis=1) / self.total_sr
+        return centroid
+
+
+@dataclass(frozen=True)
+class Blur:
+    """What widens a line beyond its rays.
+
+    Args:
+        wavelength_nm: wavelength, for the diffraction at the pupil [nm]; None: none.
+        emitter_width_mm: diameter of a round, evenly bright emitter [mm]; 0: a point.
+    """
+
+    wavelength_nm: float | None
+    emitter_width_mm: float
+
+
+def line_shapes(
+    rays: RowRays,
+    height_weights_mm: Array,
+    row: PixelRow,
+    blur: Blur,
+    scale_px_per_mm: Array,
+) -> LineShapes:
+    """Gather fans of rays into lines of light.
+
+    The light between two neighbouring rays lies between their two places on the row. Emitter and
+    diffraction then widen the line: the first by the emitter's image, the second by the line
+    spread of a slit, sinc^2, whose transfer function falls linearly to zero at
+    ``(sine of the last ray - sine of the first) / wavelength`` (J. W. Goodman, Introduction to
+    Fourier Optics, section 6.3). Geometric spread and diffraction are convolved: right where
+    either is the larger, and an approximation where they are alike.
+
+    Args:
+        rays: fans of N points at T heights.
+        height_weights_mm: weights of the integral over the row's height, shape (T,) [mm].
+        row: the pixels.
+        blur: emitter and wavelength.
+        scale_px_per_mm: by how much a line moves when its point moves along x, shape (N,)
+            [px/mm].
+
+    Returns:
+        Lines of one grid length for all; dark ones where no ray arrives.
+    """
+    position, light = _tubes(rays, height_weights_mm, row)
+    light[(position < -_BESIDE_PX) | (position > row.pixels + _BESIDE_PX)] = 0.0
+    position[light.sum(axis=1) == 0.0] = row.middle_px
+    lit = light > 0.0
+    low = np.where(lit, position, np.inf).min(axis=1)
+    high = np.where(lit, position, -np.inf).max(axis=1)
+    dark = ~lit.any(axis=1)
+    low[dark], high[dark] = row.middle_px, row.middle_px
+    emitter = np.abs(scale_px_per_mm) * blur.emitter_width_mm / 2.0
+    margin = _MARGIN_PX + np.ceil(emitter.max(initial=0.0))
+    first = np.floor(low + 0.5 - margin).astype(np.int64)
+    pixels = int(np.ceil((high - low).max(initial=0.0) + 2.0 * margin + 1.0))
+    cells = np.empty((len(light), CELLS * pixels))
+    cutoff = _cutoff(rays, blur.wavelength_nm, row)
+    block = max(1, _BLOCK // cells.shape[1])
+    for start in range(0, len(light), block):
+        part = slice(start, start + block)
+        gathered = _gathered(position[part], light[part], first[part], cells.shape[1])
+        cells[part] = _blurred(gathered, emitter[part], cutoff[part])
+    return LineShapes(first, cells)
+
+
+def _tubes(rays: RowRays, weights: Array, row: PixelRow) -> tuple[Array, Array]:
+    """Return the middles [px] and the light [sr] of fine ray tubes, shape (N, T * tubes)."""
+    points, _, samples = rays.position_mm.shape
+    fine = np.linspace(0.0, 1.0, _TUBES * (samples - 1) + 1)
+    middle = 0.5 * (fine[1:] + fine[:-1])
+    traced = np.linspace(0.0, 1.0, samples)
+    # The image is upside down: readings grow against x.
+    reading = row.middle_px - rays.position_mm / row.pitch_mm
+    known = np.isfinite(reading)
+    light = rays.solid_angle_sr_per_mm2
+    left = np.minimum((middle * (samples - 1)).astype(np.int64), samples - 2)
+    position = _between(traced, np.where(known, reading, 0.0), middle, known)
+    density = _between(traced, light, middle, light > 0.0)
+    density *= (light[..., left] > 0.0) & (light[..., left + 1] > 0.0)
+    width = np.diff(rays.pupil_mm[..., [0, -1]], axis=2) / len(middle)
+    light = np.maximum(density, 0.0) * width * weights[:, None]
+    light *= rays.lit[..., None]
+    return position.reshape(points, -1), light.reshape(points, -1)
+
+
+def _between(places: Array, values: Array, wanted: Array, good: NDArray[np.bool_]) -> Array:
+    """Interpolate along the last axis: by a spline, or linearly in a fan that has gaps."""
+    whole = good.all(axis=-1)
+    found = np.empty((*values.shape[:-1], len(wanted)))
+    if whole.any():
+        found[whole] = CubicSpline(places, values[whole], axis=-1)(wanted)
+    for index in zip(*np.nonzero(~whole), strict=True):
+        found[index] = np.interp(wanted, places, values[index])
+    return found
+
+
+def _gathered(position: Array, light: Array, first: NDArray[np.int64], cells: int) -> Array:
+    """Share each tube's light between the two cells beside it, which keeps the centroid."""
+    place = (position - first[:, None] + 0.5) * CELLS - 0.5
+    left = np.floor(place)
+    share = place - left
+    index = np.clip(left.astype(np.int64), 0, cells - 2) + cells * np.arange(len(place))[:, None]
+    total = cells * len(place)
+    gathered: Array = np.bincount(
+        index.ravel(), (light * (1.0 - share)).ravel(), minlength=total
+    ).astype(np.float64)
+    gathered += np.bincount(index.ravel() + 1, (light * share).ravel(), minlength=total)
+    return gathered.reshape(len(place), cells)
+
+
+def _cutoff(rays: RowRays, wavelength_nm: float | None, row: PixelRow) -> Array:
+    """Return where diffraction ends the transfer function, shape (N,) [cycles per pixel]."""
+    if wavelength_nm is None:
+        return np.full(len(rays.sine), np.inf)
+    sine = np.nan_to_num(rays.sine)
+    aperture = np.abs(sine[..., -1] - sine[..., 0]).max(axis=1)
+    cutoff: Array = np.maximum(aperture / (wavelength_nm * 1e-6) * row.pitch_mm, 1e-6)
+    return cutoff
+
+
+def _blurred(cells: Array, emitter_px: Array, cutoff: Array) -> Array:
+    """Convolve the lines with the emitter's image and the line spread of diffraction."""
+    length = next_fast_len(cells.shape[1], real=True)
+    frequency = rfftfreq(length, 1.0 / CELLS)
+    transfer = np.maximum(1.0 - frequency / cutoff[:, None], 0.0)
+    argument = 2.0 * np.pi * frequency * emitter_px[:, None]
+    safe = np.where(argument == 0.0, 1.0, argument)
+    transfer *= np.where(argument == 0.0, 1.0, 2.0 * j1(safe) / safe)
+    spread = irfft(transfer, length, axis=1)
+    distance = np.abs(fftfreq(length, 1.0 / length)) / CELLS - emitter_px[:, None]
+    outside = np.clip((distance - _TAIL_PX[0]) / (_TAIL_PX[1] - _TAIL_PX[0]), 0.0, 1.0)
+    spread *= np.cos(0.5 * np.pi * outside) ** 2
+    spread /= spread.sum(axis=1, keepdims=True)
+    blurred = irfft(rfft(cells, length, axis=1) * rfft(spread, axis=1), length, axis=1)
+    # The rounding of the transforms, 1e-16 of the peak, is not light.
+    return np.asarray(np.maximum(blurred[:, : cells.shape[1]], 0.0))

@@ -1,0 +1,296 @@
+"""Rays from points of light to a row of pixels: which reach it, where, with how much light.
+
+A cylindrical lens draws a point out into a line, and the row of pixels meets that line at one
+place only. Of all rays of a point, those that end on the row form a fan, one ray for each place
+in the pupil along x; its partner in y is found by aiming. Integrating over this fan instead of
+over the whole pupil wastes no ray on what passes beside the row.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebval, chebvander
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.optics.tracing.assembly import Assembly
+from compute.optics.tracing.rays import RayStatus, TracedRays
+from compute.optics.tracing.surfaces import SurfaceStack
+from compute.optics.tracing.trace import trace_rays
+
+Array = NDArray[np.float64]
+Tracer = Callable[[SurfaceStack, Array, Array], TracedRays]
+
+_COARSE: Final = 33  # places in the pupil looked at to find the fan's ends
+_GUIDES: Final = 9  # aimed rays that all others start from
+_NODES: Final = np.cos(np.pi * (np.arange(_GUIDES) + 0.5) / _GUIDES)
+_AIM_TURNS: Final = 8
+_AIMED_MM: Final = 1e-9
+_BISECTIONS: Final = 22  # of a 33rd of the pupil: to 1e-8 of its width
+_CHUNK: Final = 400_000  # rays traced at once, to bound the memory
+
+
+@dataclass(frozen=True, eq=False)
+class RowRays:
+    """Fans of M rays from N points to T heights on a row of pixels.
+
+    Args:
+        pupil_mm: where the rays pass the plane of the first element, shape (N, T, M) [mm], evenly
+            spaced from one end of the fan to the other.
+        position_mm: where they meet the row, x in the sensor's frame, shape (N, T, M) [mm].
+        solid_angle_sr_per_mm2: solid angle at the point, losses included, per mm of pupil and
+            per mm of height on the row, shape (N, T, M); zero for a ray that is lost.
+        sine: x component of their directions at the row, shape (N, T, M).
+        lit: whether any light of the point reaches the row at that height, shape (N, T).
+    """
+
+    pupil_mm: Array
+    position_mm: Array
+    solid_angle_sr_per_mm2: Array
+    sine: Array
+    lit: NDArray[np.bool_]
+
+
+class RowAim:
+    """Aims rays of points at a row behind an assembly.
+
+    Args:
+        assembly: the optics.
+        tracer: what traces; NumPy's by default.
+
+    Raises:
+        InvalidParameter: the first element is infinitely wide, so that it has no pupil.
+    """
+
+    def __init__(self, assembly: Assembly, tracer: Tracer = trace_rays) -> None:
+        first = assembly.elements[0]
+        if not np.isfinite(first.aperture.width_mm):
+            raise InvalidParameter(
+                "width_mm of the first element is infinite; give it the size of its opening",
+                width_mm=first.aperture.width_mm,
+            )
+        self._tracer = tracer
+        self._stack = assembly.stack()
+        # Aiming goes on behind the edges of lenses and stops, where the last trace will not.
+        self._open = replace(
+            self._stack,
+            surfaces=tuple(replace(surface, aperture=None) for surface in self._stack.surfaces),
+        )
+        self._sensor_z_mm = assembly.sensor_z_mm
+        self._plane_z_mm = assembly.front_z_mm
+        self._centre_mm = first.alignment.decentre_mm[0]
+        # A tilted first element reaches a little beyond its width in the plane of its vertex.
+        tilted = bool(np.any(first.alignment.tilt_rad))
+        self._reach_mm = first.aperture.width_mm * (0.6 if tilted else 0.5)
+
+    def fans(self, points_mm: Array, heights_mm: Array, samples: int) -> RowRays:
+        """Return the fans of points (N, 3) [mm] in the optics' frame to heights (T,) [mm]."""
+        guide = self._guide(points_mm)
+        first, last, lit = self._ends(points_mm, guide)
+        share = np.linspace(0.0, 1.0, samples)
+        pupil = first[:, None] + (last - first)[:, None] * share
+        y, slope = guide.at(pupil)
+        shape = (len(points_mm), len(heights_mm), samples)
+        aim = _Aim(
+            np.repeat(points_mm, len(heights_mm) * samples, axis=0),
+            np.broadcast_to(heights_mm[:, None], shape).ravel(),
+            np.broadcast_to(pupil[:, None, :], shape).ravel(),
+        )
+        start = y[:, None, :] + heights_mm[:, None] / slope[:, None, :]
+        y_mm, slopes = self._aimed(
+            aim, start.ravel(), np.broadcast_to(slope[:, None, :], shape).ravel()
+        )
+        # Where a ray would end is known behind the edge of a lens as well; whether it does is not.
+        rays = self._through(aim, y_mm, self._open)
+        status = self._through(aim, y_mm, self._stack).status
+        arrived = np.asarray(status == RayStatus.ARRIVED).reshape(shape)
+        # The ends lie on an edge at the row's middle, at other heights a hair to either side.
+        arrived[..., 0], arrived[..., -1] = arrived[..., 1], arrived[..., -2]
+        light = self._density(aim, y_mm, slopes) * rays.transmittance.mean(axis=1)
+        light = np.where(arrived, light.reshape(shape), 0.0)
+        return RowRays(
+            np.broadcast_to(pupil[:, None, :], shape),
+            rays.position_mm[:, 0].reshape(shape),
+            light,
+            rays.direction[:, 0].reshape(shape),
+            lit[:, None] & (light > 0.0).any(axis=2),
+        )
+
+    def places(self, points_mm: Array, pupil_mm: Array) -> Array:
+        """Return where single rays meet the middle of the row, shape (N,) [mm].
+
+        Edges are not heeded; NaN for a ray that misses a surface.
+
+        Args:
+            points_mm: where they start, in the optics' frame, shape (N, 3) [mm].
+            pupil_mm: where they pass the plane of the first element, shape (N,) [mm].
+        """
+        aim = _Aim(points_mm, np.zeros(len(points_mm)), pupil_mm)
+        y, _ = self._aimed(aim)
+        return self._through(aim, y, self._open).position_mm[:, 0]
+
+    def _guide(self, points_mm: Array) -> "_Guide":
+        """Aim a few rays of each point at the middle of the row, to start all others from."""
+        pupil = self._centre_mm + self._reach_mm * _NODES
+        count = len(points_mm)
+        aim = _Aim(
+            np.repeat(points_mm, _GUIDES, axis=0), np.zeros(count * _GUIDES), np.tile(pupil, count)
+        )
+        y, slope = self._aimed(aim)
+        found = np.isfinite(self._through(aim, y, self._open).position_mm[:, 0])
+        found &= np.isfinite(y) & np.isfinite(slope) & (slope != 0.0)
+        found = found.reshape(count, _GUIDES)
+        return _Guide(
+            self._centre_mm,
+            self._reach_mm,
+            _series(y.reshape(count, _GUIDES), found, 0.0),
+            _series(slope.reshape(count, _GUIDES), found, 1.0),
+        )
+
+    def _ends(self, points_mm: Array, guide: "_Guide") -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Find the ends of each point's fan in the pupil, shape (N,), and whether there is one."""
+
+        def passes(points: Array, part: "_Guide", pupil: Array) -> NDArray[np.bool_]:
+            y, _ = part.at(pupil)
+            source = np.repeat(points, pupil.shape[1], axis=0)
+            aim = _Aim(source, np.zeros(pupil.size), pupil.ravel())
+            status = self._through(aim, y.ravel(), self._stack).status
+            good: NDArray[np.bool_] = (status == RayStatus.ARRIVED).reshape(pupil.shape)
+            return good
+
+        coarse = self._centre_mm + self._reach_mm * np.linspace(-1.0, 1.0, _COARSE)
+        seen = passes(points_mm, guide, np.broadcast_to(coarse, (len(points_mm), _COARSE)))
+        lit = np.asarray(seen.any(axis=1))
+        low = seen.argmax(axis=1)
+        high = _COARSE - 1 - seen[:, ::-1].argmax(axis=1)
+        # Inside and outside of the two ends; at the ends of the pupil both are the end.
+        inside = np.stack([coarse[low], coarse[high]], axis=1)
+        beyond = np.stack(
+            [coarse[np.maximum(low - 1, 0)], coarse[np.minimum(high + 1, _COARSE - 1)]], axis=1
+        )
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (inside + beyond)
+            good = passes(points_mm, guide, middle)
+            inside = np.where(good, middle, inside)
+            beyond = np.where(good, beyond, middle)
+        return inside[:, 0], inside[:, 1], lit
+
+    def _aimed(
+        self, aim: "_Aim", y_mm: Array | None = None, slope: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Find where rays must pass the pupil along y to meet the row at their heights.
+
+        Args:
+            aim: the rays.
+            y_mm: where to start the search, shape (R,) [mm]; None: as if nothing stood in the way.
+            slope: height on the row by y in the pupil there, shape (R,).
+
+        Returns:
+            y and slope, both (R,).
+        """
+        if y_mm is None:
+            depth = self._plane_z_mm - aim.source_mm[:, 2]
+            share = depth / (self._sensor_z_mm - aim.source_mm[:, 2])
+            y_mm = aim.source_mm[:, 1] + share * (aim.height_mm - aim.source_mm[:, 1])
+        y = y_mm.copy()
+        miss = self._miss(aim, y)
+        if slope is None:
+            step = 1e-3 * (1.0 + np.abs(aim.height_mm - y))
+            slope = (self._miss(aim, y + step) - miss) / step
+        for _ in range(_AIM_TURNS):
+            with np.errstate(invalid="ignore", divide="ignore"):
+                change = -miss / slope
+            change[~np.isfinite(change)] = 0.0
+            y += change
+            if not (np.abs(change) > _AIMED_MM).any():
+                break
+            before, miss = miss, self._miss(aim, y)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                secant = (miss - before) / change
+            # A secant over a tiny step is all rounding: keep the slope then.
+            slope = np.where(np.abs(change) > 1e-4, secant, slope)
+        return y, slope
+
+    def _miss(self, aim: "_Aim", y_mm: Array) -> Array:
+        return self._through(aim, y_mm, self._open).position_mm[:, 1] - aim.height_mm
+
+    def _through(self, aim: "_Aim", y_mm: Array, stack: SurfaceStack) -> TracedRays:
+        depth = self._plane_z_mm - aim.source_mm[:, 2]
+        towards = np.stack(
+            [aim.pupil_mm - aim.source_mm[:, 0], y_mm - aim.source_mm[:, 1], depth], axis=1
+        )
+        return self._in_chunks(stack, aim.source_mm, towards)
+
+    def _density(self, aim: "_Aim", y_mm: Array, slope: Array) -> Array:
+        """Return the solid angle per mm of pupil and mm of height, without losses, shape (R,)."""
+        depth = self._plane_z_mm - aim.source_mm[:, 2]
+        x, y = aim.pupil_mm - aim.source_mm[:, 0], y_mm - aim.source_mm[:, 1]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            density = np.abs(depth) / (x**2 + y**2 + depth**2) ** 1.5 / np.abs(slope)
+        return np.nan_to_num(density)
+
+    def _in_chunks(self, stack: SurfaceStack, origins: Array, directions: Array) -> TracedRays:
+        if len(origins) <= _CHUNK:
+            return self._tracer(stack, origins, directions)
+        parts = [
+            self._tracer(stack, origins[start : start + _CHUNK], directions[start : start + _CHUNK])
+            for start in range(0, len(origins), _CHUNK)
+        ]
+        return TracedRays(
+            *(
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in (
+                    "position_mm", "direction", "path_mm", "transmittance", "status", "lost_at"
+                )
+            )
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Aim:
+    """R rays to aim: where they start (R, 3), the height on the row and the pupil's x (R,)."""
+
+    source_mm: Array
+    height_mm: Array
+    pupil_mm: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Guide:
+    """Chebyshev series through aimed rays of N points: y in the pupil, and slope, over x.
+
+    Args:
+        centre_mm: middle of the pupil [mm].
+        reach_mm: half its width [mm].
+        y_mm: coefficients, shape (K, N, 1).
+        slope: coefficients, shape (K, N, 1).
+    """
+
+    centre_mm: float
+    reach_mm: float
+    y_mm: Array
+    slope: Array
+
+    def at(self, pupil_mm: Array) -> tuple[Array, Array]:
+        """Return y and slope at places (N, M) in the pupil, both (N, M)."""
+        x = (pupil_mm - self.centre_mm) / self.reach_mm
+        return (
+            np.asarray(chebval(x, self.y_mm, tensor=False), dtype=np.float64),
+            np.asarray(chebval(x, self.slope, tensor=False), dtype=np.float64),
+        )
+
+
+def _series(values: Array, found: NDArray[np.bool_], otherwise: float) -> Array:
+    """Return Chebyshev coefficients (K, N, 1) of values (N, K) at the nodes.
+
+    A value that was not found is taken from its nearest neighbour: rays are lost there.
+    """
+    places = np.arange(values.shape[1])
+    distance = np.abs(places[:, None] - places)
+    nearest = np.where(found[:, None, :], distance, len(places)).argmin(axis=2)
+    any_found = np.any(found, axis=1, keepdims=True)
+    filled = np.where(any_found, np.take_along_axis(values, nearest, axis=1), otherwise)
+    series = np.linalg.solve(chebvander(_NODES, _GUIDES - 1), filled.T)
+    return np.asarray(series[:, :, None], dtype=np.float64)

@@ -1,0 +1,42 @@
+"""The Warp kernel that traces rays, one thread for each, on the CPU and on CUDA.
+
+Only ``compute.optics.tracing.tracer`` imports this module, when a tracer is made: it loads Warp.
+"""
+
+import warp as wp
+
+from compute.optics.tracing.kernel_source import TRACE_ONE_RAY
+
+# Its greeting and its compile times are nothing to a user of ours.
+wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
+# Without fused multiply-adds, both devices round as NumPy does.
+wp.set_module_options({"enable_backward": False, "fast_math": False, "fuse_fp": False})
+
+
+@wp.func_native(TRACE_ONE_RAY)  # type: ignore[untyped-decorator]
+def _trace_one_ray(
+    ray: int,
+    rays: int,
+    rays_address: wp.uint64,
+    surfaces_address: wp.uint64,
+    image: int,
+    results_address: wp.uint64,
+) -> None: ...
+
+
+@wp.kernel
+def trace_rays(
+    rays: int,
+    rays_address: wp.uint64,
+    surfaces_address: wp.uint64,
+    image: int,
+    results_address: wp.uint64,
+) -> None:
+    """Trace N = ``rays`` rays; launch with as many threads.
+
+    ``rays_address`` is that of float64 (6, N) in the device's memory: origin and direction, of
+    any length. ``surfaces_address`` is that of SURFACE_RECORDs, the last of which, number
+    ``image``, is the image plane. ``results_address`` is that of float64 (8, N): x, y, direction,
+    path, both transmittances; then of int32 (N,): 4 times the surface plus the status.
+    """
+    _trace_one_ray(wp.tid(), rays, rays_address, surfaces_address, image, results_address)

@@ -1,0 +1,166 @@
+"""RayTracer: traces many rays through one stack on one device, in buffers of its own."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.optics.tracing.packing import pack
+from compute.optics.tracing.rays import RayStatus, TracedRays
+from compute.optics.tracing.shapes import Array
+from compute.optics.tracing.surfaces import SurfaceStack
+from compute.optics.tracing.trace import checked_rays
+
+INPUTS: Final = 6
+"""Numbers of a ray: origin and direction."""
+OUTPUTS: Final = 8.5
+"""Float64 words of a result: x, y, direction, path, two transmittances, an int32."""
+LEAST_RAYS: Final = 1024
+THREADS_OF_A_BLOCK: Final = 128
+
+
+class RayTracer:
+    """Exact rays through a stack of surfaces by Warp: the numbers of ``trace_rays``, faster.
+
+    Warp is not thread-safe: one thread makes the tracer and calls it. Making it loads Warp and
+    compiles the kernel, unless an earlier process has (seconds). The surfaces are data to the
+    kernel: another stack needs no other kernel.
+
+    Args:
+        stack: the surfaces.
+        device: "cpu", "cuda:0", ...; None takes the first CUDA device, or else the CPU.
+
+    Raises:
+        InvalidParameter: a device that is not there.
+    """
+
+    def __init__(self, stack: SurfaceStack, device: str | None = None) -> None:
+        # Here and not above: Warp takes a second to load, and the types are used without it.
+        import warp as wp
+
+        from compute.optics.tracing.kernel import trace_rays
+
+        self._wp = wp
+        self.stack = stack
+        self._device = _device(wp, device)
+        self.device = str(self._device.alias)
+        self._cuda = bool(self._device.is_cuda)
+        records = pack(stack)
+        self._surfaces: Any = wp.array(records.view(np.uint8), dtype=wp.uint8, device=self._device)
+        self._capacity = 0
+        self._reserve(LEAST_RAYS)
+        self._uploaded = 0
+        self._launch = wp.launch(
+            trace_rays,
+            dim=1,
+            inputs=[
+                1,
+                self._rays.ptr,
+                self._surfaces.ptr,
+                len(records) - 1,
+                self._results.ptr,
+            ],
+            device=self._device,
+            block_dim=THREADS_OF_A_BLOCK,
+            record_cmd=True,
+        )
+
+    def trace(self, origins_mm: Array, directions: Array) -> TracedRays:
+        """Trace rays to the image plane, as ``trace_rays`` does.
+
+        Args:
+            origins_mm: where the rays start, in the stack's frame, shape (N, 3) [mm].
+            directions: their directions, of any length, shape (N, 3).
+
+        Raises:
+            InvalidParameter: shapes that do not fit, values not finite, directions of no length.
+        """
+        self.upload(origins_mm, directions)
+        self.launch()
+        return self.download()
+
+    def upload(self, origins_mm: Array, directions: Array) -> None:
+        """Bring rays to the device; ``trace`` is upload, launch and download."""
+        origins, vectors = checked_rays(origins_mm, directions)
+        count = len(origins)
+        self._reserve(count)
+        self._uploaded = count
+        if count == 0:
+            return
+        words = self._host_rays[: INPUTS * count].reshape(INPUTS, count)
+        words[:3], words[3:] = origins.T, vectors.T
+        if self._cuda:
+            self._wp.copy(self._rays, self._staged_rays, count=INPUTS * count)
+
+    def launch(self) -> None:
+        """Start the kernel on the rays uploaded."""
+        if self._uploaded == 0:
+            return
+        self._launch.set_dim(self._uploaded)
+        self._launch.set_param_at_index(0, self._uploaded)
+        self._launch.set_param_at_index(1, self._rays.ptr)
+        self._launch.set_param_at_index(4, self._results.ptr)
+        self._launch.launch()
+
+    def download(self) -> TracedRays:
+        """Wait for the kernel and return its results."""
+        count = self._uploaded
+        if self._cuda and count:
+            self._wp.copy(self._staged_results, self._results, count=_words(count))
+            self._wp.synchronize_stream(self._device)
+        words = self._host_results[: 8 * count].reshape(8, count)
+        codes = self._host_results[8 * count : _words(count)].view(np.int32)[:count]
+        position = np.zeros((count, 3))
+        position[:, :2] = words[:2].T
+        status = (codes & 3).astype(np.int32)
+        arrived = status == RayStatus.ARRIVED
+        position[:, 2] = np.where(arrived, 0.0, np.nan)
+        return TracedRays(
+            position_mm=position,
+            direction=np.ascontiguousarray(words[2:5].T),
+            path_mm=words[5].copy(),
+            transmittance=np.ascontiguousarray(words[6:8].T),
+            status=status,
+            lost_at=np.where(arrived, -1, codes >> 2).astype(np.int32),
+        )
+
+    def _reserve(self, count: int) -> None:
+        """Make the buffers large enough; they only grow."""
+        if count <= self._capacity:
+            return
+        wp = self._wp
+        self._capacity = max(count, 2 * self._capacity)
+        rays, results = INPUTS * self._capacity, _words(self._capacity)
+        self._rays = wp.zeros(rays, dtype=wp.float64, device=self._device)
+        self._results = wp.zeros(results, dtype=wp.float64, device=self._device)
+        self._staged_rays, self._staged_results = self._rays, self._results
+        if self._cuda:
+            self._staged_rays = wp.zeros(rays, dtype=wp.float64, device="cpu", pinned=True)
+            self._staged_results = wp.zeros(results, dtype=wp.float64, device="cpu", pinned=True)
+        self._host_rays = _numpy(self._staged_rays)
+        self._host_results = _numpy(self._staged_results)
+
+
+def _words(count: int) -> int:
+    """Return the float64 words that so many results take."""
+    return int(np.ceil(OUTPUTS * count))
+
+
+def _device(wp: Any, name: str | None) -> Any:
+    """Return Warp's device of this name; None takes the first CUDA device, or else the CPU."""
+    if name is None:
+        name = "cuda:0" if wp.is_cuda_available() else "cpu"
+    try:
+        return wp.get_device(name)
+    except (ValueError, RuntimeError) as error:
+        there = ", ".join(str(device.alias) for device in wp.get_devices())
+        raise InvalidParameter(
+            f"there is no device {name!r}; there are: {there}", device=name
+        ) from error
+
+
+def _numpy(array: Any) -> NDArray[Any]:
+    """Return the memory of a Warp array on the host, not a copy of it."""
+    view: NDArray[Any] = array.numpy()
+    return view

@@ -31,12 +31,7 @@ class Precision:
 
 
 def point_precision(cameras: CameraStack, points_mm: Array, sigma_px: Array) -> Precision:
-    """Return the covariance ``(sum_s g g' / sigma^2)^-1`` of reconstructed points.
-
-    g is the slope d reading / d point of each sensor. This is the covariance of the weighted
-    least-squares solution of [5.22]-[5.24] with exactly known cameras, and what
-    ``compute.reconstruction`` gives for the same readings: noise only. The calibration's own
-    uncertainty and a camera model that does not fit come on top.
+    """Return the precision of points that cameras see; see ``precision_of_slopes``.
 
     Args:
         cameras: S cameras.
@@ -52,7 +47,27 @@ def point_precision(cameras: CameraStack, points_mm: Array, sigma_px: Array) -> 
         raise InvalidParameter(
             f"points_mm has the shape {points.shape}; it must be (N, 3)", points_mm=points.shape
         )
-    shape = (len(points), len(cameras))
+    return precision_of_slopes(cameras.linearised(points)[1], sigma_px)
+
+
+def precision_of_slopes(slope_px_per_mm: Array, sigma_px: Array) -> Precision:
+    """Return the covariance ``(sum_s g g' / sigma_s^2)^-1``, g the slope of each reading.
+
+    This is the covariance of the weighted least-squares solution of [5.22]-[5.24] for exactly
+    known sensors, and what ``compute.reconstruction`` gives for the same readings. It is of the
+    noise alone: the calibration's own uncertainty, and what the camera model leaves of the
+    distortion, come on top.
+
+    Args:
+        slope_px_per_mm: d reading / d point, shape (N, S, 3) [px/mm]; NaN where a sensor does
+            not see the point.
+        sigma_px: standard deviations of the readings, shape (N, S) or (S,) [px]; NaN or infinite
+            where a sensor does not see the point.
+
+    Raises:
+        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
+    """
+    shape = slope_px_per_mm.shape[:2]
     given = np.asarray(sigma_px, dtype=np.float64)
     if given.shape not in (shape, shape[1:]):
         raise InvalidParameter(
@@ -60,19 +75,19 @@ def point_precision(cameras: CameraStack, points_mm: Array, sigma_px: Array) -> 
             sigma_px=given.shape,
         )
     if (given <= 0.0).any():
+        bad = float(given[given <= 0.0][0])
         raise InvalidParameter(
-            f"sigma_px has {given[given <= 0.0][0]}; it must be positive, or NaN where a sensor "
-            "does not see the point",
-            sigma_px=float(given[given <= 0.0][0]),
+            f"sigma_px has {bad}; it must be positive, or NaN where a sensor sees nothing",
+            sigma_px=bad,
         )
-    projected, slope = cameras.linearised(points)
-    sigma = np.where(np.isfinite(projected), np.broadcast_to(given, shape), np.nan)
+    seen = np.isfinite(slope_px_per_mm).all(axis=2)
+    sigma = np.where(seen, np.broadcast_to(given, shape), np.nan)
     used = _informative(sigma)
-    rows = np.where(used[..., None], slope / np.where(used, sigma, 1.0)[..., None], 0.0)
+    rows = np.where(used[..., None], slope_px_per_mm / np.where(used, sigma, 1.0)[..., None], 0.0)
     normal = rows.transpose(0, 2, 1) @ rows
 
     sensors = used.sum(axis=1)
-    flags = np.zeros(len(points), dtype=np.int32)
+    flags = np.zeros(len(normal), dtype=np.int32)
     flags[sensors < 3] = PointFlag.TOO_FEW_SENSORS
     spectrum = np.linalg.eigvalsh(normal)
     flat = spectrum[:, 0] <= DEGENERATE_RATIO * spectrum[:, 2]

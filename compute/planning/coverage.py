@@ -1,0 +1,148 @@
+"""Coverage: which sensors see which part of a volume."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.model import Vector3
+from compute.errors import InvalidParameter
+
+Array = NDArray[np.float64]
+
+MOST_POINTS = 100_000
+"""Grid points, at most."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A working volume: a box along the world's axes.
+
+    Args:
+        centre_mm: its middle [mm].
+        size_mm: its lengths along X, Y and Z [mm].
+
+    Raises:
+        InvalidParameter: a length that is not positive.
+    """
+
+    centre_mm: Vector3
+    size_mm: Vector3
+
+    def __post_init__(self) -> None:
+        if not all(0.0 < length < np.inf for length in self.size_mm):
+            raise InvalidParameter(
+                f"size_mm is {self.size_mm}; all three lengths must be positive",
+                size_mm=self.size_mm,
+            )
+        if not np.isfinite(self.centre_mm).all():
+            raise InvalidParameter(
+                f"centre_mm is {self.centre_mm}; it must be finite", centre_mm=self.centre_mm
+            )
+
+    def contains(self, points_mm: Array) -> NDArray[np.bool_]:
+        """Say which points (..., 3) lie inside; NaN does not."""
+        with np.errstate(invalid="ignore"):
+            away = np.abs(points_mm - np.asarray(self.centre_mm))
+        inside: NDArray[np.bool_] = (away <= np.asarray(self.size_mm) / 2.0).all(axis=-1)
+        return inside
+
+    def uniform(self, count: int, rng: np.random.Generator) -> Array:
+        """Return points drawn evenly from the box, shape (count, 3)."""
+        share = rng.random((count, 3)) - 0.5
+        points: Array = np.asarray(self.centre_mm) + share * np.asarray(self.size_mm)
+        return points
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A lattice over a box, its faces included.
+
+    Args:
+        box: the box.
+        shape: points along X, Y and Z.
+        points_mm: shape (N, 3) [mm], X changing slowest.
+        weights: the share of the volume that each point stands for (trapezoidal rule), shape
+            (N,), adding up to 1.
+    """
+
+    box: Box
+    shape: tuple[int, int, int]
+    points_mm: Array
+    weights: Array
+
+
+def lattice(box: Box, points: tuple[int, int, int]) -> Grid:
+    """Return a lattice over a box.
+
+    Args:
+        box: the box.
+        points: how many along X, Y and Z, each at least 2; odd numbers hold the middle.
+
+    Raises:
+        InvalidParameter: fewer than 2 along an axis, or more than 100,000 in all.
+    """
+    if min(points) < 2 or int(np.prod(points, dtype=np.int64)) > MOST_POINTS:
+        raise InvalidParameter(
+            f"grid is {points}; it must have at least 2 points along each axis and at most "
+            f"{MOST_POINTS} in all",
+            grid=points,
+        )
+    axes, shares = [], []
+    for centre, size, count in zip(box.centre_mm, box.size_mm, points, strict=True):
+        axes.append(centre + size * np.linspace(-0.5, 0.5, count))
+        share = np.full(count, 1.0 / (count - 1))
+        share[[0, -1]] /= 2.0
+        shares.append(share)
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    weights = np.einsum("i,j,k->ijk", *shares).ravel()
+    return Grid(box, points, places, weights)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How much of a volume is seen, as shares of it.
+
+    Args:
+        by_count: share that exactly 0, 1, ... S sensors see.
+        by_sensor: share that each sensor sees.
+        all_sensors: share that all sensors see.
+        three_or_more: share that at least three sensors see: where positions can be had.
+    """
+
+    by_count: tuple[float, ...]
+    by_sensor: tuple[float, ...]
+    all_sensors: float
+    three_or_more: float
+
+
+def seen(position_px: Array, pixels: int, light: Array) -> NDArray[np.bool_]:
+    """Say which sensors see which points: a reading on the pixels, and light.
+
+    Args:
+        position_px: readings, shape (N, S) [px]; NaN where there is none.
+        pixels: pixels of a line; it covers -0.5 to pixels - 0.5.
+        light: light of each line, in any unit, shape (N, S).
+    """
+    with np.errstate(invalid="ignore"):
+        on_pixels = (position_px >= -0.5) & (position_px <= pixels - 0.5)
+        result: NDArray[np.bool_] = on_pixels & (light > 0.0)
+    return result
+
+
+def coverage(sees: NDArray[np.bool_], weights: Array) -> Coverage:
+    """Sum up which sensors see which points.
+
+    Args:
+        sees: shape (N, S).
+        weights: the share of the volume that each point stands for, shape (N,).
+    """
+    counts = sees.sum(axis=1)
+    sensors = sees.shape[1]
+    shares = np.bincount(counts, weights, minlength=sensors + 1)
+    return Coverage(
+        tuple(shares.tolist()),
+        tuple((weights @ sees).tolist()),
+        float(shares[sensors]),
+        float(shares[3:].sum()),
+    )

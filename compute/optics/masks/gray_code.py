@@ -23,10 +23,12 @@ def gray_decode(codes: Integers) -> Integers:
 
 def to_bits(numbers: Integers, bits: int) -> NDArray[np.bool_]:
     """Return the bits of numbers, the highest first, shape (..., bits)."""
-    return (numbers[..., None] >> np.arange(bits - 1, -1, -1)) & 1 == 1
+    set_bits: NDArray[np.bool_] = (numbers[..., None] >> np.arange(bits - 1, -1, -1)) & 1 == 1
+    return set_bits
 
 
 def from_bits(bits: NDArray[np.bool_]) -> Integers:
     """Return the numbers of bits (..., bits), the highest first; inverse of ``to_bits``."""
     weights = np.int64(1) << np.arange(bits.shape[-1] - 1, -1, -1)
-    return (bits * weights).sum(axis=-1)
+    numbers: Integers = (bits * weights).sum(axis=-1)
+    return numbers

@@ -92,7 +92,7 @@ class CodedWindow:
         Along the readings (-x), from the middle of the code.
         """
         turns = np.flatnonzero(np.diff(np.array((0, *self.code, 0))))
-        return turns * self.bar_mm - self.length_mm / 2.0
+        return np.asarray(turns * self.bar_mm - self.length_mm / 2.0, dtype=np.float64)
 
 
 def maximal_length_code(order: int) -> tuple[int, ...]:

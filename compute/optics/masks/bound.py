@@ -1,0 +1,44 @@
+"""The Cramer-Rao bound of the shift of a known pattern."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+
+Array = NDArray[np.float64]
+
+
+def shift_bound_px(
+    electrons: Array, slope_electrons_per_px: Array, read_noise_electrons: float
+) -> Array:
+    """Return the least standard deviation of an unbiased shift of a pattern, shape (...) [px].
+
+    ``I = sum (d mu / d x)^2 / (mu + read^2)`` over the pixels, with the pattern and its
+    brightness known; the Gaussian limit of photon noise. Infinite where nothing changes.
+
+    Args:
+        electrons: mean electrons mu of the pixels, ambient light included, shape (..., P).
+        slope_electrons_per_px: their change with the shift, from the optics (two points a
+            little apart), not from differences of pixels; same shape.
+        read_noise_electrons: standard deviation of the read noise, with that of the conversion.
+
+    Raises:
+        InvalidParameter: noise or electrons negative or not finite.
+    """
+    if not 0.0 <= read_noise_electrons < np.inf:
+        raise InvalidParameter(
+            f"read_noise_electrons is {read_noise_electrons}; it must be zero or positive",
+            read_noise_electrons=read_noise_electrons,
+        )
+    lowest = float(np.min(electrons, initial=np.inf))
+    if not lowest >= 0.0:
+        raise InvalidParameter(
+            f"electrons has {lowest}; it must be zero or positive", electrons=lowest
+        )
+    variance = electrons + read_noise_electrons**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # A pixel without light and noise does not change either: it tells nothing.
+        information = np.where(
+            slope_electrons_per_px != 0.0, slope_electrons_per_px**2 / variance, 0.0
+        ).sum(axis=-1)
+        return np.asarray(1.0 / np.sqrt(information))

@@ -1,0 +1,108 @@
+"""Decoding of a coded shadow by cross-correlation with the model of the mask."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+
+from compute.errors import InvalidParameter
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MaskShift:
+    """Where a template was found in lines; arrays of the lines' leading shape.
+
+    Args:
+        shift_px: pixel of the line on which the template's first one lies [px].
+        peak: correlation at the peak, 1 for a line that is the template, whatever its light.
+        second_ratio: the highest correlation outside the main lobe, relative to the peak; near
+            1: the shift is ambiguous.
+    """
+
+    shift_px: Array
+    peak: Array
+    second_ratio: Array
+
+
+def decode_mask(lines: ArrayLike, template: ArrayLike) -> MaskShift:
+    """Find the shift of a shadow by cross-correlation, thesis [2.16] to [2.18].
+
+    ``R(m) = sum x(n) y(n + m)`` for all shifts, negative ones too, as the inverse transform
+    of the cross-power spectrum, padded so that nothing wraps around; the means are taken off
+    first, without which ambient light and the overlap of two long lines give a peak of
+    their own. The peak is refined by the parabola through its neighbours. The main lobe ends
+    at the first minimum of the template's own correlation.
+
+    This is the plain method: it weights all pixels alike and its parabola is not the shape
+    of the peak. tests/compute/optics/masks/test_bound.py prints its deviation beside the
+    Cramer-Rao bound of ``shift_bound_px``.
+
+    Args:
+        lines: counts or electrons, shape (..., P).
+        template: the software model of the mask's shadow, e.g. the footprint of a reference point
+            (it may be longer than a line), shape (T,).
+
+    Raises:
+        InvalidParameter: a line or template that is too short, not finite, or of no contrast.
+    """
+    line = np.asarray(lines, dtype=np.float64)
+    model = np.asarray(template, dtype=np.float64)
+    if model.ndim != 1 or model.size < 3:
+        raise InvalidParameter(
+            f"template has the shape {model.shape}; it must have one axis of 3 or more pixels",
+            shape=model.shape,
+        )
+    if line.ndim < 1 or line.shape[-1] < 3:
+        raise InvalidParameter(
+            f"lines have the shape {line.shape}; their last axis must have 3 or more pixels",
+            shape=line.shape,
+        )
+    if not (np.isfinite(model).all() and np.isfinite(line).all()):
+        raise InvalidParameter("lines or template hold a value that is not finite")
+    if np.ptp(model) == 0.0:
+        raise InvalidParameter(
+            f"template is {model[0]} everywhere; it must have contrast", template=float(model[0])
+        )
+    line = line - line.mean(axis=-1, keepdims=True)
+    model = model - model.mean()
+    length = line.shape[-1] + model.size - 1
+    size = next_fast_len(length, real=True)
+    correlation = irfft(rfft(line, size) * rfft(model, size).conj(), size)
+    # Shift 0 comes first: put the negative shifts before it.
+    lag = np.arange(1 - model.size, line.shape[-1])
+    correlation = correlation[..., lag % size]
+    return _peaks(correlation, lag, _lobe(model, size), _scale(line, model))
+
+
+def _scale(line: Array, model: Array) -> Array:
+    """Return the product of the norms, never zero."""
+    norm = np.sqrt((line**2).sum(axis=-1) * (model**2).sum())
+    return np.asarray(np.maximum(norm, np.finfo(np.float64).tiny))
+
+
+def _lobe(model: Array, size: int) -> int:
+    """Return the shift at which the template's own correlation ceases to fall [px]."""
+    own = irfft(abs(rfft(model, size)) ** 2, size)[: size // 2]
+    rising = np.flatnonzero(np.diff(own) >= 0.0)
+    return int(rising[0]) if len(rising) else len(own)
+
+
+def _peaks(correlation: Array, lag: NDArray[np.int64], lobe: int, scale: Array) -> MaskShift:
+    best = correlation.argmax(axis=-1, keepdims=True)
+    inner = np.clip(best, 1, len(lag) - 2)
+    before, at, after = (
+        np.take_along_axis(correlation, inner + step, axis=-1)[..., 0] for step in (-1, 0, 1)
+    )
+    bend = before - 2.0 * at + after
+    with np.errstate(divide="ignore", invalid="ignore"):
+        part = np.where(bend < 0.0, 0.5 * (before - after) / bend, 0.0)
+    part = np.clip(part, -1.0, 1.0)
+    height = at - 0.25 * (before - after) * part
+    outside = abs(np.arange(len(lag)) - best) > lobe
+    second = np.where(outside, correlation, -np.inf).max(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(height > 0.0, np.maximum(second, 0.0) / height, 1.0)
+    return MaskShift(lag[inner[..., 0]] + part, height / scale, ratio)

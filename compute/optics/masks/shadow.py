@@ -1,0 +1,76 @@
+"""Shadow: how much light a coded mask lets fall on a stretch behind it; without diffraction."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.optics.masks.window import CodedWindow
+
+Array = NDArray[np.float64]
+
+_LEAST_BLUR_MM = 1e-5  # a narrower blur changes nothing that light can show
+
+
+class Shadow(Protocol):
+    """Mean transmission over a stretch of the mask, blurred."""
+
+    def mean_transmission(
+        self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
+    ) -> Array:
+        """Return the light on stretches relative to that without a mask, all of one shape.
+
+        Args:
+            centre_mm: middle of the stretch, along the readings from the middle of the code
+                [mm].
+            width_mm: its width, a pixel's, seen on the mask [mm].
+            blur_mm: width of the penumbra, the emitter's seen on the mask [mm].
+            curvature_per_mm: curvature of the optical path, as of ``WindowPaths`` [1/mm].
+        """
+        ...
+
+
+class GeometricShadow:
+    """Shadow without diffraction: exact overlaps of pixel, penumbra and bars.
+
+    Args:
+        window: the window.
+    """
+
+    def __init__(self, window: CodedWindow) -> None:
+        self._bar_mm = window.bar_mm
+        self._start_mm = -window.length_mm / 2.0
+        # One opaque bar on each side carries the integrals on beyond the ends.
+        code = np.array((*window.code, 0), dtype=np.float64)
+        self._code = code
+        self._once = np.concatenate([[0.0], np.cumsum(code)[:-1]]) * window.bar_mm
+        twice = self._once * window.bar_mm + code * window.bar_mm**2 / 2.0
+        self._twice = np.concatenate([[0.0], np.cumsum(twice)[:-1]])
+
+    def mean_transmission(
+        self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
+    ) -> Array:
+        """Return the light on stretches relative to that without a mask; see ``Shadow``."""
+        del curvature_per_mm
+        return second_difference(self._integral, centre_mm, width_mm, blur_mm)
+
+    def _integral(self, place_mm: Array) -> Array:
+        """Return the transmission integrated twice from the start of the code."""
+        along = place_mm - self._start_mm
+        bar = np.clip(np.floor(along / self._bar_mm), 0, len(self._code) - 1).astype(np.int64)
+        rest = np.maximum(along, 0.0) - bar * self._bar_mm
+        return np.asarray(
+            self._twice[bar] + (self._once[bar] + self._code[bar] * rest / 2.0) * rest
+        )
+
+
+def second_difference(
+    integral: Callable[[Array], Array], centre_mm: Array, width_mm: Array, blur_mm: Array
+) -> Array:
+    """Average over a stretch and a penumbra what ``integral`` is the second integral of."""
+    blur = np.maximum(blur_mm, _LEAST_BLUR_MM)
+    far, near = (width_mm + blur) / 2.0, (width_mm - blur) / 2.0
+    outer = integral(centre_mm + far) + integral(centre_mm - far)
+    inner = integral(centre_mm + near) + integral(centre_mm - near)
+    return (outer - inner) / (width_mm * blur)

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, ndtr, xlogy
 
+from compute.optics.random_places import PLACES, random_places
+
 Array = NDArray[np.float64]
 
-_BINS = 65536
 _REACH_SIGMA = 9.0  # beyond it lies less than 1e-18
 _BLOCK = 64
 _DRAWN_AT_ONCE = 8192
@@ -29,16 +30,16 @@ class CountDistribution:
     def __init__(self, counts: NDArray[np.uint16], probabilities: Array) -> None:
         self.counts = counts
         self.probabilities = probabilities
-        places = np.floor(_BINS * probabilities)
-        rest = _BINS * probabilities - places
+        places = np.floor(PLACES * probabilities)
+        rest = PLACES * probabilities - places
         self._filled = int(places.sum())
-        self._table = np.zeros(_BINS, dtype=np.uint16)
+        self._table = np.zeros(PLACES, dtype=np.uint16)
         self._table[: self._filled] = np.repeat(counts, places.astype(np.int64))
         self._rest_cdf = np.cumsum(rest) / max(float(rest.sum()), np.finfo(np.float64).tiny)
 
     def draw(self, size: int, rng: np.random.Generator) -> NDArray[np.uint16]:
         """Return ``size`` independent counts, shape (size,)."""
-        places = rng.integers(0, _BINS, size, dtype=np.uint16)
+        places = random_places(size, rng)
         drawn = np.empty(size, dtype=np.uint16)
         # In blocks: take converts its indices, and a large temporary costs page faults.
         for start in range(0, size, _DRAWN_AT_ONCE):

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import poisson
 
 from compute.optics.dark import CountDistribution
 from compute.optics.detector import Detector
+from tests.compute.optics.chi_square import chi2_excess
 
 CASES = {
     "no light, read noise": Detector(12, 12.0, 64.0, 30.0, 60_000.0, 0.0),
@@ -17,17 +17,8 @@ CASES = {
     "clipped at full scale": Detector(8, 1.0, 0.0, 8.0, 60_000.0, 250.0),
     "clipped by the full well": Detector(10, 1.0, 20.0, 3.0, 400.0, 400.0),
     "16 bits, wide": Detector(16, 0.5, 100.0, 50.0, 60_000.0, 9_000.0),
+    "with dark signal": Detector(12, 4.0, 64.0, 8.0, 60_000.0, 20.0, dark_electrons=30.0),
 }
-
-
-def chi2_excess(observed: NDArray[np.int64], expected: NDArray[np.float64]) -> float:
-    """Return chi2 less its mean, in its standard deviations; bins under 10 are pooled."""
-    large = expected >= 10.0
-    seen = np.append(observed[large], observed[~large].sum())
-    due = np.append(expected[large], expected[~large].sum())
-    seen, due = seen[due > 0.0], due[due > 0.0]
-    freedom = max(len(seen) - 1, 1)
-    return float((((seen - due) ** 2 / due).sum() - freedom) / np.sqrt(2 * freedom))
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -46,7 +37,8 @@ def test_the_distribution_is_that_of_the_detector_step_by_step(name: str) -> Non
     rng = np.random.default_rng(12)
     size = 1_000_000
     electrons = np.minimum(
-        rng.poisson(detector.ambient_electrons, size), detector.full_well_electrons
+        rng.poisson(detector.ambient_electrons + detector.dark_electrons, size),
+        detector.full_well_electrons,
     )
     electrons = electrons + detector.read_noise_electrons * rng.standard_normal(size)
     counts = np.floor(electrons / detector.electrons_per_count + detector.offset_counts + 0.5)

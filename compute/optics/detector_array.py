@@ -1,0 +1,219 @@
+"""The detectors of a device: pixels that differ, light of the background, blooming."""
+
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.optics.blooming import bloom
+from compute.optics.dark import count_distribution
+from compute.optics.detector import Detector, check_signal
+from compute.optics.fixed_pattern import FixedPattern, fixed_pattern
+from compute.optics.pixel_noise import SMOOTH_READ_NOISE_ELECTRONS, PixelNoise
+
+Array = NDArray[np.float64]
+
+_REACH_SIGMA: Final = 9.0  # beyond it lies less than 1e-18
+_FIRST_REACH: Final = 8
+
+
+class DetectorArray:
+    """S sensors of P pixels of one kind, each with its own fixed pattern.
+
+    An exposure goes: light times response; Poisson number of electrons of signal, background
+    and dark signal; full well with blooming; read noise; conversion with the pixel's offset.
+
+    Args:
+        detector: the parameters.
+        sensors: S, at least 1.
+        pixels: P of each, at least 1.
+        pattern_seed: seed of the pixels' differences, zero or positive; another device has
+            another.
+        background_electrons: mean electrons of ambient light in nominal pixels, on top of the
+            detector's even ambient light, shape (S, P); None: none.
+
+    Raises:
+        InvalidParameter: a number out of range, a background of another shape or with values
+            that are not zero or positive.
+    """
+
+    def __init__(
+        self,
+        detector: Detector,
+        sensors: int,
+        pixels: int,
+        *,
+        pattern_seed: int = 0,
+        background_electrons: Array | None = None,
+    ) -> None:
+        for name, value, least in (
+            ("sensors", sensors, 1),
+            ("pixels", pixels, 1),
+            ("pattern_seed", pattern_seed, 0),
+        ):
+            if value < least:
+                raise InvalidParameter(
+                    f"{name} is {value}; it must be at least {least}", **{name: value}
+                )
+        self.detector = detector
+        self.pattern: FixedPattern = fixed_pattern(detector, sensors, pixels, pattern_seed)
+        shape = (sensors, pixels)
+        ambient = np.full(shape, detector.ambient_electrons)
+        if background_electrons is not None:
+            _check_background(background_electrons, shape)
+            ambient = ambient + background_electrons
+        self._shape = shape
+        self._response = self.pattern.response.ravel()
+        self._offset = self.pattern.offset_counts.ravel()
+        self._unlit = ambient.ravel() * self._response + self.pattern.dark_electrons.ravel()
+        self._dark, stepped = _dark_counts(detector, self._unlit, self._offset)
+        self._stepped = np.flatnonzero(stepped)
+
+    @property
+    def unlit_electrons(self) -> Array:
+        """Mean electrons without signal: background and dark signal, shape (S, P)."""
+        return self._unlit.reshape(self._shape)
+
+    def expose(self, signal_electrons: Array, rng: np.random.Generator) -> NDArray[np.uint16]:
+        """Return the counts of exposures.
+
+        Pixels with signal are simulated step by step, and so is what blooms. The many without
+        draw their count from tables: exact where all pixels are the same, otherwise within
+        what ``PixelNoise`` says. A detector whose pixels differ and whose read noise is below
+        0.8 electrons, or a pixel near its full well without signal, goes step by step, too.
+
+        Args:
+            signal_electrons: mean electrons of the markers in nominal pixels, shape
+                (..., S, P); background and dark signal come on top.
+            rng: source of the noise.
+
+        Returns:
+            Counts of the same shape.
+
+        Raises:
+            InvalidParameter: a signal of another shape, or not zero or positive.
+        """
+        if signal_electrons.shape[-2:] != self._shape:
+            raise InvalidParameter(
+                f"signal_electrons has the shape {signal_electrons.shape}; it must end with "
+                f"(sensors, pixels) {self._shape}",
+                signal_electrons=signal_electrons.shape,
+            )
+        size = len(self._unlit)
+        signal = signal_electrons.reshape(-1)
+        exposures = len(signal) // size
+        if self._dark is None:
+            counts = np.empty(len(signal), dtype=np.uint16)
+        else:
+            counts = self._dark.draw(exposures, rng).reshape(-1)
+        stepped = signal != 0.0
+        if len(self._stepped):
+            stepped.reshape(exposures, size)[:, self._stepped] = True
+        place = np.flatnonzero(stepped)
+        lit = signal[place]
+        check_signal(lit)
+        pixel = place % size
+        mean = lit * self._response[pixel] + self._unlit[pixel]
+        charge = rng.poisson(mean).astype(np.float64)
+        if self.detector.blooming > 0.0 and charge.max(initial=0.0) > self._full_well:
+            place, charge = self._bloom(place, charge, rng)
+            pixel = place % size
+        else:
+            np.minimum(charge, self._full_well, out=charge)
+        charge += self.detector.read_noise_electrons * rng.standard_normal(len(charge))
+        counts[place] = self.detector.convert(charge, self._offset[pixel])
+        return counts.reshape(signal_electrons.shape)
+
+    @property
+    def _full_well(self) -> float:
+        return self.detector.full_well_electrons
+
+    def _bloom(
+        self, place: NDArray[np.int64], charge: Array, rng: np.random.Generator
+    ) -> tuple[NDArray[np.int64], Array]:
+        """Bloom, with the charge of pixels without signal where it flows to them.
+
+        Args:
+            place: ascending places among all pixels, shape (M,).
+            charge: electrons collected there, shape (M,).
+
+        Returns:
+            The places that have their charge now, and what they keep, both of shape (N,).
+        """
+        pixels = self._shape[1]
+        reach = _FIRST_REACH
+        while True:
+            column = place % pixels
+            linked = (np.diff(place) == 1) & (column[:-1] != pixels - 1)
+            kept, flow = bloom(charge, linked, self._full_well, self.detector.blooming)
+            over = flow > 0.0
+            left = over & (column != 0) & ~np.concatenate([[False], linked])
+            right = over & (column != pixels - 1) & ~np.concatenate([linked, [False]])
+            if not (left.any() or right.any()):
+                return place, kept
+            # Charge flows to pixels that were not asked yet: draw what they collected.
+            step = np.arange(1, reach + 1)
+            to_left = np.minimum(step, column[left, None])
+            to_right = np.minimum(step, (pixels - 1 - column)[right, None])
+            asked = [(place[left, None] - to_left).ravel(), (place[right, None] + to_right).ravel()]
+            new = np.setdiff1d(np.concatenate(asked), place)
+            drawn = rng.poisson(self._unlit[new % len(self._unlit)]).astype(np.float64)
+            place = np.concatenate([place, new])
+            order = np.argsort(place)
+            place, charge = place[order], np.concatenate([charge, drawn])[order]
+            reach *= 2
+
+
+class _DarkCounts(Protocol):
+    def draw(self, exposures: int, rng: np.random.Generator) -> NDArray[np.uint16]: ...
+
+
+class _AlikeCounts:
+    """Counts of P pixels without signal, one like the other: exact."""
+
+    def __init__(self, detector: Detector, mean_electrons: float, pixels: int) -> None:
+        self._pixels = pixels
+        self._distribution = count_distribution(
+            detector.convert,
+            detector.upper_edges,
+            mean_electrons=mean_electrons,
+            full_well_electrons=detector.full_well_electrons,
+            read_noise_electrons=detector.read_noise_electrons,
+        )
+
+    def draw(self, exposures: int, rng: np.random.Generator) -> NDArray[np.uint16]:
+        return self._distribution.draw(exposures * self._pixels, rng)
+
+
+def _dark_counts(
+    detector: Detector, mean_electrons: Array, offset_counts: Array
+) -> tuple[_DarkCounts | None, NDArray[np.bool_]]:
+    """Return the source of the counts without signal, and which pixels go step by step."""
+    reach = mean_electrons + _REACH_SIGMA * np.sqrt(mean_electrons) + 40.0
+    near_full = reach > detector.full_well_electrons
+    alike = np.ptp(mean_electrons) == 0.0 and np.ptp(offset_counts) == 0.0
+    if alike and not (near_full.any() and detector.blooming > 0.0):
+        never = np.zeros_like(near_full)
+        return _AlikeCounts(detector, float(mean_electrons[0]), len(mean_electrons)), never
+    if detector.read_noise_electrons < SMOOTH_READ_NOISE_ELECTRONS or near_full.all():
+        return None, np.ones_like(near_full)
+    # Pixels near their full well have no table; any mean that has one will do for them.
+    tabled = np.where(near_full, mean_electrons[~near_full].max(), mean_electrons)
+    return PixelNoise(detector, tabled, offset_counts), near_full
+
+
+def _check_background(background_electrons: Array, shape: tuple[int, int]) -> None:
+    if background_electrons.shape != shape:
+        raise InvalidParameter(
+            f"background_electrons has the shape {background_electrons.shape}; it must be "
+            f"(sensors, pixels) {shape}",
+            background_electrons=background_electrons.shape,
+        )
+    wrong = ~((background_electrons >= 0.0) & (background_electrons < np.inf))
+    if wrong.any():
+        value = float(background_electrons[wrong][0])
+        raise InvalidParameter(
+            f"background_electrons has {value}; it must be zero or positive",
+            background_electrons=value,
+        )

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
+from compute.optics.detector import Detector
 from compute.optics.footprints import Footprints
 from compute.signal.noise import LineNoise
 from compute.signal.reference import find_peaks_reference
@@ -15,11 +16,16 @@ from compute.signal.settings import GROUP_PIXELS, SAMPLE_GROUPS, CentroidSetting
 Array = NDArray[np.float64]
 
 SHIFT_PX = 0.05
-"""By how much lines are moved, both ways, to take their derivative. The error of the central
-difference is about (SHIFT_PX / s)^2 / 6 of it for a line of deviation s: 0.2 % for 0.5 px."""
+"""By how much lines are moved, both ways, to take the derivative of what each pixel gets. The
+error of the central difference is about (SHIFT_PX / s)^2 / 6 of it for a line of deviation s:
+0.2 % for 0.5 px."""
 
+REACH_PX = 20.0
+"""By how much they are moved to see how the reading goes with the point: many pixels, as the
+centre of gravity of a line narrower than a pixel wavers within each."""
 
 _AROUND = np.vstack([np.zeros(3), np.eye(3)])
+_ACROSS = np.pi * np.arange(24) / 24.0
 
 
 class FootprintOptics(Protocol):
@@ -47,6 +53,15 @@ class PixelNoise:
     read_noise_electrons: float
     electrons_per_count: float
     background_electrons: float = 0.0
+
+    @classmethod
+    def of(cls, detector: Detector) -> "PixelNoise":
+        """Return the noise of a detector's nominal pixel; its dark signal is background."""
+        return cls(
+            detector.read_noise_electrons,
+            detector.electrons_per_count,
+            detector.ambient_electrons + detector.dark_electrons,
+        )
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -106,6 +121,7 @@ class LineReadings:
     """What S sensors read of N points: line, place, and how the place moves with the point.
 
     Args:
+        first_px: number of the windows' first pixels, int64, shape (N, S).
         mean_sr: the lines in the pixels [sr], shape (N, S, W); zero beyond the sensor's ends.
         slope_sr_per_px: derivative of these by the line's position, shape (N, S, W).
         position_px: centres of gravity of the whole lines, shape (N, S); NaN without light.
@@ -113,6 +129,7 @@ class LineReadings:
         share: share of each line's light that falls on pixels, shape (N, S).
     """
 
+    first_px: NDArray[np.int64]
     mean_sr: Array
     slope_sr_per_px: Array
     position_px: Array
@@ -121,64 +138,67 @@ class LineReadings:
 
 
 def line_readings(optics: FootprintOptics, points_mm: Array, pixels: int) -> LineReadings:
-    """Move each point a little along X, Y and Z, and see how its lines move.
+    """Move each point a little, and see how its lines move.
 
     The derivative of what each pixel gets is taken from lines that were formed anew, so it holds
-    for any shape, however narrow against a pixel. One step serves all points; it moves the lines of
-    the middle of them by SHIFT_PX at most.
+    for any shape, however narrow against a pixel. Steps are chosen in the middle of the points
+    and serve all of them.
 
     Args:
         optics: forms the lines.
         points_mm: shape (N, 3) [mm].
         pixels: pixels of a line.
+
+    Raises:
+        InvalidParameter: no sensor sees the middle of the points.
     """
     here = optics.footprints(points_mm)
     position, light, share = _centroid(here, pixels)
-    step = _step_mm(optics, points_mm, pixels)
+    direction, step = _small_step(optics, points_mm, pixels)
+    reach = step * REACH_PX / SHIFT_PX
     gradient = np.empty((*position.shape, 3))
-    lines: list[tuple[Footprints, Footprints]] = []
     for axis in range(3):
-        shift = step * np.eye(3)[axis]
-        ahead, behind = optics.footprints(points_mm + shift), optics.footprints(points_mm - shift)
-        change = _centroid(ahead, pixels)[0] - _centroid(behind, pixels)[0]
-        gradient[..., axis] = change / (2.0 * step)
-        lines.append((ahead, behind))
-    windows = [here, *(line for pair in lines for line in pair)]
-    first = np.min([window.first_px for window in windows], axis=0)
-    last = np.max([w.first_px + w.solid_angle_sr.shape[2] for w in windows], axis=0)
+        shift = reach * np.eye(3)[axis]
+        ahead = _centroid(optics.footprints(points_mm + shift), pixels)[0]
+        behind = _centroid(optics.footprints(points_mm - shift), pixels)[0]
+        gradient[..., axis] = (ahead - behind) / (2.0 * reach)
+
+    shift = step * direction
+    lines = [here, optics.footprints(points_mm + shift), optics.footprints(points_mm - shift)]
+    first = np.min([line.first_px for line in lines], axis=0)
+    last = np.max([line.first_px + line.solid_angle_sr.shape[2] for line in lines], axis=0)
     width = int((last - first).max(initial=1))
-    mean = _in_window(here, first, width, pixels)
-    squared = (gradient**2).sum(axis=2)
-    slope = np.zeros_like(mean)
-    for axis, (ahead, behind) in enumerate(lines):
-        change = _in_window(ahead, first, width, pixels) - _in_window(behind, first, width, pixels)
-        # A step along the gradient g of length 1/|g| moves the line by one pixel.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            part = (gradient[..., axis] / squared)[..., None] * change / (2.0 * step)
-        slope += np.where(np.isfinite(part), part, 0.0)
-    dark = ~(light > 0.0) | ~np.isfinite(squared)
+    mean, ahead, behind = (_in_window(line, first, width, pixels) for line in lines)
+    dark = ~(light > 0.0) | ~np.isfinite(gradient).all(axis=2)
+    moved = np.where(dark, np.inf, 2.0 * step * (gradient @ direction))
+    slope = (ahead - behind) / moved[..., None]
     gradient[dark] = np.nan
-    return LineReadings(mean, slope, np.where(dark, np.nan, position), gradient, share)
+    return LineReadings(first, mean, slope, np.where(dark, np.nan, position), gradient, share)
 
 
-def _step_mm(optics: FootprintOptics, points_mm: Array, pixels: int) -> float:
-    """Return a step [mm] that moves lines by about SHIFT_PX in the middle of the points.
+def _small_step(optics: FootprintOptics, points_mm: Array, pixels: int) -> tuple[Array, float]:
+    """Return a direction that moves all sensors' lines, and a step that does by about SHIFT_PX.
 
     Raises:
         InvalidParameter: no sensor sees the middle of the points.
     """
     middle = points_mm.mean(axis=0)
-    trial = 1e-4 * max(1.0, float(np.linalg.norm(middle)))
+    trial = 1e-3 * max(1.0, float(np.linalg.norm(middle)))
     places = _centroid(optics.footprints(middle + trial * _AROUND), pixels)[0]
-    per_mm = (places[1:] - places[0]) / trial
-    if not np.isfinite(per_mm).any():
+    per_mm = ((places[1:] - places[0]) / trial).T
+    per_mm = per_mm[np.isfinite(per_mm).all(axis=1)]
+    if len(per_mm) == 0:
         raise InvalidParameter(
             f"no sensor sees the middle of the points, {middle.tolist()} mm; the volume must lie "
             "in front of the sensors",
             points_mm=middle.tolist(),
         )
-    longest = float(np.sqrt(np.nansum(per_mm**2, axis=0)).max())
-    return SHIFT_PX / longest
+    # No sensor may measure across the direction: of many in a plane that all see well, the best.
+    _, _, axes = np.linalg.svd(per_mm)
+    directions = np.column_stack([np.cos(_ACROSS), np.sin(_ACROSS)]) @ axes[:2]
+    moved = np.abs(directions @ per_mm.T)
+    best = int(moved.min(axis=1).argmax())
+    return directions[best], SHIFT_PX / float(moved[best].max())
 
 
 def _centroid(lines: Footprints, pixels: int) -> tuple[Array, Array, Array]:

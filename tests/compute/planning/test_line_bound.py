@@ -1,0 +1,199 @@
+"""The bound of a line's position: by calculus, by fitting noisy lines, beside the finder's."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.special import ndtr
+
+from compute.errors import InvalidParameter
+from compute.optics.detector import Detector
+from compute.planning.line_bound import (
+    REACH_PX,
+    SHIFT_PX,
+    LineReadings,
+    PixelNoise,
+    centre_of_gravity_sigma,
+    line_readings,
+    position_bound,
+)
+from compute.signal.settings import CentroidSettings
+from tests.compute.planning.gaussian_optics import WIDTH, GaussianOptics
+from tests.compute.rig import PIXELS, control_points, rig
+
+NOISE = PixelNoise(read_noise_electrons=30.0, electrons_per_count=12.0, background_electrons=50.0)
+EDGES = np.arange(42) - 20.5
+
+
+def gaussian(position: float, sigma: float) -> np.ndarray:
+    return np.diff(ndtr((EDGES - position) / sigma))
+
+
+def gaussian_slope(position: float, sigma: float) -> np.ndarray:
+    density = np.exp(-0.5 * ((EDGES - position) / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
+    return -np.diff(density)
+
+
+def readings(sigma: float, points: np.ndarray) -> tuple[GaussianOptics, LineReadings]:
+    optics = GaussianOptics(rig(4), sigma)
+    return optics, line_readings(optics, points, PIXELS)
+
+
+def test_much_light_and_a_wide_line() -> None:
+    """sigma / sqrt(electrons): the bound of a Gaussian with photon noise alone."""
+    electrons, sigma = 1e8, 3.0
+    quiet = PixelNoise(0.1, 1e-3)
+    bound = position_bound(
+        electrons * gaussian(0.3, sigma), electrons * gaussian_slope(0.3, sigma), quiet
+    )
+    # Pixels of width 1 widen the line by 1/12 px^2.
+    assert bound == pytest.approx(np.sqrt((sigma**2 + 1.0 / 12.0) / electrons), rel=2e-3)
+
+
+def test_little_light_and_a_wide_line() -> None:
+    """Read noise alone: I = N^2 / (4 sqrt(pi) sigma^3 read^2), from the integral of g'^2."""
+    electrons, sigma, read = 1e-3, 3.0, 10.0
+    dark = PixelNoise(read, 1e-6)
+    integral = quad(lambda x: (x * np.exp(-(x**2) / 18.0)) ** 2, -30, 30)[0]
+    information = (electrons / read) ** 2 * integral / (2 * np.pi * sigma**6)
+    assert information == pytest.approx(
+        electrons**2 / (4 * np.sqrt(np.pi) * sigma**3 * read**2), rel=1e-6
+    )
+    bound = position_bound(
+        electrons * gaussian(0.0, sigma), electrons * gaussian_slope(0.0, sigma), dark
+    )
+    assert bound == pytest.approx(information**-0.5, rel=0.02)
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.5, 1.5, 4.0])
+def test_derivatives_of_displaced_lines_are_those_of_calculus(sigma: float) -> None:
+    points = control_points(12)
+    optics, found = readings(sigma, points)
+    position, slope = optics.cameras.linearised(points)
+    # The centre of gravity of a narrow line wavers by exp(-2 (pi sigma)^2) / pi in each pixel.
+    wavering = np.exp(-2.0 * (np.pi * sigma) ** 2) / np.pi
+    np.testing.assert_allclose(found.position_px, position, atol=1.1 * wavering + 1e-6)
+    size = np.linalg.norm(slope, axis=2, keepdims=True)
+    worst = np.abs((found.slope_px_per_mm - slope) / size).max()
+    assert worst < 2.0 * wavering / REACH_PX + 3e-4  # the path of the point is curved
+    assert found.share == pytest.approx(np.ones((12, 4)))
+    for n, s in np.ndindex(12, 4):
+        mu = found.mean_sr[n, s]
+        first = int(np.rint(position[n, s])) - WIDTH // 2
+        centre = position[n, s] - min(first, int(found.first_px[n, s]))
+        edges = np.arange(len(mu) + 1) - 0.5
+        density = np.exp(-0.5 * ((edges - centre) / sigma) ** 2)
+        exact = -np.diff(density) / (sigma * np.sqrt(2.0 * np.pi))
+        # The central difference's own error, see SHIFT_PX, and the gradient's.
+        most = 2.0 * (SHIFT_PX / sigma) ** 2 / 6.0 + 2e-3 + wavering / REACH_PX
+        assert np.abs(found.slope_sr_per_px[n, s] - exact).max() < most * np.abs(exact).max()
+
+
+@pytest.mark.parametrize(("sigma", "electrons"), [(0.6, 2e4), (1.2, 2e3), (1.2, 2e5)])
+def test_a_fit_of_the_line_reaches_it(sigma: float, electrons: float) -> None:
+    """Gauss-Newton for position and brightness, weighted, on lines with all the noise."""
+    trials, position = 3000, 0.27
+    rng = np.random.default_rng(8)
+    mean = electrons * gaussian(position, sigma)
+    slope = electrons * gaussian_slope(position, sigma)
+    lines = rng.poisson(mean + NOISE.background_electrons, (trials, len(mean)))
+    lines = lines + NOISE.read_noise_electrons * rng.standard_normal(lines.shape)
+    gain = NOISE.electrons_per_count
+    lines = np.rint(lines / gain) * gain - NOISE.background_electrons
+    # One step from the truth is the whole way: the bound is for small errors.
+    weight = 1.0 / (mean + NOISE.variance_electrons2)
+    design = np.column_stack([slope, mean])
+    solved = np.linalg.solve((design.T * weight) @ design, (design.T * weight) @ (lines - mean).T)
+    bound = float(position_bound(mean, slope, NOISE))
+    assert solved[0].std() == pytest.approx(bound, rel=5.0 / np.sqrt(2.0 * trials))
+
+
+@given(st.floats(-0.5, 0.5), st.floats(0.5, 4.0), st.floats(1e2, 1e6))
+@settings(max_examples=60, deadline=None)
+def test_an_unknown_brightness_costs_little_and_never_helps(
+    position: float, sigma: float, electrons: float
+) -> None:
+    mean, slope = electrons * gaussian(position, sigma), electrons * gaussian_slope(position, sigma)
+    known = ((slope**2) / (mean + NOISE.variance_electrons2)).sum() ** -0.5
+    bound = float(position_bound(mean, slope, NOISE))
+    assert known * (1 - 1e-12) <= bound
+    # A Gaussian is symmetric: what is mixed comes from the sampling alone.
+    assert bound <= 1.2 * known
+
+
+def test_a_lopsided_line_pays_for_its_brightness() -> None:
+    """A line cut by the sensor's end: fainter and moved out look alike."""
+    mean, slope = 1e4 * gaussian(0.0, 2.0), 1e4 * gaussian_slope(0.0, 2.0)
+    half = np.arange(41) >= 20
+    known = ((slope[half] ** 2) / (mean[half] + NOISE.variance_electrons2)).sum() ** -0.5
+    assert position_bound(mean[half], slope[half], NOISE) > 1.2 * known
+
+
+def test_the_finder_comes_close_but_not_below() -> None:
+    """Above the bound, within twice of it, but for the 0.01 px that light does not take away."""
+    sigma = 1.2
+    for electrons in (3e3, 3e4, 3e5):
+        mean = electrons * gaussian(0.27, sigma)
+        bound = float(position_bound(mean, electrons * gaussian_slope(0.27, sigma), NOISE))
+        [found] = centre_of_gravity_sigma(mean[None], NOISE, CentroidSettings())
+        assert bound < found < np.hypot(2.0 * bound, 0.012)
+
+
+def test_more_light_does_not_help_the_published_method() -> None:
+    """[4.1] cuts at a threshold without correction: pixels that enter make the position jump."""
+    bright = np.array([1e5 * gaussian(0.27, 1.2)])
+    quiet = PixelNoise(30.0, 12.0)
+    published = CentroidSettings(weighting="above-background")
+    assert centre_of_gravity_sigma(bright, quiet, published)[0] > 0.03
+    assert centre_of_gravity_sigma(bright, quiet, CentroidSettings())[0] < 0.02
+
+
+def test_no_light_says_nothing() -> None:
+    dark = np.zeros((2, 41))
+    assert np.isinf(position_bound(dark, dark, NOISE)).all()
+    assert np.isnan(centre_of_gravity_sigma(dark, NOISE, CentroidSettings())).all()
+    _, found = readings(1.0, np.vstack([control_points(4), [[0.0, 0.0, -1000.0]]]))
+    assert np.isnan(found.position_px[4]).all()
+    assert np.isnan(found.slope_px_per_mm[4]).all()
+    assert (found.share[4] == 0.0).all()
+    assert np.isfinite(found.slope_px_per_mm[:4]).all()
+
+
+def test_beyond_the_end_there_is_no_pixel() -> None:
+    """A line moved over the end, pixel by pixel, loses its share and then its bound."""
+    points = np.column_stack([np.zeros(30), np.linspace(380.0, 640.0, 30), np.full(30, 1500.0)])
+    points[:, 0] = -300.0
+    _, found = readings(2.0, np.vstack([points, -points + [0.0, 0.0, 3000.0]]))
+    share = found.share[:30, 0]
+    assert share[0] == 1.0
+    assert share[-1] == 0.0
+    assert (np.diff(share) <= 1e-12).all()
+    np.testing.assert_allclose(found.mean_sr.sum(axis=2), found.share, atol=1e-12)
+
+
+def test_a_volume_behind_the_sensors_is_refused() -> None:
+    with pytest.raises(InvalidParameter, match="no sensor sees the middle"):
+        readings(1.0, np.array([[0.0, 0.0, -1500.0]]))
+
+
+def test_noise_of_a_detector() -> None:
+    detector = Detector(12, 12.0, 20.0, 30.0, 5e4, 40.0, dark_electrons=10.0)
+    assert PixelNoise.of(detector) == NOISE
+    assert NOISE.variance_electrons2 == 50.0 + 900.0 + 12.0
+
+
+@pytest.mark.parametrize(
+    ("read", "gain", "background", "name"),
+    [(-1.0, 1.0, 0.0, "read"), (1.0, np.nan, 0.0, "per_count"), (1.0, 1.0, -2.0, "background")],
+)
+def test_noise_that_is_refused(read: float, gain: float, background: float, name: str) -> None:
+    with pytest.raises(InvalidParameter, match=name):
+        PixelNoise(read, gain, background)
+
+
+def test_no_noise_at_all_is_refused() -> None:
+    with pytest.raises(InvalidParameter, match="all 0"):
+        PixelNoise(0.0, 0.0)
+    with pytest.raises(InvalidParameter, match="electrons_per_count"):
+        centre_of_gravity_sigma(np.zeros((1, 9)), PixelNoise(1.0, 0.0), CentroidSettings())

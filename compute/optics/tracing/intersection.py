@@ -21,11 +21,13 @@ Height = Callable[[NDArray[np.int64], Array], tuple[Array, Array, Array]]
 MAX_INTERVALS: Final = 400
 """Intervals looked at for the crossing with a toroid; some ten suffice but for grazing rays."""
 FINEST: Final = 2.0**-40
-"""Interval, of the toroid's reach, that is not divided further: a ray that grazes it."""
+"""Interval, of the smaller radius, that is not divided further: a ray that grazes the surface."""
 MAX_STEPS: Final = 100
 """Steps of Newton's method; some five suffice, and bisection alone needs sixty."""
-CLOSE: Final = 2.0**-36
-"""Last step of Newton's method, of the toroid's reach; the next would be of its square."""
+CLOSE: Final = 2.0**-32
+"""Last step of Newton's method, of the smaller radius; the next would be of its square."""
+ROUNDING: Final = 2.0**-50
+"""Of a distance: less is not told apart."""
 
 
 def dot(a: Vectors, b: Vectors) -> Array:
@@ -129,7 +131,7 @@ def _toroid(record: np.void, origin: Vectors, direction: Vectors, least: Array) 
     rays = np.flatnonzero(low < high)
     low, high = low[rays], high[rays]
     width = high - low
-    finest, close = record["reach_mm"] * FINEST, record["reach_mm"] * CLOSE
+    finest, close = record["radius_mm"] * FINEST, record["radius_mm"] * CLOSE
 
     def at(which: NDArray[np.int64], t: Array) -> tuple[Array, Array, Array]:
         o = tuple(c[which] for c in origin)
@@ -146,7 +148,7 @@ def _toroid(record: np.void, origin: Vectors, direction: Vectors, least: Array) 
         flattest = _smaller(gs, gs2) - _larger(fs, fs2)
         monotonic = (flattest >= 0.0) | (steepest <= 0.0)
         crosses = (h <= 0.0) != (h2 <= 0.0)
-        fine = width <= finest
+        fine = width <= finest + ROUNDING * abs(low)
         found = crosses & (monotonic | fine)
         if found.any():
             result[rays[found]] = _newton(
@@ -187,7 +189,7 @@ def _newton(
         inside = (newton >= low) & (newton <= high)
         new = np.where(inside, newton, 0.5 * (low + high))
         moved = np.where(inside, abs(new - t), high - low)
-        done = (moved <= close) | (step == MAX_STEPS - 1)
+        done = (moved <= close + ROUNDING * abs(new)) | (step == MAX_STEPS - 1)
         result[places[done]] = new[done]
         go = ~done
         if not go.any():

@@ -9,15 +9,22 @@ The arguments are those of ``compute.optics.tracing.kernel``.
 
 from typing import Final
 
-from compute.optics.tracing.intersection import CLOSE, FINEST, MAX_INTERVALS, MAX_STEPS
+from compute.optics.tracing.intersection import (
+    CLOSE,
+    FINEST,
+    MAX_INTERVALS,
+    MAX_STEPS,
+    ROUNDING,
+)
 from compute.optics.tracing.packing import BACKWARD_SLACK_MM, Form
 from compute.optics.tracing.rays import RayStatus
+from compute.optics.tracing.trace import LEAST_SQUARE
 
 _TYPES = f"""
     struct Record {{
         int form, turned, refracts, elliptical;
         double vertex[3], rotation[9];
-        double cx, cy, e, before, behind, half_width, half_height, profile_reach, reach;
+        double cx, cy, e, before, behind, ratio, half_width, half_height, profile_reach, reach, radius;
     }};
     struct Vector {{ double x, y, z; }};
     struct Height {{ double h, g_slope, f_slope; }};
@@ -25,7 +32,9 @@ _TYPES = f"""
     const int missed = {RayStatus.MISSED:d}, stopped = {RayStatus.STOPPED:d};
     const int totally_reflected = {RayStatus.TOTALLY_REFLECTED:d};
     const int max_intervals = {MAX_INTERVALS}, max_steps = {MAX_STEPS};
+    const double least_square = {LEAST_SQUARE!r};
     const double slack = {BACKWARD_SLACK_MM!r}, finest_share = {FINEST!r}, close_share = {CLOSE!r};
+    const double rounding = {ROUNDING!r};
 """
 
 _VECTORS = """
@@ -78,7 +87,7 @@ _TOROID = """
     };
     auto newton = [&](const Record& s, const Vector& o, const Vector& d, double low, double high,
                       bool low_negative) {
-        const double close = s.reach * close_share;
+        const double close = s.radius * close_share;
         double t = 0.5 * (low + high);
         for (int step = 0; step < max_steps; ++step) {
             const Height at = height(s, o, d, t);
@@ -87,7 +96,7 @@ _TOROID = """
             const bool inside = next >= low && next <= high;
             const double moved = inside ? fabs(next - t) : high - low;
             t = inside ? next : 0.5 * (low + high);
-            if (moved <= close) break;
+            if (moved <= close + rounding * fabs(t)) break;
         }
         return t;
     };
@@ -103,7 +112,7 @@ _TOROID = """
         if (slope < 0.0) low = larger(low, end);
         if (slope == 0.0 && at < 0.0) return nan;
         if (!(low < high)) return nan;
-        const double finest = s.reach * finest_share;
+        const double finest = s.radius * finest_share;
         double width = high - low;
         Height a = height(s, o, d, low);
         for (int interval = 0; interval < max_intervals; ++interval) {
@@ -111,7 +120,8 @@ _TOROID = """
             const Height b = height(s, o, d, right);
             const double steepest = larger(a.g_slope, b.g_slope) - smaller(a.f_slope, b.f_slope);
             const double flattest = smaller(a.g_slope, b.g_slope) - larger(a.f_slope, b.f_slope);
-            const bool sure = flattest >= 0.0 || steepest <= 0.0 || width <= finest;
+            const bool sure = flattest >= 0.0 || steepest <= 0.0
+                || width <= finest + rounding * fabs(low);
             const bool negative = a.h <= 0.0;
             bool clear = false;
             if (negative != (b.h <= 0.0)) {
@@ -155,12 +165,17 @@ _START = """
     const Record* surfaces = (const Record*)surfaces_address;
     const unsigned long long n = (unsigned long long)rays;
     Vector o{in[0], in[n], in[2 * n]}, d{in[3 * n], in[4 * n], in[5 * n]};
-    const double largest = larger(larger(fabs(d.x), fabs(d.y)), fabs(d.z));
-    d = Vector{d.x / largest, d.y / largest, d.z / largest};
-    const double length = sqrt(d.x * d.x + d.y * d.y + d.z * d.z);
-    d = Vector{d.x / length, d.y / length, d.z / length};
+    double square_length = dot(d, d);
+    if (!(square_length > least_square && square_length < 1.0 / least_square)) {
+        const double largest = larger(larger(fabs(d.x), fabs(d.y)), fabs(d.z));
+        d = Vector{d.x / largest, d.y / largest, d.z / largest};
+        square_length = dot(d, d);
+    }
+    const double unit = 1.0 / sqrt(square_length);
+    d = Vector{d.x * unit, d.y * unit, d.z * unit};
     const double h = sqrt(d.y * d.y + d.z * d.z);
-    const double u = h == 0.0 ? 1.0 : d.z / h, v = h == 0.0 ? 0.0 : -d.y / h;
+    const double across = 1.0 / h;
+    const double u = h == 0.0 ? 1.0 : d.z * across, v = h == 0.0 ? 0.0 : -d.y * across;
     Vector first{h, v * d.x, -(u * d.x)}, second{0.0, u, v};
     double power = 1.0, path = 0.0;
     int lost = 0, number = 0;
@@ -210,7 +225,7 @@ _SURFACES = """
                 cosine = dot(local, n_out);
                 if (s.turned) n_out = turn(s.rotation, n_out);
             }
-            const double ratio = s.before / s.behind, inner = fabs(cosine);
+            const double ratio = s.ratio, inner = fabs(cosine);
             const double square = 1.0 - ratio * ratio * (1.0 - inner * inner);
             if (square < 0.0) { lost = totally_reflected; break; }
             const double outer = sqrt(square);
@@ -221,9 +236,9 @@ _SURFACES = """
             next = Vector{next.x * scale, next.y * scale, next.z * scale};
             const double a = s.before * inner, b = s.behind * outer;
             power = power * (4.0 * a * b / ((a + b) * (a + b)));
-            const double turned = dot(d, next);
-            first = along(first, -(dot(first, next) / turned), d);
-            second = along(second, -(dot(second, next) / turned), d);
+            const double stretch = 1.0 / dot(d, next);
+            first = along(first, -(dot(first, next) * stretch), d);
+            second = along(second, -(dot(second, next) * stretch), d);
             d = next;
         }
         if (s.turned) place = turn(s.rotation, place);

@@ -32,10 +32,12 @@ SURFACE_RECORD: Final = np.dtype(
         ("e", "<f8"),  # (1 + conic constant) x curvature of the profile
         ("index_before", "<f8"),
         ("index_behind", "<f8"),
+        ("ratio", "<f8"),  # index before / index behind
         ("half_width_mm", "<f8"),
         ("half_height_mm", "<f8"),
         ("profile_reach_mm", "<f8"),  # of a toroid: where the profile ends in x
         ("reach_mm", "<f8"),  # of a toroid: no point is farther from the vertex
+        ("radius_mm", "<f8"),  # of a toroid: the smaller of its radii
     ]
 )
 """One surface. The kernel has the same record in C."""
@@ -60,6 +62,7 @@ def pack(stack: SurfaceStack) -> Records:
         record["half_height_mm"] = np.inf if aperture is None else aperture.height_mm / 2.0
         record["elliptical"] = aperture is not None and aperture.outline == "elliptical"
         record["index_before"], record["index_behind"] = before, surface.index_behind
+        record["ratio"] = before / surface.index_behind
         record["refracts"] = before != surface.index_behind
         before = surface.index_behind
     image = records[-1]
@@ -83,6 +86,7 @@ def _fill(record: np.void, surface: Surface) -> None:
     record["vertex_mm"], record["rotation"] = surface.vertex_mm, surface.rotation
     record["cx"], record["cy"], record["e"] = cx, cy, (1.0 + shape.conic) * cx
     if isinstance(shape, Toroid):
+        record["radius_mm"] = min(abs(shape.radius_x_mm), abs(shape.radius_y_mm))
         record["profile_reach_mm"], record["reach_mm"] = _reaches(shape)
 
 

@@ -15,6 +15,9 @@ from compute.optics.tracing.surfaces import SurfaceStack
 CHUNK_RAYS: Final = 4096
 """Rays that are traced together: their numbers stay in the processor's cache."""
 
+LEAST_SQUARE: Final = 2.0**-800
+"""A direction whose square is less, or more than the inverse, is scaled before it is normalised."""
+
 
 def trace_rays(stack: SurfaceStack, origins_mm: Array, directions: Array) -> TracedRays:
     """Trace rays through a stack to its image plane, exactly and in three dimensions.
@@ -39,7 +42,7 @@ def trace_rays(stack: SurfaceStack, origins_mm: Array, directions: Array) -> Tra
     results = empty_results(count)
     for start in range(0, count, CHUNK_RAYS):
         part = slice(start, start + CHUNK_RAYS)
-        _trace_chunk(records, origins[part], vectors[part], results, part)
+        trace_chunk(records, origins[part], vectors[part], results, part)
     return results
 
 
@@ -89,13 +92,14 @@ def empty_results(count: int) -> TracedRays:
     )
 
 
-def _trace_chunk(
+def trace_chunk(
     records: Records, origins: Array, directions: Array, results: TracedRays, part: slice
 ) -> None:
+    """Trace checked rays together into a part of the results; ``trace_rays`` is made of it."""
     # Lost rays go on as NaN, which costs less than to sort them out.
     with np.errstate(all="ignore"):
-        origin: Vectors = tuple(np.ascontiguousarray(column) for column in origins.T)  # type: ignore[assignment]
-        direction = _normalised(tuple(np.ascontiguousarray(column) for column in directions.T))
+        origin = _columns(origins)
+        direction = _normalised(_columns(directions))
         status, lost_at = results.status[part], results.lost_at[part]
         fields = _polarisations(direction)
         power, path = np.ones(len(origins)), np.zeros(len(origins))
@@ -135,13 +139,22 @@ def _lose(
     lost_at[rays] = number
 
 
-def _normalised(vectors: tuple[Array, ...]) -> Vectors:
+def _columns(rows: Array) -> Vectors:
+    x, y, z = (column.copy() for column in rows.T)
+    return x, y, z
+
+
+def _normalised(vectors: Vectors) -> Vectors:
     """Return unit vectors; lengths whose squares overflow or vanish are scaled first."""
     x, y, z = vectors
-    largest = np.maximum(np.maximum(abs(x), abs(y)), abs(z))
-    x, y, z = x / largest, y / largest, z / largest
-    length = np.sqrt(x * x + y * y + z * z)
-    return x / length, y / length, z / length
+    square = dot(vectors, vectors)
+    extreme = ~((square > LEAST_SQUARE) & (square < 1.0 / LEAST_SQUARE))
+    if extreme.any():
+        largest = np.where(extreme, np.maximum(np.maximum(abs(x), abs(y)), abs(z)), 1.0)
+        x, y, z = x / largest, y / largest, z / largest
+        square = x * x + y * y + z * z
+    scale = 1.0 / np.sqrt(square)
+    return x * scale, y * scale, z * scale
 
 
 def _polarisations(d: Vectors) -> tuple[Vectors, Vectors]:
@@ -149,8 +162,9 @@ def _polarisations(d: Vectors) -> tuple[Vectors, Vectors]:
     h = np.sqrt(d[1] * d[1] + d[2] * d[2])
     # A ray along x has no such plane: any will do, and this is that of x and z.
     along = h == 0.0
-    u = np.where(along, 1.0, d[2] / h)
-    v = np.where(along, 0.0, -d[1] / h)
+    scale = 1.0 / h
+    u = np.where(along, 1.0, d[2] * scale)
+    v = np.where(along, 0.0, -d[1] * scale)
     zero = np.zeros(h.shape)
     return (h, v * d[0], -(u * d[0])), (zero, u, v)
 
@@ -199,7 +213,7 @@ def _refract(
     t_p = t_s / cos(i - t), Born & Wolf 1.5.2 (20a). Both at once: the transmitted field is t_s
     times the incident one, projected along the incident ray to be across the refracted one.
     """
-    before, behind = record["index_before"], record["index_behind"]
+    ratio = record["ratio"]
     if record["form"] == Form.PLANE:
         cosine = local[2]
         n = _column(record, 2)
@@ -207,7 +221,6 @@ def _refract(
         own = normal(record, place)
         cosine = dot(local, own)
         n = _times(record["rotation"], own) if record["turned"] else own
-    ratio = before / behind
     inner = abs(cosine)
     square = 1.0 - ratio * ratio * (1.0 - inner * inner)
     outer = np.sqrt(square)
@@ -216,15 +229,15 @@ def _refract(
     # Back to unit length: rounding would else grow from surface to surface.
     scale = 1.5 - 0.5 * dot(new, new)
     out: Vectors = (new[0] * scale, new[1] * scale, new[2] * scale)
-    a, b = before * inner, behind * outer
+    a, b = record["index_before"] * inner, record["index_behind"] * outer
     power = power * (4.0 * a * b / ((a + b) * (a + b)))
-    turn = dot(d, out)
-    first, second = (_projected(field, d, out, turn) for field in fields)
+    stretch = 1.0 / dot(d, out)
+    first, second = (_projected(field, d, out, stretch) for field in fields)
     return out, (first, second), power, square < 0.0
 
 
-def _projected(field: Vectors, d: Vectors, out: Vectors, turn: Array) -> Vectors:
-    along = dot(field, out) / turn
+def _projected(field: Vectors, d: Vectors, out: Vectors, stretch: Array) -> Vectors:
+    along = dot(field, out) * stretch
     return field[0] - d[0] * along, field[1] - d[1] * along, field[2] - d[2] * along
 
 

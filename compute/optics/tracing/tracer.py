@@ -103,6 +103,11 @@ class RayTracer:
         self._launch.set_param_at_index(4, self._results.ptr)
         self._launch.launch()
 
+    def wait(self) -> None:
+        """Wait for the kernel, without its results; to time it alone."""
+        if self._cuda:
+            self._wp.synchronize_stream(self._device)
+
     def download(self) -> TracedRays:
         """Wait for the kernel and return its results."""
         count = self._uploaded

@@ -3,9 +3,10 @@
 from typing import Final
 
 from validation.cases import CASES, Case
+from validation.table_5_5 import CASE as TABLE_5_5
 from validation.tables import TablesCase
 
-_TABLES: Final[tuple[TablesCase, ...]] = ()
+_TABLES: Final[tuple[TablesCase, ...]] = (TABLE_5_5,)
 
 ALL_CASES: Final[dict[str, Case | TablesCase]] = {
     **CASES,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.optics.masks.window import CodedWindow
+from compute.optics.tracing.fresnel import transmittances
 
 Array = NDArray[np.float64]
 
@@ -74,7 +75,8 @@ def trace_window(
     return WindowPaths(
         mask_share=gap / (air + thickness / ratio),
         density_sr_per_mm2=1.0 / (per_sine * stretch),
-        transmittance=_plate_transmittance(cosine, inside, index),
+        # Out of the plate as much passes as into it; the polarisations take their own ways.
+        transmittance=(transmittances(cosine, 1.0, index) ** 2).mean(axis=-1),
         phase_curvature_per_mm=h * k / (h * (1.0 - in_plane) + k * in_plane),
     )
 
@@ -97,10 +99,3 @@ def slope_in_air(lateral_mm: Array, air_mm: Array, thickness_mm: float, index: f
         if (abs(step) <= _TOLERANCE * slope).all():
             break
     return np.asarray(slope)
-
-
-def _plate_transmittance(cosine: Array, inside: Array, index: float) -> Array:
-    """Return the mean over both polarisations of what passes two faces (Fresnel)."""
-    across = (cosine - index * inside) / (cosine + index * inside)
-    in_plane = (index * cosine - inside) / (index * cosine + inside)
-    return np.asarray(0.5 * ((1.0 - across**2) ** 2 + (1.0 - in_plane**2) ** 2))

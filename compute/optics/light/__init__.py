@@ -1,0 +1,1 @@
+"""Light: what sources send towards the lenses, and what of it makes electrons."""

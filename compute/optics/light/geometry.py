@@ -1,0 +1,93 @@
+"""Directions from markers to lenses, and photons of a radiant energy."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import c, h
+
+from compute.errors import InvalidParameter
+
+Array = NDArray[np.float64]
+
+
+def photons(energy_j: Array, wavelength_nm: float) -> Array:
+    """Return the number of photons of a radiant energy, any shape: ``E wavelength / (h c)``."""
+    return np.asarray(energy_j * (wavelength_nm * 1e-9 / (h * c)))
+
+
+def directions(from_mm: Array, to_mm: Array) -> tuple[Array, Array]:
+    """Return unit vectors and distances, shapes (..., 3) and (...) [mm]; zero for no distance."""
+    path = to_mm - from_mm
+    distance = np.linalg.norm(path, axis=-1)
+    return path / np.where(distance > 0.0, distance, 1.0)[..., None], distance
+
+
+def towards_lenses(points_mm: Array, lens_positions_mm: Array) -> Array:
+    """Return unit vectors from points (N, 3) to lenses (S, 3), shape (N, S, 3).
+
+    Raises:
+        InvalidParameter: an array of another shape.
+    """
+    for name, value in (("points_mm", points_mm), ("lens_positions_mm", lens_positions_mm)):
+        if value.ndim != 2 or value.shape[1] != 3:
+            raise InvalidParameter(
+                f"{name} has the shape {value.shape}; it must be (number, 3)",
+                **{name: value.shape},
+            )
+    return directions(points_mm[:, None, :], lens_positions_mm)[0]
+
+
+def unit_facing(facing: Array, points_mm: Array) -> Array:
+    """Return the directions in which markers face as unit vectors, shape (N, 3).
+
+    Raises:
+        InvalidParameter: of another shape than the points, or a direction without length.
+    """
+    if facing.shape != points_mm.shape:
+        raise InvalidParameter(
+            f"facing has the shape {facing.shape}; it must be that of points_mm, {points_mm.shape}",
+            facing=facing.shape,
+        )
+    length = np.linalg.norm(facing, axis=1)
+    wrong = ~((length > 0.0) & (length < np.inf))
+    if wrong.any():
+        value = tuple(facing[wrong][0].tolist())
+        raise InvalidParameter(f"facing has {value}; it must have a length", facing=value)
+    return np.asarray(facing / length[:, None])
+
+
+def check_exposure(exposure_s: float) -> None:
+    """Refuse an exposure that is not zero or positive.
+
+    Raises:
+        InvalidParameter: as said.
+    """
+    if not 0.0 <= exposure_s < np.inf:
+        raise InvalidParameter(
+            f"exposure_s is {exposure_s}; it must be zero or positive", exposure_s=exposure_s
+        )
+
+
+def check_positive(holder: object, *names: str) -> None:
+    """Refuse fields that are not positive and finite.
+
+    Raises:
+        InvalidParameter: with the first such field.
+    """
+    for name in names:
+        value = getattr(holder, name)
+        if not 0.0 < value < np.inf:
+            raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
+
+
+def check_not_negative(holder: object, *names: str) -> None:
+    """Refuse fields that are negative or not finite.
+
+    Raises:
+        InvalidParameter: with the first such field.
+    """
+    for name in names:
+        value = getattr(holder, name)
+        if not 0.0 <= value < np.inf:
+            raise InvalidParameter(
+                f"{name} is {value}; it must be zero or positive", **{name: value}
+            )

@@ -1,0 +1,49 @@
+"""LightSource: what every marker that shines, or shines back, can tell."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class LightSource(Protocol):
+    """A marker as a source of light."""
+
+    @property
+    def wavelength_nm(self) -> float:
+        """Mean wavelength of its light [nm]."""
+        ...
+
+    @property
+    def spectral_width_nm(self) -> float:
+        """Full width at half maximum of its spectrum [nm]."""
+        ...
+
+    @property
+    def width_mm(self) -> float:
+        """Width of what shines, seen from the front [mm]; the optics blur the line by it."""
+        ...
+
+    def photons_per_sr(
+        self, points_mm: Array, facing: Array | None, lens_positions_mm: Array, exposure_s: float
+    ) -> Array:
+        """Return the photons that markers send towards lenses in an exposure, per steradian.
+
+        Args:
+            points_mm: where the markers are, shape (N, 3) [mm].
+            facing: directions in which they face, any length, shape (N, 3); None: each towards
+                every lens.
+            lens_positions_mm: shape (S, 3) [mm].
+            exposure_s: length of the exposure [s].
+
+        Returns:
+            Shape (N, S) [1/sr]. The way to the lens is not in it: the solid angle through which
+            a pixel collects light falls with the distance.
+
+        Raises:
+            InvalidParameter: arrays of another shape, a direction without length, a negative
+                exposure.
+        """
+        ...

@@ -167,7 +167,7 @@ class Structurer:
                         wanted, one.name, hints[one.name], table[key], here, unit
                     )
             elif one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING:
-                right = f'; give a {unit.noun} such as "{unit.example}"' if unit else ""
+                right = f"; give {unit.wanted}" if unit else ""
                 self._wrong(here, f"it is missing{right}")
         if len(self.problems) > before:
             raise _Wrong

@@ -48,6 +48,12 @@ class Unit:
     noun: str
     example: str
 
+    @property
+    def wanted(self) -> str:
+        """What to write, for a message."""
+        article = "an" if self.noun[0] in "aeiou" else "a"
+        return f'{article} {self.noun} such as "{self.example}"'
+
 
 UNITS: Final = {
     "_electrons_per_count": Unit("electron/count", "gain", "50 electrons/count"),
@@ -92,7 +98,7 @@ def magnitude(value: object, unit: Unit) -> float:
     Raises:
         NoQuantity: not text, no number, no unit, an unknown unit, one of another kind.
     """
-    right = f"give a {unit.noun} such as {unit.example!r}".replace("'", '"')
+    right = f"give {unit.wanted}"
     if isinstance(value, int | float) and not isinstance(value, bool):
         raise NoQuantity(f"{value} has no unit; {right}")
     if not isinstance(value, str):

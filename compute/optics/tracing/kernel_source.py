@@ -24,7 +24,8 @@ _TYPES = f"""
     struct Record {{
         int form, turned, refracts, elliptical;
         double vertex[3], rotation[9];
-        double cx, cy, e, before, behind, ratio, half_width, half_height, profile_reach, reach, radius;
+        double cx, cy, e, before, behind, ratio;
+        double half_width, half_height, profile_reach, reach, radius;
     }};
     struct Vector {{ double x, y, z; }};
     struct Height {{ double h, g_slope, f_slope; }};

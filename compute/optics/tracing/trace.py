@@ -55,9 +55,8 @@ def checked_rays(origins_mm: Array, directions: Array) -> tuple[Array, Array]:
             raise InvalidParameter(
                 f"{name} has the shape {array.shape}; it must be (N, 3)", **{name: array.shape}
             )
-        wrong = ~np.isfinite(array).all(axis=1)
-        if wrong.any():
-            row = int(wrong.argmax())
+        if not np.isfinite(array).all():
+            row = int((~np.isfinite(array)).any(axis=1).argmax())
             raise InvalidParameter(
                 f"{name} of ray {row} is {array[row].tolist()}; it must be finite",
                 **{name: array[row].tolist()},
@@ -70,7 +69,8 @@ def checked_rays(origins_mm: Array, directions: Array) -> tuple[Array, Array]:
             "many",
             directions=vectors.shape,
         )
-    nothing = ~vectors.any(axis=1)
+    x, y, z = vectors.T
+    nothing = (x == 0.0) & (y == 0.0) & (z == 0.0)
     if nothing.any():
         row = int(nothing.argmax())
         raise InvalidParameter(

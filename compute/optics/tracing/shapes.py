@@ -124,7 +124,9 @@ def sag(shape: Shape, x_mm: Array, y_mm: Array) -> Array:
         # surface any more.
         turned = 1.0 - cy * profile
         turned = np.where(turned >= 0.0, turned, np.nan)
-        return np.asarray((1.0 - np.sqrt(turned**2 - (cy * y_mm) ** 2)) / cy)
+        root = np.sqrt(turned**2 - (cy * y_mm) ** 2)
+        # (1 - root) / cy, without the cancellation where cy is small.
+        return np.asarray((profile * (2.0 - cy * profile) + cy * y_mm**2) / (1.0 + root))
 
 
 def _check_radius(name: str, value: float) -> None:

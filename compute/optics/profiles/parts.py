@@ -1,13 +1,15 @@
 """The parts of a device's profile: pixels, detector, markers, rates, volume, figures."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
 from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
+
+_MOST_PIXELS: Final = 1_000_000
 
 Illumination = Literal["strobed", "simultaneous"]
 Quantity = Literal["resolution", "accuracy", "max error"]
@@ -24,7 +26,7 @@ class Pixels:
         height_um: sensitive size across the line [um].
 
     Raises:
-        InvalidParameter: a value that is not positive.
+        InvalidParameter: a value that is not positive, or a count above a million.
     """
 
     count: int
@@ -32,6 +34,10 @@ class Pixels:
     height_um: float
 
     def __post_init__(self) -> None:
+        if self.count > _MOST_PIXELS:
+            raise InvalidParameter(
+                f"count is {self.count}; it must be at most {_MOST_PIXELS}", count=self.count
+            )
         _check_positive(self, "count", "pitch_um", "height_um")
 
     @property

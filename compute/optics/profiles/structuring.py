@@ -5,7 +5,6 @@ import types
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from math import isfinite
 from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 from compute.errors import InvalidParameter, LumilineError
@@ -47,6 +46,9 @@ class Problem:
 
     def __str__(self) -> str:
         return f"{self.path}: {self.text}"
+
+
+_LARGEST: Final = 1e300
 
 
 class _Wrong(Exception):
@@ -91,13 +93,16 @@ class Structurer:
                 return magnitude(value, unit)
             except NoQuantity as error:
                 raise self._wrong(path, str(error)) from None
-        number = isinstance(value, int | float) and not isinstance(value, bool)
         if wanted is str and isinstance(value, str) and value.strip():
             return value
-        if wanted is int and number and isinstance(value, int):
-            return value
-        if wanted is float and isinstance(value, int | float) and number and isfinite(value):
-            return float(value)
+        # The bound refuses what no float holds, infinities and NaN too.
+        if isinstance(value, bool):
+            pass  # to Python a whole number, to a reader none
+        elif isinstance(value, int | float) and abs(value) < _LARGEST:
+            if wanted is float:
+                return float(value)
+            if wanted is int and isinstance(value, int):
+                return value
         right = {str: "text that is not empty", int: "a whole number", float: "a number"}[wanted]
         raise self._wrong(path, f"{_shown(value)} is not {right}")
 

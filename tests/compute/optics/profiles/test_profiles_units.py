@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.optics.profiles.units import UNITS, NoQuantity, magnitude, split_unit
@@ -32,6 +32,7 @@ def test_every_unit_of_a_field_is_tried() -> None:
 
 
 @pytest.mark.parametrize(("end", "unit", "size"), WRITTEN)
+@settings(max_examples=30, deadline=None)
 @given(value=st.floats(-1e12, 1e12, allow_subnormal=False))
 def test_a_quantity_is_the_double_next_to_what_is_written(
     end: str, unit: str, size: str, value: float
@@ -40,6 +41,7 @@ def test_a_quantity_is_the_double_next_to_what_is_written(
     assert magnitude(f"{value!r} {unit}", UNITS[end]) == float(exact)
 
 
+@settings(deadline=None)
 @given(st.floats(-360.0, 360.0))
 def test_degrees(value: float) -> None:
     assert magnitude(f"{value!r} deg", UNITS["_rad"]) == pytest.approx(np.radians(value), rel=1e-15)
@@ -51,6 +53,7 @@ def test_the_example_of_a_message_is_right(unit: object) -> None:
 
 
 @pytest.mark.parametrize("end", UNITS)
+@settings(max_examples=30, deadline=None)
 @given(data=st.data())
 def test_a_unit_of_another_kind_is_refused(end: str, data: st.DataObject) -> None:
     others = [
@@ -95,6 +98,7 @@ def test_what_is_no_length_is_refused_with_what_would_be(value: object, why: str
     assert why in str(caught.value)
 
 
+@settings(deadline=None)
 @given(st.text(max_size=30) | st.from_regex(r"[0-9.eE+-]{1,8} ?[a-zµ/*^0-9 ]{0,12}"))
 def test_any_text_is_a_finite_length_or_refused(text: str) -> None:
     try:

@@ -210,6 +210,18 @@ def test_charge_leaves_over_the_ends_of_a_line(column: int) -> None:
     assert counts[:, [0, 3]].max() < 200.0
 
 
+def test_charge_does_not_flow_from_the_end_of_a_line_to_the_start_of_the_next() -> None:
+    """Both are lit, so that they follow one another among the pixels that are simulated."""
+    signal = np.zeros((2, S, P))
+    signal[0, 1, P - 1] = signal[0, S - 1, P - 1] = 1e6
+    signal[0, 2, :3] = signal[1, 0, :3] = 50.0
+    array = DetectorArray(replace(REAL, blooming=1.0), S, P)
+    counts = array.expose(signal, generator(2))
+    assert counts[0, [1, S - 1], P - 3 :].min() > 3600
+    assert counts[0, 2, :3].max() < 200
+    assert counts[1, 0, :3].max() < 200
+
+
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), blooming=st.sampled_from([0.0, 0.7]))
 def test_lit_pixels_do_not_touch_dark_ones_that_nothing_flows_to(

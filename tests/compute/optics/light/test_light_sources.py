@@ -100,9 +100,8 @@ def test_a_retroreflector_falls_with_the_square_of_the_lamps_distance(distance_m
 
 
 def test_half_is_left_at_each_half_angle() -> None:
-    beside = np.array([[2.0 * 2000.0 * np.tan(np.deg2rad(0.25)), 0.0, 0.0]])
-    beside[0, 2] = 2000.0 - 2000.0 * np.cos(np.deg2rad(0.5))
-    beside[0, 0] = 2000.0 * np.sin(np.deg2rad(0.5))
+    half = np.deg2rad(0.5)
+    beside = 2000.0 * np.array([[np.sin(half), 0.0, 1.0 - np.cos(half)]])
     for source in (DISC, SPHERE):
         light = source.photons_per_sr(FAR, TOWARDS, beside, 1e-3)[0, 0]
         assert light == pytest.approx(0.5 * one(source, TOWARDS), rel=1e-9)
@@ -114,6 +113,19 @@ def test_half_is_left_at_each_half_angle() -> None:
     off = 2000.0 * np.array([[np.sin(np.deg2rad(18.0)), 0.0, np.cos(np.deg2rad(18.0))]])
     assert one(DISC, None, off) == pytest.approx(0.5 * one(DISC), rel=1e-6)
     assert one(DISC, None, -FAR) == 0.0
+
+
+def test_a_disc_is_dark_to_a_lens_behind_its_plane() -> None:
+    """Lit at a grazing angle from beside the lens, which sees its back, or the other way round."""
+    wide = replace(SHEET, observation_half_angle_rad=1.0, entrance_half_angle_rad=10.0)
+    lamp = replace(LAMP, position_mm=(200.0, 0.0, 0.0), emission=CosinePower(1.0))
+    disc = RetroDisc(10.0, wide, lamp)
+    both, lit_alone, neither = (turned(np.pi / 2 + offset) for offset in (-0.05, 0.05, 0.2))
+    assert one(disc) > 0.0
+    assert one(disc, both) > 0.0
+    assert one(disc, lit_alone) == 0.0  # the lamp is 0.1 rad to the lens's side
+    assert one(disc, neither) == 0.0
+    assert one(disc, turned(-np.pi / 2 + 0.05)) == 0.0  # seen, but lit from behind
 
 
 def test_a_sphere_is_a_disc_of_its_projected_area_where_every_entrance_angle_does() -> None:

@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
 from compute.optics.footprints import Footprints
@@ -20,11 +21,6 @@ SHIFT_PX = 0.05
 error of the central difference is about (SHIFT_PX / s)^2 / 6 of it for a line of deviation s:
 0.2 % for 0.5 px."""
 
-REACH_PX = 20.0
-"""By how much they are moved to see how the reading goes with the point: many pixels, as the
-centre of gravity of a line narrower than a pixel wavers within each."""
-
-_AROUND = np.vstack([np.zeros(3), np.eye(3)])
 _ACROSS = np.pi * np.arange(24) / 24.0
 
 
@@ -117,80 +113,73 @@ def position_bound(mean_electrons: Array, slope_per_px: Array, noise: PixelNoise
 
 
 @dataclass(frozen=True, eq=False)
-class LineReadings:
-    """What S sensors read of N points: line, place, and how the place moves with the point.
+class Lines:
+    """The lines of N points on S sensors, and how each pixel's light changes as they move.
 
     Args:
         first_px: number of the windows' first pixels, int64, shape (N, S).
-        mean_sr: the lines in the pixels [sr], shape (N, S, W); zero beyond the sensor's ends.
-        slope_sr_per_px: derivative of these by the line's position, shape (N, S, W).
-        position_px: centres of gravity of the whole lines, shape (N, S); NaN without light.
-        slope_px_per_mm: d position / d point, shape (N, S, 3); NaN without light.
-        share: share of each line's light that falls on pixels, shape (N, S).
+        mean_sr: light of the pixels [sr], shape (N, S, W); zero beyond the sensor's ends.
+        slope_sr_per_px: its derivative by the line's position, shape (N, S, W).
     """
 
     first_px: NDArray[np.int64]
     mean_sr: Array
     slope_sr_per_px: Array
-    position_px: Array
-    slope_px_per_mm: Array
-    share: Array
 
 
-def line_readings(optics: FootprintOptics, points_mm: Array, pixels: int) -> LineReadings:
-    """Move each point a little, and see how its lines move.
+def displaced_lines(
+    optics: FootprintOptics,
+    cameras: CameraStack,
+    points_mm: Array,
+    pixels: int,
+    here: Footprints | None = None,
+) -> Lines:
+    """Move each point a little, and see how the light of each pixel changes.
 
-    The derivative of what each pixel gets is taken from lines that were formed anew, so it holds
-    for any shape, however narrow against a pixel. Steps are chosen in the middle of the points
-    and serve all of them.
+    The derivative is taken from lines that were formed anew, so it holds for any shape, however
+    narrow against a pixel. All points move in one direction, along which every sensor measures.
 
     Args:
         optics: forms the lines.
+        cameras: where the lines are, near enough for their slopes; S of them.
         points_mm: shape (N, 3) [mm].
         pixels: pixels of a line.
+        here: the points' footprints, where they are known already.
 
     Raises:
         InvalidParameter: no sensor sees the middle of the points.
     """
-    here = optics.footprints(points_mm)
-    position, light, share = _centroid(here, pixels)
-    direction, step = _small_step(optics, points_mm, pixels)
-    reach = step * REACH_PX / SHIFT_PX
-    gradient = np.empty((*position.shape, 3))
-    for axis in range(3):
-        shift = reach * np.eye(3)[axis]
-        ahead = _centroid(optics.footprints(points_mm + shift), pixels)[0]
-        behind = _centroid(optics.footprints(points_mm - shift), pixels)[0]
-        gradient[..., axis] = (ahead - behind) / (2.0 * reach)
-
+    direction, step = _small_step(cameras, points_mm)
     shift = step * direction
-    lines = [here, optics.footprints(points_mm + shift), optics.footprints(points_mm - shift)]
+    both = optics.footprints(np.concatenate([points_mm + shift, points_mm - shift]))
+    half = len(points_mm)
+    lines = [
+        optics.footprints(points_mm) if here is None else here,
+        Footprints(both.first_px[:half], both.solid_angle_sr[:half]),
+        Footprints(both.first_px[half:], both.solid_angle_sr[half:]),
+    ]
     first = np.min([line.first_px for line in lines], axis=0)
     last = np.max([line.first_px + line.solid_angle_sr.shape[2] for line in lines], axis=0)
     width = int((last - first).max(initial=1))
     mean, ahead, behind = (_in_window(line, first, width, pixels) for line in lines)
-    dark = ~(light > 0.0) | ~np.isfinite(gradient).all(axis=2)
-    moved = np.where(dark, np.inf, 2.0 * step * (gradient @ direction))
-    slope = (ahead - behind) / moved[..., None]
-    gradient[dark] = np.nan
-    return LineReadings(first, mean, slope, np.where(dark, np.nan, position), gradient, share)
+    moved = 2.0 * step * (cameras.linearised(points_mm)[1] @ direction)
+    moved = np.where(np.isfinite(moved) & (moved != 0.0), moved, np.inf)
+    return Lines(first, mean, (ahead - behind) / moved[..., None])
 
 
-def _small_step(optics: FootprintOptics, points_mm: Array, pixels: int) -> tuple[Array, float]:
-    """Return a direction that moves all sensors' lines, and a step that does by about SHIFT_PX.
+def _small_step(cameras: CameraStack, points_mm: Array) -> tuple[Array, float]:
+    """Return a direction that moves all sensors' lines, and a step that does by SHIFT_PX.
 
     Raises:
         InvalidParameter: no sensor sees the middle of the points.
     """
     middle = points_mm.mean(axis=0)
-    trial = 1e-3 * max(1.0, float(np.linalg.norm(middle)))
-    places = _centroid(optics.footprints(middle + trial * _AROUND), pixels)[0]
-    per_mm = ((places[1:] - places[0]) / trial).T
+    per_mm = cameras.linearised(middle[None])[1][0]
     per_mm = per_mm[np.isfinite(per_mm).all(axis=1)]
     if len(per_mm) == 0:
         raise InvalidParameter(
-            f"no sensor sees the middle of the points, {middle.tolist()} mm; the volume must lie "
-            "in front of the sensors",
+            f"no sensor sees the middle of the points, {middle.tolist()} mm; they must lie in "
+            "front of the sensors",
             points_mm=middle.tolist(),
         )
     # No sensor may measure across the direction: of many in a plane that all see well, the best.
@@ -201,15 +190,18 @@ def _small_step(optics: FootprintOptics, points_mm: Array, pixels: int) -> tuple
     return directions[best], SHIFT_PX / float(moved[best].max())
 
 
-def _centroid(lines: Footprints, pixels: int) -> tuple[Array, Array, Array]:
-    """Return centres of gravity [px], light on the pixels [sr] and its share, each (N, S)."""
+def centroids(lines: Footprints, pixels: int) -> tuple[Array, Array]:
+    """Return whole lines' centres of gravity [px] and the light on the pixels [sr], both (N, S).
+
+    The centre of a line that reaches over the sensor's end counts what is beyond it; NaN
+    without light.
+    """
     place = lines.first_px[..., None] + np.arange(lines.solid_angle_sr.shape[2])
     light = lines.solid_angle_sr.sum(axis=2)
     inside = (lines.solid_angle_sr * ((place >= 0) & (place < pixels))).sum(axis=2)
     with np.errstate(divide="ignore", invalid="ignore"):
         position = (lines.solid_angle_sr * place).sum(axis=2) / light
-        share = np.where(light > 0.0, inside / light, 0.0)
-    return position, inside, share
+    return position, inside
 
 
 def _in_window(lines: Footprints, first: NDArray[np.int64], width: int, pixels: int) -> Array:
@@ -245,7 +237,7 @@ def centre_of_gravity_sigma(
     width = mean_electrons.shape[-1]
     # Enough dark groups beside the line for the finder's background.
     length = max(4 * width, SAMPLE_GROUPS * GROUP_PIXELS)
-    counts = np.full((len(mean_electrons), length), noise.background_electrons)
+    counts = np.full((len(mean_electrons), length), float(noise.background_electrons))
     start = (length - width) // 2
     counts[:, start : start + width] += mean_electrons
     counts = np.rint(counts / noise.electrons_per_count).clip(0, 65535)

@@ -10,16 +10,16 @@ from scipy.special import ndtr
 from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
 from compute.planning.line_bound import (
-    REACH_PX,
     SHIFT_PX,
-    LineReadings,
+    Lines,
     PixelNoise,
     centre_of_gravity_sigma,
-    line_readings,
+    centroids,
+    displaced_lines,
     position_bound,
 )
 from compute.signal.settings import CentroidSettings
-from tests.compute.planning.gaussian_optics import WIDTH, GaussianOptics
+from tests.compute.planning.gaussian_optics import GaussianOptics
 from tests.compute.rig import PIXELS, control_points, rig
 
 NOISE = PixelNoise(read_noise_electrons=30.0, electrons_per_count=12.0, background_electrons=50.0)
@@ -35,9 +35,9 @@ def gaussian_slope(position: float, sigma: float) -> np.ndarray:
     return -np.diff(density)
 
 
-def readings(sigma: float, points: np.ndarray) -> tuple[GaussianOptics, LineReadings]:
+def displaced(sigma: float, points: np.ndarray) -> tuple[GaussianOptics, Lines]:
     optics = GaussianOptics(rig(4), sigma)
-    return optics, line_readings(optics, points, PIXELS)
+    return optics, displaced_lines(optics, optics.cameras, points, PIXELS)
 
 
 def test_much_light_and_a_wide_line() -> None:
@@ -69,24 +69,18 @@ def test_little_light_and_a_wide_line() -> None:
 @pytest.mark.parametrize("sigma", [0.3, 0.5, 1.5, 4.0])
 def test_derivatives_of_displaced_lines_are_those_of_calculus(sigma: float) -> None:
     points = control_points(12)
-    optics, found = readings(sigma, points)
-    position, slope = optics.cameras.linearised(points)
-    # The centre of gravity of a narrow line wavers by exp(-2 (pi sigma)^2) / pi in each pixel.
-    wavering = np.exp(-2.0 * (np.pi * sigma) ** 2) / np.pi
-    np.testing.assert_allclose(found.position_px, position, atol=1.1 * wavering + 1e-6)
-    size = np.linalg.norm(slope, axis=2, keepdims=True)
-    worst = np.abs((found.slope_px_per_mm - slope) / size).max()
-    assert worst < 2.0 * wavering / REACH_PX + 3e-4  # the path of the point is curved
-    assert found.share == pytest.approx(np.ones((12, 4)))
+    optics, found = displaced(sigma, points)
+    position = optics.cameras.project(points)
     for n, s in np.ndindex(12, 4):
-        mu = found.mean_sr[n, s]
-        first = int(np.rint(position[n, s])) - WIDTH // 2
-        centre = position[n, s] - min(first, int(found.first_px[n, s]))
-        edges = np.arange(len(mu) + 1) - 0.5
+        centre = position[n, s] - found.first_px[n, s]
+        edges = np.arange(found.mean_sr.shape[2] + 1) - 0.5
+        np.testing.assert_allclose(
+            found.mean_sr[n, s], np.diff(ndtr((edges - centre) / sigma)), atol=1e-6
+        )
         density = np.exp(-0.5 * ((edges - centre) / sigma) ** 2)
         exact = -np.diff(density) / (sigma * np.sqrt(2.0 * np.pi))
-        # The central difference's own error, see SHIFT_PX, and the gradient's.
-        most = 2.0 * (SHIFT_PX / sigma) ** 2 / 6.0 + 2e-3 + wavering / REACH_PX
+        # The central difference's own error, see SHIFT_PX.
+        most = (SHIFT_PX / sigma) ** 2 + 1e-3
         assert np.abs(found.slope_sr_per_px[n, s] - exact).max() < most * np.abs(exact).max()
 
 
@@ -153,28 +147,33 @@ def test_no_light_says_nothing() -> None:
     dark = np.zeros((2, 41))
     assert np.isinf(position_bound(dark, dark, NOISE)).all()
     assert np.isnan(centre_of_gravity_sigma(dark, NOISE, CentroidSettings())).all()
-    _, found = readings(1.0, np.vstack([control_points(4), [[0.0, 0.0, -1000.0]]]))
-    assert np.isnan(found.position_px[4]).all()
-    assert np.isnan(found.slope_px_per_mm[4]).all()
-    assert (found.share[4] == 0.0).all()
-    assert np.isfinite(found.slope_px_per_mm[:4]).all()
+    points = np.vstack([control_points(4), [[0.0, 0.0, -1000.0]]])
+    optics, found = displaced(1.0, points)
+    assert (found.slope_sr_per_px[4] == 0.0).all()
+    assert (found.slope_sr_per_px[:4] != 0.0).any(axis=2).all()
+    position, light = centroids(optics.footprints(points), PIXELS)
+    assert np.isnan(position[4]).all()
+    assert (light[4] == 0.0).all()
+    assert light[:4] == pytest.approx(np.ones((4, 4)))
 
 
 def test_beyond_the_end_there_is_no_pixel() -> None:
-    """A line moved over the end, pixel by pixel, loses its share and then its bound."""
-    points = np.column_stack([np.zeros(30), np.linspace(380.0, 640.0, 30), np.full(30, 1500.0)])
-    points[:, 0] = -300.0
-    _, found = readings(2.0, np.vstack([points, -points + [0.0, 0.0, 3000.0]]))
-    share = found.share[:30, 0]
-    assert share[0] == 1.0
-    assert share[-1] == 0.0
-    assert (np.diff(share) <= 1e-12).all()
-    np.testing.assert_allclose(found.mean_sr.sum(axis=2), found.share, atol=1e-12)
+    """A line moved over the end, pixel by pixel, loses its light and then its bound."""
+    points = np.column_stack([np.full(30, -300.0), np.linspace(380.0, 640.0, 30), np.ones(30)])
+    points[:, 2] = 1500.0
+    optics, found = displaced(2.0, np.vstack([points, -points + [0.0, 0.0, 3000.0]]))
+    position, light = centroids(optics.footprints(points), PIXELS)
+    assert light[0, 0] == pytest.approx(1.0)
+    assert light[-1, 0] == 0.0
+    assert (np.diff(light[:, 0]) <= 1e-12).all()
+    np.testing.assert_allclose(found.mean_sr[:30].sum(axis=2), light, atol=1e-12)
+    # The centre of gravity is the whole line's.
+    np.testing.assert_allclose(position, optics.cameras.project(points), atol=1e-6)
 
 
 def test_a_volume_behind_the_sensors_is_refused() -> None:
     with pytest.raises(InvalidParameter, match="no sensor sees the middle"):
-        readings(1.0, np.array([[0.0, 0.0, -1500.0]]))
+        displaced(1.0, np.array([[0.0, 0.0, -1500.0]]))
 
 
 def test_noise_of_a_detector() -> None:

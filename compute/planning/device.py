@@ -1,0 +1,249 @@
+"""PlanningDevice: a profile's sensors as planning needs them: lines, light, noise, cameras."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.run import calibrate
+from compute.camera.model import SensorGeometry
+from compute.camera.stack import CameraStack
+from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
+from compute.optics.footprints import Footprints
+from compute.optics.light.emission import CosinePower, TabulatedEmission
+from compute.optics.light.led import Led
+from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroSheet
+from compute.optics.light.source import LightSource
+from compute.optics.line_optics.exact import ExactOptics, Fineness
+from compute.optics.line_optics.line_shape import Blur
+from compute.optics.line_optics.pixel_row import PixelRow
+from compute.optics.line_optics.sensor import place_optics
+from compute.optics.masks.mask_optics import MaskOptics
+from compute.optics.masks.window import CodedWindow
+from compute.optics.placement import place_sensor
+from compute.optics.profiles.parts import LedMarkers
+from compute.optics.profiles.profile import DeviceProfile, Optics, PlateOptics
+from compute.optics.tracing.assembly import Assembly
+from compute.planning.line_bound import FootprintOptics, PixelNoise, centroids
+
+Array = NDArray[np.float64]
+
+RAYS: Final = 17
+"""Rays of a fan: the bound is within 0.5 % of that with 65 (bar and Optotrak, 27 points)."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningDevice:
+    """Sensors of one kind.
+
+    Args:
+        names: of the S sensors.
+        pixels: of a line; for a plate with tracks, the steps of its resolution.
+        positions_mm: where the optics are, shape (S, 3) [mm].
+        optics: forms the lines.
+        mask: the same, where lines are shadows of a mask, which have no centre of gravity.
+        source: the markers' light.
+        exposure_s: of a line [s].
+        quantum_efficiency: filter included.
+        noise: of a pixel.
+        quantisation_px: standard deviation of the rounding of readings, where they are numbers
+            from the start (a Gray plate); None: readings come from lines of pixels.
+        full_electrons: at which a pixel saturates.
+    """
+
+    names: tuple[str, ...]
+    pixels: int
+    positions_mm: Array
+    optics: FootprintOptics
+    mask: MaskOptics | None
+    source: LightSource
+    exposure_s: float
+    quantum_efficiency: float
+    noise: PixelNoise
+    quantisation_px: float | None
+    full_electrons: float
+
+    def electrons_per_sr(self, points_mm: Array) -> Array:
+        """Return photoelectrons per steradian, shape (N, S); markers face every sensor."""
+        light = self.source.photons_per_sr(points_mm, None, self.positions_mm, self.exposure_s)
+        return light * self.quantum_efficiency
+
+    def readings(self, points_mm: Array, here: Footprints) -> tuple[Array, Array]:
+        """Return readings without noise [px] and the light on the pixels [sr], both (N, S).
+
+        Args:
+            points_mm: shape (N, 3) [mm].
+            here: their footprints.
+        """
+        position, light = centroids(here, self.pixels)
+        if self.mask is not None:
+            position = np.where(light > 0.0, self.mask.readings(points_mm), np.nan)
+        return position, light
+
+    def cameras(
+        self, points_mm: Array, readings_px: Array, sees: NDArray[np.bool_]
+    ) -> tuple[CameraStack, Array]:
+        """Calibrate perspective cameras on readings without noise.
+
+        Args:
+            points_mm: shape (N, 3) [mm].
+            readings_px: shape (N, S) [px].
+            sees: which of them are there, shape (N, S).
+
+        Returns:
+            The cameras, and what of the distortion they leave, RMS [px], shape (S,).
+
+        Raises:
+            InvalidParameter: a sensor sees too little of the points.
+        """
+        given = np.where(sees, readings_px, np.nan)
+        geometry = [SensorGeometry(name, self.pixels) for name in self.names]
+        try:
+            found = calibrate(points_mm, given, geometry)
+        except (TooFewPoints, DegeneratePoints) as error:
+            raise InvalidParameter(
+                f"the volume is not seen well enough to plan in it: {error.detail}; give a finer "
+                "grid, or another volume",
+                **error.context,
+            ) from None
+        return CameraStack.of(found.models), np.array([fit.rms_px for fit in found.sensors])
+
+
+def planning_device(profile: DeviceProfile) -> PlanningDevice:
+    """Build what a profile describes.
+
+    A Gray plate (``PlateOptics``) is read as a row of steps as long as its code; its readings
+    have the deviation of their rounding, 1/sqrt(12) of a step, and light enough is assumed.
+
+    Args:
+        profile: with optics of one kind: lenses, coded windows or plates.
+
+    Raises:
+        InvalidParameter: optics of several kinds.
+    """
+    kinds = {type(one) for one in profile.optics.values()}
+    if len(kinds) != 1:
+        raise InvalidParameter(
+            f"profile {profile.name} has optics of {len(kinds)} kinds; a plan is made for "
+            "sensors with lenses, with coded windows or with plates",
+            optics=sorted(profile.optics),
+        )
+    source = _source(profile)
+    blur = Blur(source.wavelength_nm, source.width_mm)
+    detector = profile.detector.detector(profile.rates.exposure_s)
+    [kind] = kinds
+    pixels, quantisation, mask = profile.pixels.count, None, None
+    optics: FootprintOptics
+    if kind is CodedWindow:
+        optics = mask = _masks(profile, source)
+    elif kind is PlateOptics:
+        plates = {one.plate for one in profile.optics.values() if isinstance(one, PlateOptics)}
+        if len({(plate.bits, plate.length_mm) for plate in plates}) != 1:
+            raise InvalidParameter(
+                f"profile {profile.name} has plates of several lengths or resolutions; a plan is "
+                "made for one",
+                optics=sorted(profile.optics),
+            )
+        plate = plates.pop()
+        pixels, quantisation = 2**plate.bits, 12.0**-0.5
+        row = PixelRow(pixels, plate.step_mm * 1e3, profile.pixels.height_um)
+        optics = _lenses(profile, row, blur)
+    else:
+        row = PixelRow(pixels, profile.pixels.pitch_um, profile.pixels.height_um)
+        optics = _lenses(profile, row, blur)
+    return PlanningDevice(
+        tuple(sensor.name for sensor in profile.sensors),
+        pixels,
+        np.array([sensor.position_mm for sensor in profile.sensors]),
+        optics,
+        mask,
+        source,
+        profile.rates.exposure_s,
+        profile.detector.quantum_efficiency,
+        PixelNoise.of(detector),
+        quantisation,
+        min(
+            detector.full_well_electrons,
+            (detector.full_scale - detector.offset_counts) * detector.electrons_per_count,
+        ),
+    )
+
+
+def _lenses(profile: DeviceProfile, row: PixelRow, blur: Blur) -> ExactOptics:
+    sensors = [
+        place_optics(
+            sensor.name,
+            position_mm=sensor.position_mm,
+            aim_mm=sensor.aim_mm,
+            measured_direction=sensor.measured_direction,
+            assembly=_assembly(profile.optics[sensor.optics]),
+            row=row,
+        )
+        for sensor in profile.sensors
+    ]
+    return ExactOptics(sensors, blur, Fineness(RAYS))
+
+
+def _assembly(optics: Optics) -> Assembly:
+    assert not isinstance(optics, CodedWindow)
+    return optics.assembly if isinstance(optics, PlateOptics) else optics
+
+
+def _masks(profile: DeviceProfile, source: LightSource) -> MaskOptics:
+    if len(profile.optics) != 1:
+        raise InvalidParameter(
+            f"profile {profile.name} has {len(profile.optics)} coded windows; a plan is made for "
+            "one, the same before all sensors",
+            optics=sorted(profile.optics),
+        )
+    [window] = profile.optics.values()
+    assert isinstance(window, CodedWindow)
+    placed = [
+        place_sensor(
+            sensor.name,
+            lens_position_mm=sensor.position_mm,
+            aim_mm=sensor.aim_mm,
+            measured_direction=sensor.measured_direction,
+            principal_distance_mm=window.gap_mm,
+            pixels=profile.pixels.count,
+            pitch_um=profile.pixels.pitch_um,
+        )
+        for sensor in profile.sensors
+    ]
+    return MaskOptics(
+        window,
+        placed,
+        pixel_height_mm=profile.pixels.height_um * 1e-3,
+        emitter_width_mm=source.width_mm,
+        wavelength_nm=source.wavelength_nm,
+        spectral_width_nm=source.spectral_width_nm,
+    )
+
+
+def _source(profile: DeviceProfile) -> LightSource:
+    markers = profile.markers
+    if isinstance(markers, LedMarkers):
+        return Led(
+            markers.radiant_intensity_w_per_sr,
+            markers.wavelength_nm,
+            CosinePower(markers.half_angle_rad),
+            markers.spectral_width_nm,
+            markers.emitter_width_mm,
+        )
+    towards = np.subtract(profile.volume.centre_mm, markers.illuminator_position_mm)
+    x, y, z = towards.tolist()
+    # The profile's intensity is that towards the markers: an even beam.
+    beam = TabulatedEmission((0.0, np.pi / 2.0), (1.0, 1.0))
+    lamp = Illuminator(
+        markers.illuminator_position_mm,
+        (x, y, z),
+        markers.illuminator_intensity_w_per_sr,
+        beam,
+        markers.wavelength_nm,
+        markers.spectral_width_nm,
+    )
+    sheet = RetroSheet(
+        markers.retroreflection_per_sr, markers.observation_half_angle_rad, markers.half_angle_rad
+    )
+    return RetroDisc(markers.diameter_mm, sheet, lamp)

@@ -1,0 +1,306 @@
+"""Plan: what a device will reach over its working volume, before it is built."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.model import Vector3, vector3
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter
+from compute.optics.profiles.profile import DeviceProfile
+from compute.planning.coverage import Box, Coverage, coverage, lattice, seen
+from compute.planning.device import PlanningDevice, planning_device
+from compute.planning.ghosts import (
+    MOST_SENSORS,
+    GhostCount,
+    ghost_chances,
+    intersecting_points,
+)
+from compute.planning.line_bound import (
+    centre_of_gravity_sigma,
+    displaced_lines,
+    position_bound,
+)
+from compute.planning.precision import precision_of_slopes
+from compute.planning.rates import Rates, rates
+from compute.planning.result import AxisSummary, Plan, PlannedPoint, PlannedSensor
+from compute.reconstruction.points import reconstruct
+from compute.signal.settings import CentroidSettings
+
+Array = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+MOST_MARKERS: Final = 64
+"""Markers up to which ghosts are listed."""
+
+_SHOWN: Final = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 28, 32, 40, 50, 64)
+_SEEN_TOGETHER: Final = 0.1
+"""Least share of the volume that all sensors see, for ghosts to be counted."""
+
+_BLOCK: Final = 128  # points traced at once; between them progress is told
+
+
+def plan(
+    profile: DeviceProfile,
+    *,
+    grid: int | tuple[int, int, int] = 5,
+    markers: int | None = None,
+    volume: Box | None = None,
+    ghost_trials: int = 2000,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Plan:
+    """Work out what a device will reach.
+
+    Args:
+        profile: the device.
+        grid: points along the axes of the volume, at least 3 each and 100,000 in all; odd numbers
+            hold the middle.
+        markers: most markers to list; None: as many as the device drives, up to 64.
+        volume: where; None: the profile's working volume.
+        ghost_trials: of the Monte Carlo, for each way to mix markers.
+        seed: of its random numbers.
+        progress: told the share done, 0 to 1.
+
+    Raises:
+        InvalidParameter: a value out of its range; a volume that is not seen well enough.
+    """
+    most = min(profile.markers.most, MOST_MARKERS) if markers is None else markers
+    if not 1 <= most <= MOST_MARKERS:
+        raise InvalidParameter(f"markers is {most}; it must be 1 to {MOST_MARKERS}", markers=most)
+    box = volume or Box(profile.volume.centre_mm, profile.volume.size_mm)
+    shape = (grid, grid, grid) if isinstance(grid, int) else grid
+    if min(shape) < 3:
+        raise InvalidParameter(
+            f"grid is {grid}; it must have at least 3 points along each axis", grid=grid
+        )
+    if ghost_trials < 1:
+        raise InvalidParameter(
+            f"ghost_trials is {ghost_trials}; it must be at least 1", ghost_trials=ghost_trials
+        )
+    places = lattice(box, shape)
+    device = planning_device(profile)
+    tell = progress or (lambda _: None)
+    lines = _lines(device, places.points_mm, tell)
+
+    slopes = np.where(lines.sees[..., None], lines.slope_px_per_mm, np.nan)
+    noise = precision_of_slopes(slopes, lines.bound_px)
+    centroid = precision_of_slopes(slopes, lines.centroid_px)
+    dilution = precision_of_slopes(slopes, np.ones(len(device.names)))
+    distortion = _distortion(lines, places.points_mm)
+    middle = int(np.linalg.norm(places.points_mm - box.centre_mm, axis=1).argmin())
+    seen_by = coverage(lines.sees, places.weights)
+    ghosts, notes = _ghosts(device, lines, box, seen_by, most, ghost_trials, seed)
+    tell(1.0)
+    return Plan(
+        profile.name,
+        profile.title,
+        box,
+        places.shape,
+        _sensors(device, lines),
+        _summary(noise.sd_mm, middle),
+        _summary(centroid.sd_mm, middle),
+        _summary(dilution.sd_mm, middle),
+        _summary(np.abs(distortion), middle),
+        seen_by,
+        _rates(profile, most),
+        tuple(intersecting_points(count) for count in _listed(most)),
+        ghosts,
+        tuple(
+            PlannedPoint(vector3(point), int(count), *map(_vector, figures))
+            for point, count, *figures in zip(
+                places.points_mm,
+                lines.sees.sum(axis=1),
+                noise.sd_mm,
+                centroid.sd_mm,
+                dilution.sd_mm,
+                distortion,
+                strict=True,
+            )
+        ),
+        (_ASSUMED, *notes),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """Arrays of the N points and S sensors; NaN where a sensor does not see a point."""
+
+    cameras: CameraStack
+    misfit_px: Array
+    readings_px: Array
+    slope_px_per_mm: Array
+    sees: NDArray[np.bool_]
+    line_electrons: Array
+    peak_electrons: Array
+    bound_px: Array
+    centroid_px: Array
+
+
+def _lines(device: PlanningDevice, points: Array, tell: Progress) -> _Lines:
+    blocks = [slice(start, start + _BLOCK) for start in range(0, len(points), _BLOCK)]
+    here = []
+    for done, block in enumerate(blocks):
+        here.append(device.optics.footprints(points[block]))
+        tell(0.3 * (done + 1) / len(blocks))
+    found = [device.readings(points[block], one) for block, one in zip(blocks, here, strict=True)]
+    readings = np.concatenate([position for position, _ in found])
+    light = np.concatenate([sr for _, sr in found])
+    sees = seen(readings, device.pixels, light)
+    cameras, misfit = device.cameras(points, readings, sees)
+
+    shape = readings.shape
+    electrons, peak, bound, centroid = (np.full(shape, np.nan) for _ in range(4))
+    for done, (block, one) in enumerate(zip(blocks, here, strict=True)):
+        lines = displaced_lines(device.optics, cameras, points[block], device.pixels, one)
+        per_sr = device.electrons_per_sr(points[block])[..., None]
+        mean, slope = lines.mean_sr * per_sr, lines.slope_sr_per_px * per_sr
+        electrons[block], peak[block] = mean.sum(axis=2), mean.max(axis=2)
+        if device.quantisation_px is None:
+            bound[block] = position_bound(mean, slope, device.noise)
+            if device.mask is None:
+                centroid[block] = _by_centre_of_gravity(device, mean, sees[block])
+        else:
+            bound[block] = device.quantisation_px
+        tell(0.3 + 0.6 * (done + 1) / len(blocks))
+    for values in (electrons, peak, bound, centroid):
+        values[~sees] = np.nan
+    bound[~np.isfinite(bound)] = np.nan
+    slopes = cameras.linearised(points)[1]
+    return _Lines(cameras, misfit, readings, slopes, sees, electrons, peak, bound, centroid)
+
+
+def _by_centre_of_gravity(device: PlanningDevice, mean: Array, sees: NDArray[np.bool_]) -> Array:
+    sigma = np.full(sees.shape, np.nan)
+    if sees.any():
+        sigma[sees] = centre_of_gravity_sigma(mean[sees], device.noise, CentroidSettings())
+    return sigma
+
+
+def _distortion(lines: _Lines, points: Array) -> Array:
+    """Return the errors of points that perspective cameras make of exact readings, (N, 3)."""
+    readings = np.where(lines.sees, lines.readings_px, np.nan)
+    sigma = np.maximum(lines.misfit_px, 1e-9)
+    return reconstruct(lines.cameras, readings, sigma).position_mm - points
+
+
+def _ghosts(
+    device: PlanningDevice,
+    lines: _Lines,
+    box: Box,
+    seen_by: Coverage,
+    most: int,
+    trials: int,
+    seed: int,
+) -> tuple[tuple[GhostCount, ...], tuple[str, ...]]:
+    """Return the expected ghosts, and how they were counted or why not."""
+    if most < 2:
+        return (), ()
+    if not 3 <= len(device.names) <= MOST_SENSORS:
+        return (), (f"Ghosts are counted for 3 to {MOST_SENSORS} sensors.",)
+    if seen_by.all_sensors < _SEEN_TOGETHER:
+        share = 100 * seen_by.all_sensors
+        return (), (f"Ghosts are not counted: all sensors see only {share:.0f} % of the volume.",)
+    sigma = np.where(np.isfinite(lines.centroid_px), lines.centroid_px, lines.bound_px)
+    chances = ghost_chances(
+        lines.cameras,
+        device.pixels,
+        box,
+        _median(sigma),
+        drawn_from=box,
+        trials=trials,
+        seed=seed,
+    )
+    note = (
+        f"Ghosts: {trials} combinations of each way to mix markers were tried, of markers in the "
+        f"{100 * chances.seen_share:.0f} % of the volume that all sensors see."
+    )
+    return tuple(chances.expected(count) for count in _listed(most)), (note,)
+
+
+def _listed(most: int) -> tuple[int, ...]:
+    return tuple(sorted({*(count for count in _SHOWN if count < most), most} - {1}))
+
+
+def _rates(profile: DeviceProfile, most: int) -> tuple[Rates, ...]:
+    return tuple(
+        rates(
+            count,
+            profile.rates.line_rate_hz,
+            profile.markers.illumination,
+            sensors=len(profile.sensors),
+            pixels=profile.pixels.count,
+            bits=profile.detector.bits,
+        )
+        for count in sorted({1, most})
+    )
+
+
+def _sensors(device: PlanningDevice, lines: _Lines) -> tuple[PlannedSensor, ...]:
+    full = np.where(lines.sees, lines.peak_electrons >= device.full_electrons, False)
+    columns = [
+        _median(values).tolist()
+        for values in (
+            lines.line_electrons, lines.peak_electrons, lines.bound_px, lines.centroid_px,
+        )
+    ]  # fmt: skip
+    share = full.sum(axis=0) / np.maximum(lines.sees.sum(axis=0), 1)
+    return tuple(
+        PlannedSensor(
+            name,
+            vector3(position),
+            _number(line),
+            _number(peak),
+            float(saturated),
+            _number(bound),
+            _number(centroid),
+            float(misfit),
+            float(distance),
+        )
+        for name, position, line, peak, bound, centroid, saturated, misfit, distance in zip(
+            device.names,
+            device.positions_mm,
+            *columns,
+            share,
+            lines.misfit_px,
+            lines.cameras.principal_distance_px,
+            strict=True,
+        )
+    )
+
+
+def _median(values: Array) -> Array:
+    """Return the medians of the columns; NaN for one without values."""
+    return np.array(
+        [np.median(known) if len(known := column[np.isfinite(column)]) else np.nan
+         for column in values.T]
+    )  # fmt: skip
+
+
+def _summary(values_mm: Array, middle: int) -> AxisSummary:
+    known = values_mm[np.isfinite(values_mm).all(axis=1)]
+    if len(known) == 0:
+        return AxisSummary(None, None, None, None)
+    return AxisSummary(
+        vector3(known.min(axis=0)),
+        vector3(np.median(known, axis=0)),
+        vector3(known.max(axis=0)),
+        _vector(values_mm[middle]),
+    )
+
+
+def _vector(row: Array) -> Vector3 | None:
+    return vector3(row) if np.isfinite(row).all() else None
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+_ASSUMED: Final = (
+    "Standard deviations are of the noise in one exposure: of a device calibrated without error, "
+    "its distortion corrected. Markers face every sensor."
+)

@@ -1,19 +1,22 @@
-"""The Warp kernel that traces rays, one thread for each, on the CPU and on CUDA.
+"""The Warp kernels that trace rays, one thread for each, on the CPU and on CUDA.
 
 Only ``compute.optics.tracing.tracer`` imports this module, when a tracer is made: it loads Warp.
 """
 
+from typing import Final
+
 import warp as wp
 
-from compute.optics.tracing.kernel_source import TRACE_ONE_RAY
+from compute.optics.tracing.kernel_source import WITH_TOROIDS, WITHOUT_TOROIDS
 
 # Its greeting and its compile times are nothing to a user of ours.
 wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
+
 # Without fused multiply-adds, both devices round as NumPy does.
-wp.set_module_options({"enable_backward": False, "fast_math": False, "fuse_fp": False})
+OPTIONS: Final = {"enable_backward": False, "fast_math": False, "fuse_fp": False}
 
 
-@wp.func_native(TRACE_ONE_RAY)  # type: ignore[untyped-decorator]
+@wp.func_native(WITH_TOROIDS)  # type: ignore[untyped-decorator]
 def _trace_one_ray(
     ray: int,
     rays: int,
@@ -24,7 +27,18 @@ def _trace_one_ray(
 ) -> None: ...
 
 
-@wp.kernel
+@wp.func_native(WITHOUT_TOROIDS)  # type: ignore[untyped-decorator]
+def _trace_one_ray_without_toroids(
+    ray: int,
+    rays: int,
+    rays_address: wp.uint64,
+    surfaces_address: wp.uint64,
+    image: int,
+    results_address: wp.uint64,
+) -> None: ...
+
+
+@wp.kernel(module="unique", module_options=OPTIONS)  # type: ignore[untyped-decorator]
 def trace_rays(
     rays: int,
     rays_address: wp.uint64,
@@ -40,3 +54,17 @@ def trace_rays(
     path, both transmittances; then of int32 (N,): 4 times the surface plus the status.
     """
     _trace_one_ray(wp.tid(), rays, rays_address, surfaces_address, image, results_address)
+
+
+@wp.kernel(module="unique", module_options=OPTIONS)  # type: ignore[untyped-decorator]
+def trace_rays_without_toroids(
+    rays: int,
+    rays_address: wp.uint64,
+    surfaces_address: wp.uint64,
+    image: int,
+    results_address: wp.uint64,
+) -> None:
+    """Trace rays as ``trace_rays`` does, through surfaces none of which is a toroid."""
+    _trace_one_ray_without_toroids(
+        wp.tid(), rays, rays_address, surfaces_address, image, results_address
+    )

@@ -4,6 +4,8 @@ The same operations in the same order as ``intersection`` and ``trace``, which e
 no fused multiply-adds all three give the same numbers. It is native, because a surface is one
 record that all threads read from the same place, and the branches on its form stay branches.
 
+There are two of it: without toroids a thread takes fewer registers, and CUDA runs more of them.
+
 The arguments are those of ``compute.optics.tracing.kernel``.
 """
 
@@ -146,7 +148,7 @@ _TOROID = """
 _NORMAL = """
     auto normal = [&](const Record& s, const Vector& v) {
         Vector n;
-        if (s.form == quadric) {
+        if (!toroids || s.form == quadric) {
             n = Vector{-(s.cx * v.x), -(s.cy * v.y), 1.0 - s.e * v.z};
         } else {
             const double p = 1.0 - s.cy * v.z, q = s.cy * v.y;
@@ -199,8 +201,8 @@ _SURFACES = """
             const double shift = -dot(from, local);
             const Vector near = along(from, shift, local);
             const double least = -slack - shift;
-            const double t = s.form == quadric ? meet_quadric(s, near, local, least)
-                                               : meet_toroid(s, near, local, least);
+            const double t = !toroids || s.form == quadric ? meet_quadric(s, near, local, least)
+                                                           : meet_toroid(s, near, local, least);
             distance = shift + t;
             if (distance != distance) { lost = missed; break; }
             place = along(near, t, local);
@@ -259,4 +261,7 @@ _END = """
     ((int*)((double*)results_address + 8 * n))[ray] = lost ? number * 4 + lost : 0;
 """
 
-TRACE_ONE_RAY: Final = _TYPES + _VECTORS + _QUADRIC + _TOROID + _NORMAL + _START + _SURFACES + _END
+_TRACE_ONE_RAY = _TYPES + _VECTORS + _QUADRIC + _TOROID + _NORMAL + _START + _SURFACES + _END
+
+WITH_TOROIDS: Final = "const bool toroids = true;" + _TRACE_ONE_RAY
+WITHOUT_TOROIDS: Final = "const bool toroids = false;" + _TRACE_ONE_RAY

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.optics.tracing.packing import pack
+from compute.optics.tracing.packing import Form, pack
 from compute.optics.tracing.rays import RayStatus, TracedRays
 from compute.optics.tracing.shapes import Array
 from compute.optics.tracing.surfaces import SurfaceStack
@@ -17,7 +17,7 @@ INPUTS: Final = 6
 OUTPUTS: Final = 8.5
 """Float64 words of a result: x, y, direction, path, two transmittances, an int32."""
 LEAST_RAYS: Final = 1024
-THREADS_OF_A_BLOCK: Final = 128
+THREADS_OF_A_BLOCK: Final = 64
 
 
 class RayTracer:
@@ -39,7 +39,7 @@ class RayTracer:
         # Here and not above: Warp takes a second to load, and the types are used without it.
         import warp as wp
 
-        from compute.optics.tracing.kernel import trace_rays
+        from compute.optics.tracing.kernel import trace_rays, trace_rays_without_toroids
 
         self._wp = wp
         self.stack = stack
@@ -47,12 +47,13 @@ class RayTracer:
         self.device = str(self._device.alias)
         self._cuda = bool(self._device.is_cuda)
         records = pack(stack)
+        toroids = bool((records["form"] == Form.TOROID).any())
         self._surfaces: Any = wp.array(records.view(np.uint8), dtype=wp.uint8, device=self._device)
         self._capacity = 0
         self._reserve(LEAST_RAYS)
         self._uploaded = 0
         self._launch = wp.launch(
-            trace_rays,
+            trace_rays if toroids else trace_rays_without_toroids,
             dim=1,
             inputs=[
                 1,

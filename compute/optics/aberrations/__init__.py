@@ -1,0 +1,1 @@
+"""Aberrations: paraxial optics, third-order coefficients, distortion over both field angles."""

@@ -1,0 +1,122 @@
+"""Distortion as a polynomial in both field angles: its terms, values, slopes and inverse.
+
+A point at x, y, z in a sensor's frame is read at ``p = p0 + c (u + d(u, v))`` with the field
+angles ``u = x/z`` along the row and ``v = y/z`` along the lens's axis, and
+``d = sum a_ij u^i v^j``. With u alone it is what the thesis fits ([3.4], [3.21], Tables 3.1 and
+3.2); v comes in by the skew effect, see ``skew_rays``.
+
+Five terms are no distortion: a camera does the same by its own parameters, at least to first
+order, and a fit of both has no single solution. They are in DEGENERATE.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter, NoConvergence
+
+Array = NDArray[np.float64]
+Term = tuple[int, int]
+"""Powers i, j of u^i v^j."""
+
+DEGENERATE: Final[dict[Term, str]] = {
+    (0, 0): "the principal point",
+    (1, 0): "the principal distance",
+    (0, 1): "roll, a turn about the optical axis",
+    (2, 0): "pan, a turn about the lens's axis, with the principal point",
+    (1, 1): "tilt, a turn about the row",
+}
+"""Terms that a camera's own parameters make up for, and which."""
+
+_TURNS: Final = 50
+_SETTLED: Final = 1e-14
+
+
+def power_terms(order: int, *, odd_only: bool) -> tuple[Term, ...]:
+    """Return the terms in u alone up to a power, all or those of odd power, from u^3 on."""
+    return tuple((i, 0) for i in range(3, order + 1, 2 if odd_only else 1))
+
+
+def symmetric_terms(order: int) -> tuple[Term, ...]:
+    """Return the terms with i odd, j even, i + j at most ``order``: of a lens well centred."""
+    return tuple(
+        (i, j)
+        for i in range(1, order + 1, 2)
+        for j in range(0, order - i + 1, 2)
+        if (i, j) not in DEGENERATE
+    )
+
+
+def all_terms(order: int) -> tuple[Term, ...]:
+    """Return the terms with i + j at most ``order``, but those in DEGENERATE: any lens."""
+    return tuple(
+        (i, j) for i in range(order + 1) for j in range(order - i + 1) if (i, j) not in DEGENERATE
+    )
+
+
+def check_terms(terms: Sequence[Term]) -> None:
+    """Refuse terms that are degenerate with the camera, negative, or given twice.
+
+    Raises:
+        InvalidParameter: such a term.
+    """
+    for number, term in enumerate(terms):
+        if term in DEGENERATE:
+            raise InvalidParameter(
+                f"terms has u^{term[0]} v^{term[1]}, which is degenerate with "
+                f"{DEGENERATE[term]}; leave it out",
+                terms=term,
+            )
+        if min(term) < 0 or term in terms[:number]:
+            raise InvalidParameter(
+                f"terms has {term} at place {number}; powers must be 0 or more, each pair once",
+                terms=term,
+            )
+
+
+def term_values(u: Array, v: Array, terms: Sequence[Term]) -> Array:
+    """Return u^i v^j for each term, shape (..., K)."""
+    return _stacked(u, [u**i * v**j for i, j in terms])
+
+
+def term_slopes(u: Array, v: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
+    """Return the derivatives of u^i v^j by u and by v, both of shape (..., K)."""
+    by_u = [i * u ** max(i - 1, 0) * v**j for i, j in terms]
+    by_v = [j * u**i * v ** max(j - 1, 0) for i, j in terms]
+    return _stacked(u, by_u), _stacked(u, by_v)
+
+
+def distortion(u: Array, v: Array, terms: Sequence[Term], coefficients: Array) -> Array:
+    """Return d(u, v), of u's shape; coefficients (K,) in the order of the terms."""
+    values: Array = term_values(u, v, terms) @ coefficients
+    return values
+
+
+def undistorted(distorted: Array, v: Array, terms: Sequence[Term], coefficients: Array) -> Array:
+    """Return u with ``u + d(u, v) = distorted`` where v is known, by Newton's method.
+
+    Raises:
+        NoConvergence: the polynomial has no such u nearby: it is used beyond its field.
+    """
+    u = np.array(distorted, dtype=np.float64)
+    for _ in range(_TURNS):
+        slope = 1.0 + term_slopes(u, v, terms)[0] @ coefficients
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            step = (distorted - u - distortion(u, v, terms, coefficients)) / slope
+        if not np.isfinite(step).all():
+            break
+        u = u + step
+        if (np.abs(step) <= _SETTLED * (1.0 + np.abs(u))).all():
+            return u
+    raise NoConvergence(
+        f"no field angle has the distorted value {np.ravel(distorted)[:3].tolist()}...; the "
+        "distortion was fitted to a smaller field"
+    )
+
+
+def _stacked(u: Array, columns: list[Array]) -> Array:
+    if not columns:
+        return np.zeros((*np.shape(u), 0))
+    return np.stack(columns, axis=-1)

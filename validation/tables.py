@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 Cell = str | float | None
 
@@ -63,12 +64,14 @@ class TablesCase:
         title: what it is.
         source: where the published figures stand.
         work_out: returns the tables and the findings.
+        picture: draws it as a PNG; None: there is nothing to draw.
     """
 
     name: str
     title: str
     source: str
     work_out: Callable[[], tuple[tuple[ResultTable, ...], tuple[str, ...]]]
+    picture: Callable[[Path], None] | None = None
 
     def run(self) -> TablesResult:
         """Work it out."""

@@ -75,11 +75,12 @@ def demo(
 def reproduce(
     case: Annotated[str | None, typer.Argument(help="A case's name, or all.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+    output: Annotated[Path | None, typer.Option(help="Draw the case's picture: a PNG.")] = None,
 ) -> None:
     """Run published tests: the reference figures and ours side by side. No case: list them."""
     from service.cli.reproduce import run
 
-    run(case, as_json=as_json)
+    run(case, as_json=as_json, output=output)
 
 
 @app.command()

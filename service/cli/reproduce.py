@@ -1,18 +1,23 @@
 """`lumiline reproduce`: published tests, the reference figures and ours side by side."""
 
+from pathlib import Path
+
+from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 
 from service.cli.output import console, error_table, fail, print_json, progress_console
 from validation.all_cases import ALL_CASES
 from validation.cases import CaseResult
-from validation.tables import Cell, ResultTable, TablesResult
+from validation.tables import Cell, ResultTable, TablesCase, TablesResult
 
 SETTLED_PX = 0.01
 
 
-def run(name: str | None, *, as_json: bool) -> None:
-    """List the cases, or run one of them, or ``all``."""
+def run(name: str | None, *, as_json: bool, output: Path | None = None) -> None:
+    """List the cases, or run one of them, or ``all``; draw the one's picture to ``output``."""
+    if output is not None:
+        _draw(name, output)
     if name is None:
         _list(as_json=as_json)
         return
@@ -33,6 +38,21 @@ def run(name: str | None, *, as_json: bool) -> None:
             _print_tables(result)
         else:
             _print(result)
+
+
+def _draw(name: str | None, output: Path) -> None:
+    """Draw a case's picture, or say which cases have one."""
+    case = ALL_CASES.get(name) if name is not None else None
+    if not isinstance(case, TablesCase) or case.picture is None:
+        drawn = [
+            other.name
+            for other in ALL_CASES.values()
+            if isinstance(other, TablesCase) and other.picture is not None
+        ]
+        raise fail(f"--output wants a case that has a picture: {', '.join(drawn)}")
+    if not output.parent.is_dir():
+        raise fail(f"there is no folder {output.parent} to write {output.name} to")
+    case.picture(output)
 
 
 def _list(*, as_json: bool) -> None:
@@ -86,14 +106,15 @@ def _print_tables(result: TablesResult) -> None:
         console.print()
         console.print(_table(table))
     for finding in result.findings:
-        console.print(f"- {finding}")
+        console.print(f"- {escape(finding)}")
 
 
 def _table(table: ResultTable) -> Table:
-    shown = Table(title=table.title, title_justify="left")
+    # A unit in brackets is no markup.
+    shown = Table(title=escape(table.title), title_justify="left")
     for heading, *cells in zip(table.headings, *table.rows, strict=True):
         numbers = any(isinstance(cell, float | int) for cell in cells)
-        shown.add_column(heading, justify="right" if numbers else "left")
+        shown.add_column(escape(heading), justify="right" if numbers else "left")
     for row in table.rows:
         shown.add_row(*(_cell(cell) for cell in row))
     return shown
@@ -102,4 +123,4 @@ def _table(table: ResultTable) -> Table:
 def _cell(cell: Cell) -> str:
     if cell is None:
         return "-"
-    return cell if isinstance(cell, str) else f"{cell:.4g}"
+    return escape(cell) if isinstance(cell, str) else f"{cell:.4g}"

@@ -9,7 +9,13 @@ from validation.skew_effect import CASE as SKEW_EFFECT
 from validation.table_5_5 import CASE as TABLE_5_5
 from validation.tables import TablesCase
 
-_TABLES: Final[tuple[TablesCase, ...]] = (TABLE_5_5, TABLE_A1, TABLE_A2, SKEW_EFFECT, TABLES_3_1_3_2)
+_TABLES: Final[tuple[TablesCase, ...]] = (
+    TABLE_5_5,
+    TABLE_A1,
+    TABLE_A2,
+    SKEW_EFFECT,
+    TABLES_3_1_3_2,
+)
 
 ALL_CASES: Final[dict[str, Case | TablesCase]] = {
     **CASES,

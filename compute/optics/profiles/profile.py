@@ -43,6 +43,7 @@ class SensorProfile:
     The frame of its assembly has its origin at ``position_mm``, its z axis, which goes with the
     light, away from ``aim_mm``, and its x axis along ``measured_direction`` made perpendicular
     to z. The image is upside down, so the pixels are counted against x.
+    A coded window has its own frame: the origin in the middle of the code, z towards the aim.
 
     Args:
         name: the sensor's name in its device.

@@ -12,7 +12,7 @@ from compute.optics.profiles.profile import DeviceProfile, PlateOptics
 from compute.optics.tracing.assembly import Assembly
 from compute.optics.tracing.elements import Lens
 from compute.optics.tracing.shapes import Toroid
-from tests.compute.optics.profiles.views import half_field, in_sensor_frame, lenses, reading_mm
+from tests.compute.optics.profiles.views import half_field, in_sensor_frame, lenses, readings_mm
 
 THESIS = ("thesis-5.1", "thesis-5.2", "thesis-5.9")
 DATA = Path(__file__).parents[4] / "validation" / "data"
@@ -164,7 +164,7 @@ def test_half_a_pixel_of_1983_is_0_6_mm_at_5_m() -> None:
     profile = load_profile("macellari-1983")
     assembly = lenses(profile, profile.sensors[1])
     assert assembly is not None
-    shift = reading_mm(assembly, np.array([10.0, 0.0, 5000.0])) / 10.0  # mm on the sensor per mm
+    shift = readings_mm(assembly, np.array([[10.0, 0.0, 5000.0]])) / 10.0  # mm on the sensor per mm
     assert profile.pixels.pitch_um * 1e-3 / 2.0 / shift == pytest.approx(0.6, abs=0.015)
 
 
@@ -204,16 +204,12 @@ def test_figure_5_2_traced_gives_the_simulated_readings_of_test_5_1() -> None:
     # and the trace of a stopped lens differ most at the edge of the field.
     points, readings = read("5_1")
     profile = load_profile("thesis-5.1")
-    misfits = []
+    misfits = np.empty_like(readings)
     for column, sensor in enumerate(profile.sensors):
         assembly = lenses(profile, sensor)
         assert assembly is not None
-        for point, reading in zip(
-            in_sensor_frame(sensor, to_our_frame_of_figure_5_2(points)),
-            readings[:, column],
-            strict=True,
-        ):
-            misfits.append(12.29 + reading_mm(assembly, point) - reading)
+        seen = in_sensor_frame(sensor, to_our_frame_of_figure_5_2(points))
+        misfits[:, column] = 12.29 + readings_mm(assembly, seen) - readings[:, column]
     assert np.sqrt(np.mean(np.square(misfits))) < 0.02
     assert np.abs(misfits).max() < 0.06
 
@@ -228,6 +224,6 @@ def test_figure_5_9_traced_fits_the_measured_readings_of_test_5_4() -> None:
     for column, (sensor, middle) in enumerate(zip(profile.sensors, middles, strict=True)):
         assembly = lenses(profile, sensor)
         assert assembly is not None
-        traced = [middle + reading_mm(assembly, p) for p in in_sensor_frame(sensor, ours)]
+        traced = middle + readings_mm(assembly, in_sensor_frame(sensor, ours))
         assert np.std(traced - readings[:, column]) < 0.15
         assert abs(np.mean(traced - readings[:, column])) < 0.3

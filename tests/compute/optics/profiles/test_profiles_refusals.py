@@ -264,7 +264,7 @@ def test_the_documents_have_no_problem_before(name: str) -> None:
     assert problems(DOCUMENTS[name]) == []
 
 
-@settings(deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.sampled_from(KEYS))
 def test_any_missing_field_is_refused_by_its_path(node: tuple[str, Path_, Any]) -> None:
     name, path, _ = node
@@ -285,7 +285,7 @@ def test_any_missing_field_is_refused_by_its_path(node: tuple[str, Path_, Any]) 
         assert found == [dotted(path)]
 
 
-@settings(deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.sampled_from(TABLES), st.sampled_from(["extra", "radius_mm", "Name"]))
 def test_any_unknown_field_is_refused_by_its_path(node: tuple[str, Path_, Any], key: str) -> None:
     name, path, _ = node
@@ -294,7 +294,7 @@ def test_any_unknown_field_is_refused_by_its_path(node: tuple[str, Path_, Any], 
     assert problems(document) == [dotted((*path, key))]
 
 
-@settings(deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.sampled_from(WITH_UNIT), st.sampled_from(["number", "text", "unit", "list"]))
 def test_any_quantity_without_its_unit_is_refused_by_its_path(
     node: tuple[str, Path_, Any], how: str

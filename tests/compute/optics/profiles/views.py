@@ -65,23 +65,27 @@ def half_field(name: str) -> float:
 
 
 def through_stop(assembly: Assembly, seen_mm: Array, x_mm: Array, y_mm: Array) -> TracedRays:
-    """Trace rays of one point, in the sensor's frame, through places in the stop."""
-    stop = stop_of(assembly)
-    point = seen_mm * [1.0, -1.0, -1.0]  # into the optics' frame: half a turn about x
-    through = np.column_stack([x_mm, y_mm, np.full(len(x_mm), stop.z_mm)])
-    return trace_rays(assembly.stack(), np.tile(point, (len(x_mm), 1)), through - point)
+    """Trace rays of points (N, 3), in the sensor's frame, each through its place in the stop."""
+    points = np.broadcast_to(seen_mm, (len(x_mm), 3))
+    origins = points * [1.0, -1.0, -1.0]  # into the optics' frame: half a turn about x
+    through = np.column_stack([x_mm, y_mm, np.full(len(x_mm), stop_of(assembly).z_mm)])
+    return trace_rays(assembly.stack(), origins, through - origins)
 
 
-def reading_mm(assembly: Assembly, seen_mm: Array, rays: int = 21) -> float:
-    """Where a point is read, from the middle of the line [mm]: the mean of the rays that meet
-    the line, whose places across the stop are found by their slope."""
-    x = ((np.arange(rays) + 0.5) / rays - 0.5) * stop_of(assembly).aperture.width_mm
-    y, step = np.zeros(rays), 0.01
+def readings_mm(assembly: Assembly, seen_mm: Array, rays: int = 21) -> Array:
+    """Where points (N, 3) are read, from the middle of the line, shape (N,) [mm]: the means of
+    the rays that meet the line, whose places across the stop are found by their slope."""
+    count, step = len(seen_mm), 0.01
+    points = np.repeat(seen_mm, rays, axis=0)
+    places = (np.arange(rays) + 0.5) / rays - 0.5
+    x = np.tile(places * stop_of(assembly).aperture.width_mm, count)
+    y = np.zeros(len(x))
     for _ in range(3):
-        traced = through_stop(assembly, seen_mm, np.tile(x, 2), np.append(y, y + step))
-        first, second = np.split(traced.position_mm[:, 1], 2)
+        first, second = (
+            through_stop(assembly, points, x, y + shift).position_mm[:, 1] for shift in (0.0, step)
+        )
         y -= first * step / (second - first)
-    traced = through_stop(assembly, seen_mm, x, y)
+    traced = through_stop(assembly, points, x, y)
     assert (traced.status == RayStatus.ARRIVED).all()
     assert abs(traced.position_mm[:, 1]).max() < 0.01
-    return -float(traced.position_mm[:, 0].mean())
+    return -traced.position_mm[:, 0].reshape(count, rays).mean(axis=1)

@@ -42,11 +42,10 @@ def transmittances(cos_incidence: Array, index_before: float, index_behind: floa
 
     Source: Born & Wolf, Principles of Optics, 1.5.2 (20a), 1.5.3.
     """
-    inner, outer, passes = _cosines(cos_incidence, index_before, index_behind)
+    # Where all is reflected the outer cosine is zero, and so is the share.
+    inner, outer, _ = _cosines(cos_incidence, index_before, index_behind)
     pairs = _admittances(inner, outer, index_before, index_behind)
-    return np.stack(
-        [np.where(passes, _share(2.0 * np.sqrt(a * b), a + b), 0.0) for a, b in pairs], axis=-1
-    )
+    return np.stack([_share(2.0 * np.sqrt(a * b), a + b) for a, b in pairs], axis=-1)
 
 
 def _cosines(

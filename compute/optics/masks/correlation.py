@@ -31,13 +31,14 @@ def decode_mask(lines: ArrayLike, template: ArrayLike) -> MaskShift:
     """Find the shift of a shadow by cross-correlation, thesis [2.16] to [2.18].
 
     ``R(m) = sum x(n) y(n + m)`` for all shifts, negative ones too, as the inverse transform
-    of the cross-power spectrum, padded so that nothing wraps around; the means are taken off
-    first, without which ambient light and the overlap of two long lines give a peak of
-    their own. The peak is refined by the parabola through its neighbours. The main lobe ends
-    at the first minimum of the template's own correlation.
+    of the cross-power spectrum, padded so that nothing wraps around. The line's mean is taken
+    off first: even ambient light then gives no slope, as long as the template is dark at its
+    ends or reaches over the whole line. The peak is refined by the parabola through its
+    neighbours. The main lobe ends at the first minimum of the template's own correlation.
 
     This is the plain method: it weights all pixels alike and its parabola is not the shape
-    of the peak. tests/compute/optics/masks/test_bound.py prints its deviation beside the
+    of the peak: at the bound in read noise on the template's own place, 1.1 to 1.4 times the
+    bound elsewhere and in photon noise. tests/compute/optics/masks/test_bound.py prints its deviation beside the
     Cramer-Rao bound of ``shift_bound_px``.
 
     Args:
@@ -67,19 +68,18 @@ def decode_mask(lines: ArrayLike, template: ArrayLike) -> MaskShift:
             f"template is {model[0]} everywhere; it must have contrast", template=float(model[0])
         )
     line = line - line.mean(axis=-1, keepdims=True)
-    model = model - model.mean()
     length = line.shape[-1] + model.size - 1
     size = next_fast_len(length, real=True)
     correlation = irfft(rfft(line, size) * rfft(model, size).conj(), size)
     # Shift 0 comes first: put the negative shifts before it.
     lag = np.arange(1 - model.size, line.shape[-1])
     correlation = correlation[..., lag % size]
-    return _peaks(correlation, lag, _lobe(model, size), _scale(line, model))
+    return _peaks(correlation, lag, _lobe(model - model.mean(), size), _scale(line, model))
 
 
 def _scale(line: Array, model: Array) -> Array:
-    """Return the product of the norms, never zero."""
-    norm = np.sqrt((line**2).sum(axis=-1) * (model**2).sum())
+    """Return the product of the norms about the means, never zero."""
+    norm = np.sqrt((line**2).sum(axis=-1) * ((model - model.mean()) ** 2).sum())
     return np.asarray(np.maximum(norm, np.finfo(np.float64).tiny))
 
 

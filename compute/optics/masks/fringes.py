@@ -29,10 +29,14 @@ class DiffractedShadow:
     its second integral along s, so that any pixel and any penumbra is one second difference.
     The table's rows lie on a fixed lattice in ln q and are made when first needed, by the angular
     spectrum (on a lattice of bars the code's spectrum is exact); a spectral line averages rows.
-    Against the closed form see the tests: below 1 % of the full light at the steepest places.
 
-    Limits: each edge counts in full within 20 Fresnel widths; ``q`` is held within 0.25 and
-    100 times wavelength x gap (points nearer than a third of the gap, rays beyond 77 deg).
+    Limits. The table is within 0.005 of the full light of the closed form, averaged; an edge
+    counts in full within 20 Fresnel widths; ``q`` is held within 0.25 and 100 times wavelength x
+    gap (points nearer than a third of the gap, rays beyond 77 deg). The closed form itself
+    keeps the optical path to second order: at 10 mm and 900 nm it is off Huygens' integral by at
+    most 0.06 of the full light for one wavelength and 0.001 for a line of 50 nm in normal
+    light; by 0.20 and 0.08 at 25 deg, where the path's third order tells at slits of 0.1 mm.
+    (tests/compute/optics/masks/test_diffraction.py prints these.)
 
     Args:
         window: the window.
@@ -104,9 +108,19 @@ class DiffractedShadow:
         self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
     ) -> Array:
         """Return the light on stretches relative to that without a mask; see ``Shadow``."""
-        if centre_mm.size == 0:
-            return np.zeros(centre_mm.shape)
-        row = np.log(self._wavelength_mm / curvature_per_mm) / self._row_step
+        # Beyond the grid is frame, and the fringes there are too faint to count.
+        half = self._count * self._step_mm / 2.0
+        inside = abs(centre_mm - self._start_mm - half) < half - width_mm - blur_mm
+        light = np.zeros(centre_mm.shape)
+        if inside.any():
+            light[inside] = self._within(
+                *(values[inside] for values in (centre_mm, width_mm, blur_mm, curvature_per_mm))
+            )
+        return light
+
+    def _within(self, centre_mm: Array, width_mm: Array, blur_mm: Array, bend: Array) -> Array:
+        """Return the same for stretches within the grid, shape (N,)."""
+        row = np.log(self._wavelength_mm / bend) / self._row_step
         row = np.clip(row, self._low + 1, self._high - 2)
         before = np.floor(row).astype(np.int64)
         first, table = self._rows(int(before.min()) - 1, int(before.max()) + 2)
@@ -127,11 +141,7 @@ class DiffractedShadow:
                 total += spline[column] * over_rows
             return total
 
-        light = self._mean + second_difference(integral, centre_mm, width_mm, blur_mm)
-        # Beyond the grid is frame, and the fringes there are too faint to count.
-        inside = abs(centre_mm - self._start_mm - self._count * self._step_mm / 2.0)
-        reach = self._count * self._step_mm / 2.0 - width_mm - blur_mm
-        return np.asarray(np.where(inside < reach, light, 0.0))
+        return self._mean + second_difference(integral, centre_mm, width_mm, blur_mm)
 
     def _rows(self, low: int, high: int) -> tuple[int, Array]:
         """Return a table that holds the rows from low to high, and its first row's number."""

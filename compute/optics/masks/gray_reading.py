@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 _NARROWEST_CELLS = 0.2
 _WIDEST_CELLS = 2.0
+_FARTHEST_CELLS = 1.0
 _CURVE_POINTS = 4097
 _CELLS_PER_PERIOD = 4
 
@@ -26,7 +27,7 @@ class GrayFlag(IntFlag):
     AMBIGUOUS_TRACK = 2
     """A Gray track is near its threshold; the position holds, unless INCONSISTENT is set too."""
     INCONSISTENT = 4
-    """The Gray cell and the interpolated phase contradict each other by a cell or more."""
+    """The interpolated phase lies half a cell or more outside of the Gray cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +65,9 @@ def read_gray(
     cell's middle. A Gray track at its threshold errs by one cell at most, which this repairs.
     The position is then rounded to the plate's bits.
 
-    Near the ends of the plate, within about two widths of the line, part of the light is lost
-    and the reading is drawn inwards.
+    Near the ends of the plate, within about four standard deviations of the line, part of its
+    light is lost and the reading errs by more than a step. A false Gray track is noticed
+    (INCONSISTENT) in about half of all places: it mirrors cells, by odd numbers of them.
 
     Args:
         plate: the plate.
@@ -118,9 +120,10 @@ def read_gray(
     place = in_period + _CELLS_PER_PERIOD * periods
     steps = 2**plate.analogue_bits
     code = np.clip(np.floor(place * steps), 0, 2**plate.bits - 1).astype(np.int64)
-    # In its own cell the place is at most half a cell from the middle, in a neighbour 1.5.
+    # Within half a cell of the middle; beyond it a track at its threshold may have erred, near
+    # the edge between the cells, and nowhere else.
     flags = np.where(ambiguous.any(axis=-1), GrayFlag.AMBIGUOUS_TRACK, 0)
-    flags |= np.where(abs(place - middle) > 1.5, GrayFlag.INCONSISTENT, 0)
+    flags |= np.where(abs(place - middle) > _FARTHEST_CELLS, GrayFlag.INCONSISTENT, 0)
     flags = np.where(lit, flags, GrayFlag.NO_LIGHT)
     return GrayReading(
         position_mm=np.where(lit, (code + 0.5) * plate.step_mm, np.nan),

@@ -29,7 +29,7 @@ class MaskOptics:
     distance of the point: an error of (height / distance)^2 / 24.
 
     At a gap of 10 mm and 0.9 um the fringes are no detail: bars of 60 um throw a shadow that
-    differs from the geometric one by 0.41 RMS of the full light, bars of 300 um by 0.24
+    differs from the geometric one by 0.38 RMS of the full light, bars of 300 um by 0.16
     (printed by tests/compute/optics/masks/test_mask_optics.py).
 
     Args:
@@ -163,8 +163,10 @@ class MaskOptics:
 def _in_sensor_frame(sensor: PlacedSensor, points_mm: Array) -> Array:
     """Return points in the sensor's frame, shape (N, 3) [mm]; y from the window's middle."""
     model = sensor.model
-    local = points_mm @ model.rotation.T
-    y = (points_mm - np.asarray(sensor.lens_position_mm)) @ model.rotation[1]
+    # An infinite point is nowhere, as one that is not a number; only that one passes silently.
+    points = np.where(np.isfinite(points_mm), points_mm, np.nan)
+    local = np.einsum("ij,nj->ni", model.rotation, points)
+    y = np.einsum("j,nj->n", model.rotation[1], points - np.asarray(sensor.lens_position_mm))
     return np.column_stack([local[:, 0] + model.offset_x_mm, y, local[:, 2] + model.offset_z_mm])
 
 

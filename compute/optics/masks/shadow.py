@@ -10,7 +10,7 @@ from compute.optics.masks.window import CodedWindow
 
 Array = NDArray[np.float64]
 
-_LEAST_BLUR_MM = 1e-5  # a narrower blur changes nothing that light can show
+_LEAST_BLUR_MM = 1e-4  # a narrower one, below the wavelength, shows nowhere
 
 
 class Shadow(Protocol):
@@ -42,27 +42,36 @@ class GeometricShadow:
         self._bar_mm = window.bar_mm
         self._start_mm = -window.length_mm / 2.0
         # One opaque bar on each side carries the integrals on beyond the ends.
-        code = np.array((*window.code, 0), dtype=np.float64)
-        self._code = code
-        self._once = np.concatenate([[0.0], np.cumsum(code)[:-1]]) * window.bar_mm
-        twice = self._once * window.bar_mm + code * window.bar_mm**2 / 2.0
-        self._twice = np.concatenate([[0.0], np.cumsum(twice)[:-1]])
+        self._code = np.array((0, *window.code, 0), dtype=np.float64)
+        # In bars these are whole and half numbers, exact however long the code.
+        self._once = np.concatenate([[0.0], np.cumsum(self._code)[:-1]])
+        self._twice = np.concatenate([[0.0], np.cumsum(self._once + self._code / 2.0)[:-1]])
 
     def mean_transmission(
         self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
     ) -> Array:
         """Return the light on stretches relative to that without a mask; see ``Shadow``."""
         del curvature_per_mm
-        return second_difference(self._integral, centre_mm, width_mm, blur_mm)
+        centre = self._bar(centre_mm)
 
-    def _integral(self, place_mm: Array) -> Array:
-        """Return the transmission integrated twice from the start of the code."""
-        along = place_mm - self._start_mm
-        bar = np.clip(np.floor(along / self._bar_mm), 0, len(self._code) - 1).astype(np.int64)
-        rest = np.maximum(along, 0.0) - bar * self._bar_mm
-        return np.asarray(
-            self._twice[bar] + (self._once[bar] + self._code[bar] * rest / 2.0) * rest
-        )
+        def integral(place_mm: Array) -> Array:
+            """Integrate twice, less what is linear: it cancels, and would cost digits."""
+            bar = self._bar(place_mm)
+            rest = (place_mm - self._start_mm) / self._bar_mm + 1.0 - bar
+            bars = bar - centre
+            once, twice = self._once[bar], self._twice[bar]
+            constant = twice - self._twice[centre] - self._once[centre] * bars
+            slope = once - self._once[centre]
+            return np.asarray(
+                (constant + (slope + self._code[bar] * rest / 2.0) * rest) * self._bar_mm**2
+            )
+
+        return second_difference(integral, centre_mm, width_mm, blur_mm)
+
+    def _bar(self, place_mm: Array) -> NDArray[np.int64]:
+        """Return the number of the bar at a place, the frame's counting as one on each side."""
+        bar = np.floor((place_mm - self._start_mm) / self._bar_mm) + 1.0
+        return np.clip(bar, 0, len(self._code) - 1).astype(np.int64)
 
 
 def second_difference(

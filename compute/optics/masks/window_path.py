@@ -91,11 +91,14 @@ def slope_in_air(lateral_mm: Array, air_mm: Array, thickness_mm: float, index: f
         index: its refractive index.
     """
     slope = lateral_mm / (air_mm + thickness_mm / index)
+    moving = np.ones(np.shape(slope), dtype=np.bool_)
     for _ in range(_ITERATIONS):
         squared = index**2 + (index**2 - 1.0) * slope**2
         excess = lateral_mm - slope * (air_mm + thickness_mm / np.sqrt(squared))
         step = excess / (air_mm + thickness_mm * index**2 / squared**1.5)
-        slope = slope + step
-        if (abs(step) <= _TOLERANCE * slope).all():
+        # Each ray stops for itself: a result must not depend on the rays beside it.
+        moving &= abs(step) > _TOLERANCE * slope
+        if not moving.any():
             break
+        slope = np.where(moving, slope + step, slope)
     return np.asarray(slope)

@@ -16,6 +16,7 @@ from service.devices.router import router as devices
 from service.head import HeadAsGet
 from service.live.manager import LiveManager
 from service.openapi import install_openapi
+from service.planning.router import router as device_profiles
 from service.problem_handlers import install_problem_handlers, no_such_websocket
 from service.reconstructions.router import router as reconstructions
 from service.server import router as server
@@ -80,7 +81,7 @@ def create_app(
     app.add_middleware(HeadAsGet)
     app.add_middleware(CrossOriginGuard)
     install_problem_handlers(app)
-    for router in (devices, calibrations, reconstructions, stream, server):
+    for router in (devices, calibrations, reconstructions, device_profiles, stream, server):
         app.include_router(router)
     app.add_api_websocket_route("/{path:path}", no_such_websocket)  # the last to be tried
     install_openapi(app)

@@ -27,6 +27,12 @@ class UnknownRecording(LumilineError):
     code = "unknown-recording"
 
 
+class UnknownDeviceProfile(LumilineError):
+    """No built-in device profile has the given name."""
+
+    code = "unknown-device-profile"
+
+
 class UnknownProblem(LumilineError):
     """No problem type has the given code."""
 
@@ -97,6 +103,12 @@ class CalibrationOfAnotherDevice(LumilineError):
     """The calibration named belongs to another device than the readings."""
 
     code = "calibration-of-another-device"
+
+
+class Busy(LumilineError):
+    """The server does as much of this at once as it may; try again a little later."""
+
+    code = "busy"
 
 
 class CrossOrigin(LumilineError):

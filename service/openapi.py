@@ -38,6 +38,11 @@ TAGS: Final = [
         "retire.",
     },
     {"name": "reconstructions", "description": "3D points from readings that you post."},
+    {
+        "name": "device-profiles",
+        "description": "Tracking devices as published, and what they would reach: planning before "
+        "building.",
+    },
     {"name": "server", "description": "Health, and what problem types mean."},
 ]
 

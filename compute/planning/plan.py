@@ -49,7 +49,7 @@ def plan(
     grid: int | tuple[int, int, int] = 5,
     markers: int | None = None,
     volume: Box | None = None,
-    ghost_trials: int = 2000,
+    ghost_trials: int = 5000,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Plan:

@@ -135,6 +135,25 @@ def replay(
     run_replay(recording, calibration, output)
 
 
+@app.command()
+def plan(
+    profile: Annotated[str, typer.Argument(help="A device profile's name, or its TOML file.")],
+    grid: Annotated[
+        int, typer.Option(min=3, max=21, help="Points of the volume along each axis.")
+    ] = 5,
+    markers: Annotated[
+        int | None,
+        typer.Option(min=1, max=64, help="Most markers to count ghosts for."),
+    ] = None,
+    output: Annotated[Path | None, typer.Option(help="Draw the plan: a PNG to write.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+) -> None:
+    """Work out what a device will reach before it is built: precision, coverage, rates, ghosts."""
+    from service.cli.plan import run
+
+    run(profile, grid=grid, markers=markers, output=output, as_json=as_json)
+
+
 def main() -> None:
     """Run the command line."""
     app()

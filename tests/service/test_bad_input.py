@@ -337,6 +337,18 @@ builds("unknown path")(lambda: Sent("GET", "/api/v1/cameras"))
 builds("page size out of bounds")(lambda: Sent("GET", "/api/v1/calibrations?limit=1000"))
 builds("unknown state")(lambda: Sent("GET", "/api/v1/calibrations?state=broken"))
 builds("unknown reconstruction")(lambda: Sent("GET", "/api/v1/reconstructions/nothing"))
+builds("unknown device profile")(lambda: Sent("GET", "/api/v1/device-profiles/nothing"))
+builds("plan of an unknown device profile")(
+    lambda: Sent("GET", "/api/v1/device-profiles/nothing/plan")
+)
+builds("picture of an unknown device profile")(
+    lambda: Sent("GET", "/api/v1/device-profiles/nothing/plan.png")
+)
+builds("grid of a plan too coarse")(lambda: Sent("GET", "/api/v1/device-profiles/bar/plan?grid=2"))
+builds("grid of a plan too fine")(lambda: Sent("GET", "/api/v1/device-profiles/bar/plan?grid=50"))
+builds("markers of a plan out of bounds")(
+    lambda: Sent("GET", "/api/v1/device-profiles/bar/plan.png?markers=0")
+)
 builds("unknown problem type")(lambda: Sent("GET", "/problems/nothing"))
 
 

@@ -1,0 +1,150 @@
+"""`lumiline plan`: what a device will reach, worked out from its profile."""
+
+from pathlib import Path
+
+from rich.table import Table
+
+from compute.errors import LumilineError
+from compute.optics.profiles.loader import load_profile
+from compute.planning.plan import plan
+from compute.planning.result import Plan
+from service.cli.output import console, fail, millimetres, print_json, progress
+
+
+def run(
+    profile: str, *, grid: int, markers: int | None, output: Path | None, as_json: bool
+) -> None:
+    """Work out and print a plan; draw it where a file is given."""
+    try:
+        with progress("planning", 1.0, quiet=as_json) as done:
+            found = plan(load_profile(profile), grid=grid, markers=markers, progress=done)
+    except LumilineError as error:
+        raise fail(error.detail) from error
+    if output is not None:
+        from service.planning.picture import draw_plan
+
+        try:
+            output.write_bytes(draw_plan(found))
+        except OSError as error:
+            raise fail(f"{output} cannot be written: {error.strerror}") from error
+    if as_json:
+        print_json(found)
+        return
+    _print(found)
+    if output is not None:
+        console.print(f"written: {output}")
+
+
+def _print(found: Plan) -> None:
+    x, y, z = found.volume.size_mm
+    centre = ", ".join(f"{value:g}" for value in found.volume.centre_mm)
+    console.print(f"{found.profile}: {found.title}", style="bold", highlight=False)
+    console.print(
+        f"volume {x:g} x {y:g} x {z:g} mm about ({centre}) mm, "
+        f"{' x '.join(map(str, found.grid))} points",
+        highlight=False,
+    )
+    console.print(
+        f"seen by all sensors: {_share(found.coverage.all_sensors)} of the volume, by three or "
+        f"more: {_share(found.coverage.three_or_more)}",
+        highlight=False,
+    )
+    for table in (_precision(found), _sensors(found), _rates(found)):
+        console.print()
+        console.print(table)
+    if found.ghosts:
+        console.print()
+        console.print(_ghosts(found))
+    for note in found.notes:
+        console.print(f"- {note}", highlight=False)
+
+
+def _precision(found: Plan) -> Table:
+    table = Table(title="standard deviations and errors, mm", title_justify="left")
+    table.add_column("")
+    table.add_column("axis")
+    for heading in ("middle", "best", "median", "worst"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for label, summary in (
+        ("noise, bound", found.noise),
+        ("noise, centre of gravity", found.centroid),
+        ("for readings of 1 px", found.dilution),
+        ("distortion, uncorrected", found.distortion),
+    ):
+        columns = (summary.middle, summary.best, summary.median, summary.worst)
+        for axis, name in enumerate("XYZ"):
+            cells = ["-" if values is None else millimetres(values[axis]) for values in columns]
+            table.add_row(label if axis == 0 else "", name, *cells, end_section=axis == 2)
+    return table
+
+
+def _sensors(found: Plan) -> Table:
+    table = Table(title="readings: medians over the volume", title_justify="left")
+    table.add_column("sensor", no_wrap=True)
+    for heading in (
+        "sees", "electrons", "brightest pixel", "full", "bound, px", "centre of gravity",
+        "distortion",
+    ):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for sensor, share in zip(found.sensors, found.coverage.by_sensor, strict=True):
+        table.add_row(
+            sensor.name,
+            _share(share),
+            _number(sensor.line_electrons),
+            _number(sensor.peak_electrons),
+            _share(sensor.saturated),
+            _number(sensor.bound_px),
+            _number(sensor.centroid_px),
+            _number(sensor.misfit_px),
+        )
+    return table
+
+
+def _rates(found: Plan) -> Table:
+    table = Table(title="rates, [3.1]-[3.3]", title_justify="left")
+    table.add_column("markers", justify="right")
+    table.add_column("lit")
+    for heading in (
+        "lines/s", "of each marker, 1/s", "points/s", "raw, Mpx/s", "raw, MB/s", "readings, kB/s",
+    ):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for one in found.rates:
+        table.add_row(
+            str(one.markers),
+            one.illumination,
+            _number(one.line_rate_hz),
+            _number(one.marker_rate_hz),
+            _number(one.points_per_s),
+            _number(one.raw_pixels_per_s / 1e6),
+            _number(one.raw_bytes_per_s / 1e6),
+            _number(one.reduced_bytes_per_s / 1e3),
+        )
+    return table
+
+
+def _ghosts(found: Plan) -> Table:
+    table = Table(title="markers lit together: ghosts", title_justify="left")
+    for heading in (
+        "markers", "crossings in a plane, 3 sensors [2.15]", "combinations", "expected ghosts",
+        "standard error",
+    ):  # fmt: skip
+        table.add_column(heading.replace("[", r"\["), justify="right")
+    for ghost, crossings in zip(found.ghosts, found.planar_intersections, strict=True):
+        table.add_row(
+            str(ghost.markers),
+            str(crossings),
+            str(ghost.candidates),
+            _number(ghost.expected),
+            _number(ghost.standard_error),
+        )
+    return table
+
+
+def _share(value: float) -> str:
+    return f"{100 * value:.3g} %"
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.3g}" if value < 1e3 else f"{value:,.0f}"

@@ -1,0 +1,109 @@
+"""Works out plans for requests: a few at once, and each only once."""
+
+from collections.abc import Callable, Hashable
+from importlib import resources
+from threading import BoundedSemaphore, Lock
+from typing import Final, Generic, TypeVar
+
+from compute.optics.profiles.loader import load_profile, profile_names
+from compute.optics.profiles.profile import DeviceProfile
+from compute.planning.plan import plan
+from compute.planning.result import Plan
+from service.errors import Busy, UnknownDeviceProfile
+
+AT_ONCE: Final = 2
+"""Plans worked out at the same time: they are work of seconds, and threads are for all."""
+
+KEPT: Final = 64
+
+Result = TypeVar("Result")
+
+
+class WorkedOut(Generic[Result]):
+    """Results of work of seconds: the latest are kept, and few are worked out at once.
+
+    Args:
+        slots: taken while a result is worked out.
+        kept: how many results.
+    """
+
+    def __init__(self, slots: BoundedSemaphore, kept: int) -> None:
+        self._slots = slots
+        self._kept = kept
+        self._found: dict[Hashable, Result] = {}
+        self._lock = Lock()
+
+    def get(self, key: Hashable, work: Callable[[], Result]) -> Result:
+        """Return what was worked out under a key, or work it out.
+
+        Raises:
+            Busy: all slots are taken.
+        """
+        with self._lock:
+            if key in self._found:
+                return self._found[key]
+        if not self._slots.acquire(blocking=False):
+            raise Busy(
+                f"{AT_ONCE} plans are being worked out; ask for this one again in a few seconds"
+            )
+        try:
+            result = work()
+        finally:
+            self._slots.release()
+        with self._lock:
+            self._found[key] = result
+            while len(self._found) > self._kept:
+                del self._found[next(iter(self._found))]  # the oldest
+        return result
+
+
+_plans = WorkedOut[Plan](BoundedSemaphore(AT_ONCE), KEPT)
+_pictures = WorkedOut[bytes](BoundedSemaphore(AT_ONCE), KEPT)
+
+
+def find_profile(name: str) -> DeviceProfile:
+    """Return a built-in profile.
+
+    Raises:
+        UnknownDeviceProfile: there is none of this name.
+    """
+    if name not in profile_names():
+        raise UnknownDeviceProfile(
+            f'there is no device profile "{name}"; there are {", ".join(profile_names())}',
+            name=name,
+        )
+    return load_profile(name)
+
+
+def profile_text(name: str) -> str:
+    """Return the file of a built-in profile."""
+    file = resources.files("compute.optics.profiles") / "devices" / f"{name}.toml"
+    return file.read_text("utf-8")
+
+
+def plan_of(name: str, grid: int, markers: int | None) -> Plan:
+    """Return the plan of a built-in profile.
+
+    Raises:
+        UnknownDeviceProfile: there is none of this name.
+        Busy: as many plans as may be are being worked out.
+    """
+    profile = find_profile(name)
+    return _plans.get((name, grid, markers), lambda: plan(profile, grid=grid, markers=markers))
+
+
+def picture_of(name: str, grid: int, markers: int | None) -> bytes:
+    """Return the picture of a plan as PNG.
+
+    Raises:
+        UnknownDeviceProfile, Busy: as ``plan_of``.
+    """
+    found = plan_of(name, grid, markers)
+
+    def draw() -> bytes:
+        # Matplotlib is loaded by who wants a picture.
+        from service.planning.picture import draw_plan
+
+        return draw_plan(found)
+
+    return _pictures.get((name, grid, markers), draw)

@@ -1,0 +1,114 @@
+"""Device profiles and plans as clients receive them."""
+
+from typing import Annotated, Any
+
+from fastapi import Path, Query
+from pydantic import Field
+
+from compute.optics.profiles.parts import (
+    DetectorProfile,
+    LedMarkers,
+    Pixels,
+    PublishedFigure,
+    Rates,
+    RetroMarkers,
+    Volume,
+)
+from compute.optics.profiles.profile import DeviceProfile, SensorProfile
+from compute.planning.plan import MOST_MARKERS
+from service.schema import Document
+
+PROFILE_PATTERN = r"^[a-z0-9]([a-z0-9.-]{0,61}[a-z0-9])?$"
+MOST_GRID = 7
+
+ProfilePath = Annotated[
+    str,
+    Path(
+        pattern=PROFILE_PATTERN,
+        description="The profile's name.",
+        openapi_examples={"bar": {"summary": "the simulated bar with a real lens", "value": "bar"}},
+    ),
+]
+GridQuery = Annotated[
+    int,
+    Query(
+        ge=3,
+        le=MOST_GRID,
+        description="Points of the working volume along each axis; odd numbers hold its middle.",
+        examples=[3],
+    ),
+]
+MarkersQuery = Annotated[
+    int | None,
+    Query(
+        ge=1,
+        le=MOST_MARKERS,
+        description="Most markers to count ghosts for; left out: as many as the device drives.",
+        examples=[8],
+    ),
+]
+
+
+class DeviceProfileSummary(Document):
+    """A device in a few words."""
+
+    name: str
+    title: str
+    year: int | None = Field(description="Of its publication, where known.")
+    sensor_count: int
+    pixel_count: int = Field(description="Of each sensor; of a plate with tracks, its tracks.")
+    most_markers: int = Field(description="As many as the device drives.")
+
+
+class DeviceProfileDocument(DeviceProfileSummary):
+    """A device as published; lengths in mm, angles in rad, times in s."""
+
+    sources: tuple[str, ...]
+    sensors: tuple[SensorProfile, ...]
+    pixels: Pixels
+    detector: DetectorProfile
+    markers: LedMarkers | RetroMarkers
+    rates: Rates
+    volume: Volume
+    published: tuple[PublishedFigure, ...]
+    notes: tuple[str, ...]
+    assumed: dict[str, str] = Field(
+        description="Dotted paths of what the sources leave open, each with the reason."
+    )
+    toml: str = Field(
+        description="The profile's file, its optics too: the start of one's own profile."
+    )
+
+
+def summary_of(profile: DeviceProfile) -> DeviceProfileSummary:
+    """Return a profile in a few words."""
+    return DeviceProfileSummary(**_few_words(profile))
+
+
+def document_of(profile: DeviceProfile, toml: str) -> DeviceProfileDocument:
+    """Return the whole of a profile; ``toml`` is the text of its file."""
+    return DeviceProfileDocument(
+        **_few_words(profile),
+        sources=profile.sources,
+        sensors=profile.sensors,
+        pixels=profile.pixels,
+        detector=profile.detector,
+        markers=profile.markers,
+        rates=profile.rates,
+        volume=profile.volume,
+        published=profile.published,
+        notes=profile.notes,
+        assumed=dict(profile.assumed),
+        toml=toml,
+    )
+
+
+def _few_words(profile: DeviceProfile) -> dict[str, Any]:
+    return {
+        "name": profile.name,
+        "title": profile.title,
+        "year": profile.year,
+        "sensor_count": len(profile.sensors),
+        "pixel_count": profile.pixels.count,
+        "most_markers": profile.markers.most,
+    }

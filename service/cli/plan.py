@@ -82,8 +82,8 @@ def _sensors(found: Plan) -> Table:
     table = Table(title="readings: medians over the volume", title_justify="left")
     table.add_column("sensor", no_wrap=True)
     for heading in (
-        "sees", "electrons", "brightest pixel", "full", "bound, px", "centre of gravity",
-        "distortion",
+        "sees", "line,\ne-", "pixel,\ne-", "full", "bound,\npx", "c.o.g.,\npx",
+        "dist.,\npx",
     ):  # fmt: skip
         table.add_column(heading, justify="right")
     for sensor, share in zip(found.sensors, found.coverage.by_sensor, strict=True):
@@ -93,42 +93,38 @@ def _sensors(found: Plan) -> Table:
             _number(sensor.line_electrons),
             _number(sensor.peak_electrons),
             _share(sensor.saturated),
-            _number(sensor.bound_px),
-            _number(sensor.centroid_px),
-            _number(sensor.misfit_px),
+            _number(sensor.bound_px, digits=2),
+            _number(sensor.centroid_px, digits=2),
+            _number(sensor.misfit_px, digits=2),
         )
     return table
 
 
 def _rates(found: Plan) -> Table:
-    table = Table(title="rates, [3.1]-[3.3]", title_justify="left")
-    table.add_column("markers", justify="right")
-    table.add_column("lit")
-    for heading in (
-        "lines/s", "of each marker, 1/s", "points/s", "raw, Mpx/s", "raw, MB/s", "readings, kB/s",
-    ):  # fmt: skip
-        table.add_column(heading, justify="right")
+    table = Table(title="rates, \\[3.1]-\\[3.3]", title_justify="left")
+    table.add_column("")
     for one in found.rates:
-        table.add_row(
-            str(one.markers),
-            one.illumination,
-            _number(one.line_rate_hz),
-            _number(one.marker_rate_hz),
-            _number(one.points_per_s),
-            _number(one.raw_pixels_per_s / 1e6),
-            _number(one.raw_bytes_per_s / 1e6),
-            _number(one.reduced_bytes_per_s / 1e3),
-        )
+        noun = "marker" if one.markers == 1 else "markers"
+        table.add_column(f"{one.markers} {noun},\n{one.illumination}", justify="right")
+    for label, values in (
+        ("lines of a sensor, 1/s", [one.line_rate_hz for one in found.rates]),
+        ("positions of a marker, 1/s", [one.marker_rate_hz for one in found.rates]),
+        ("positions in all, 1/s", [one.points_per_s for one in found.rates]),
+        ("pixels, 1e6/s", [one.raw_pixels_per_s / 1e6 for one in found.rates]),
+        ("pixels, MB/s", [one.raw_bytes_per_s / 1e6 for one in found.rates]),
+        ("readings instead, kB/s", [one.reduced_bytes_per_s / 1e3 for one in found.rates]),
+    ):
+        table.add_row(label, *(_number(value) for value in values))
     return table
 
 
 def _ghosts(found: Plan) -> Table:
     table = Table(title="markers lit together: ghosts", title_justify="left")
     for heading in (
-        "markers", "crossings in a plane, 3 sensors [2.15]", "combinations", "expected ghosts",
-        "standard error",
+        "markers", "crossings in a\nplane \\[2.15]", "combinations", "expected\nghosts",
+        "standard\nerror",
     ):  # fmt: skip
-        table.add_column(heading.replace("[", r"\["), justify="right")
+        table.add_column(heading, justify="right")
     for ghost, crossings in zip(found.ghosts, found.planar_intersections, strict=True):
         table.add_row(
             str(ghost.markers),
@@ -144,7 +140,7 @@ def _share(value: float) -> str:
     return f"{100 * value:.3g} %"
 
 
-def _number(value: float | None) -> str:
+def _number(value: float | None, digits: int = 3) -> str:
     if value is None:
         return "-"
-    return f"{value:.3g}" if value < 1e3 else f"{value:,.0f}"
+    return f"{value:.{digits}g}" if value < 1e3 else f"{value:,.0f}"

@@ -128,19 +128,22 @@ def test_snell_and_the_path_through_a_plane(angle, indices):
     )
     rays = trace_rays(stack, np.zeros((1, 3)), np.array([[0.0, np.sin(angle), np.cos(angle)]]))
     sine = before / behind * np.sin(angle)
+    assume(abs(sine - 1.0) > 1e-6)
     if sine > 1.0:
         assert rays.status[0] == RayStatus.TOTALLY_REFLECTED
         assert rays.lost_at[0] == 0
         return
     cosine = np.sqrt(1.0 - sine**2)
-    np.testing.assert_allclose(rays.direction[0], [0.0, sine, cosine], rtol=0, atol=1e-15)
+    # A rounding of the sine is so much more of the cosine, near total reflection.
+    limit = 3e-15 / cosine**2
+    np.testing.assert_allclose(rays.direction[0], [0.0, sine, cosine], rtol=0, atol=limit)
     place = 2.0 * np.tan(angle) + 3.0 * sine / cosine
-    np.testing.assert_allclose(rays.position_mm[0], [0.0, place, 0.0], rtol=1e-14)
+    np.testing.assert_allclose(rays.position_mm[0], [0.0, place, 0.0], rtol=limit)
     path = before * 2.0 / np.cos(angle) + behind * 3.0 / cosine
-    np.testing.assert_allclose(rays.path_mm, path, rtol=1e-14)
+    np.testing.assert_allclose(rays.path_mm, path, rtol=limit)
     # In the plane of y and z: the plane of ray and x axis is across the plane of incidence.
     expected = transmittances(np.cos(angle), before, behind)
-    np.testing.assert_allclose(rays.transmittance[0], expected, rtol=1e-13)
+    np.testing.assert_allclose(rays.transmittance[0], expected, rtol=limit)
 
 
 def test_two_faces_at_normal_incidence():

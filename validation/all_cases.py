@@ -6,10 +6,12 @@ from validation.aberrations_polynomials import CASE as TABLES_3_1_3_2
 from validation.cases import CASES, Case
 from validation.distortion_tables import TABLE_A1, TABLE_A2
 from validation.skew_effect import CASE as SKEW_EFFECT
+from validation.table_1_1 import CASE as TABLE_1_1
 from validation.table_5_5 import CASE as TABLE_5_5
 from validation.tables import TablesCase
 
 _TABLES: Final[tuple[TablesCase, ...]] = (
+    TABLE_1_1,
     TABLE_5_5,
     TABLE_A1,
     TABLE_A2,

@@ -82,6 +82,23 @@ def test_the_first_crossing_with_the_sheet_of_the_vertex(seed):
             assert t < root + 1e-9, (shape, origin, direction)
 
 
+@settings(max_examples=60, deadline=None)
+@given(SEEDS)
+def test_every_point_of_the_sheet_is_met(seed):
+    """Up to its rim: a ray that starts 5 mm before a point of it crosses there, or earlier."""
+    rng = np.random.default_rng(seed)
+    shape = random_shape(rng)
+    x, y = rng.uniform(-90.0, 90.0, (2, 200))
+    place = np.column_stack([x, y, sag(shape, x, y)])
+    place = place[np.isfinite(place[:, 2])]
+    direction = rng.normal(size=place.shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    distance, _, n = meet(shape, place - 5.0 * direction, direction)
+    # A ray that only grazes the surface may pass it by.
+    clear = np.ones(len(place), bool) if n is None else ~(abs((n * direction).sum(axis=1)) < 1e-3)
+    assert (distance[clear] <= 5.0 + 1e-9).all()
+
+
 @settings(max_examples=40, deadline=None)
 @given(SEEDS)
 def test_normals_are_the_gradient_of_the_sag(seed):
@@ -227,9 +244,13 @@ def test_only_crossings_ahead_count():
 
 
 def test_surfaces_that_touch_are_met_one_after_another():
-    """A stop against the plane face of a lens; the ray's way between is nothing, or rounding."""
-    lens = (Surface(Cylinder(16.54), index_behind=1.52), Surface(Plane(), (0.0, 0.0, 4.0)))
-    stop = Surface(Plane(), (0.0, 0.0, 4.0), aperture=Aperture(4.0, 4.0, "elliptical"))
+    """A stop against the plane face of a tilted lens: between them there is only rounding."""
+    tilt, back = (0.1, 0.2, 0.3), (0.5, -0.3, 4.0)
+    lens = (
+        Surface(Cylinder(16.54), (0.0, 0.0, -0.5), tilt, index_behind=1.52),
+        Surface(Plane(), back, tilt),
+    )
+    stop = Surface(Plane(), back, tilt, aperture=Aperture(4.0, 4.0, "elliptical"))
     rng = np.random.default_rng(2)
     target = np.column_stack([rng.uniform(-1.5, 1.5, (1000, 2)), np.zeros(1000)])
     origin = np.array([70.0, -40.0, -333.3])
@@ -237,7 +258,7 @@ def test_surfaces_that_touch_are_met_one_after_another():
         SurfaceStack((*lens, stop), image_at(37.0)), np.tile(origin, (1000, 1)), target - origin
     )
     assert set(rays.status) <= {RayStatus.ARRIVED, RayStatus.STOPPED}
-    assert (rays.status == RayStatus.ARRIVED).sum() > 900
+    assert (rays.status == RayStatus.ARRIVED).sum() > 500
 
 
 def test_a_ray_along_x_has_its_polarisations_too():

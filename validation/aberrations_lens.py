@@ -9,7 +9,7 @@ from compute.optics.tracing.elements import Element, Lens, Stop
 from compute.optics.tracing.shapes import Cylinder, Plane
 from compute.optics.tracing.surfaces import Aperture
 
-StopPlace = Literal["8 mm in front", "on the plane face", "on the curved face", "8 mm behind"]
+StopPlace = Literal["8 mm in front", "on the plane face", "on the curved face", "4 mm behind"]
 
 RADIUS_MM: Final = 16.54
 THICKNESS_MM: Final = 4.0
@@ -35,7 +35,7 @@ _STOP_Z_MM: Final[dict[StopPlace, float]] = {
     "8 mm in front": -8.0,
     "on the plane face": 0.0,
     "on the curved face": THICKNESS_MM,
-    "8 mm behind": THICKNESS_MM + 8.0,
+    "4 mm behind": THICKNESS_MM + 4.0,
 }
 STOP_PLACES: Final[tuple[StopPlace, ...]] = tuple(_STOP_Z_MM)
 

@@ -6,6 +6,7 @@ from validation.aberrations_polynomials import CASE as TABLES_3_1_3_2
 from validation.cases import CASES, Case
 from validation.distortion_tables import TABLE_A1, TABLE_A2
 from validation.skew_effect import CASE as SKEW_EFFECT
+from validation.stop_and_focus import CASE as STOP_AND_FOCUS
 from validation.table_1_1 import CASE as TABLE_1_1
 from validation.table_5_5 import CASE as TABLE_5_5
 from validation.tables import TablesCase
@@ -16,6 +17,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_A1,
     TABLE_A2,
     SKEW_EFFECT,
+    STOP_AND_FOCUS,
     TABLES_3_1_3_2,
 )
 

@@ -15,22 +15,47 @@ from compute.optics.light.emission import CosinePower, TabulatedEmission
 from compute.optics.light.led import Led
 from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroSheet
 from compute.optics.light.source import LightSource
-from compute.optics.line_optics.exact import ExactOptics, Fineness
+from compute.optics.line_optics.exact import Fineness, TracedLines
 from compute.optics.line_optics.line_shape import Blur
 from compute.optics.line_optics.pixel_row import PixelRow
-from compute.optics.line_optics.sensor import place_optics
+from compute.optics.line_optics.sensor import OpticalSensor, place_optics
 from compute.optics.masks.mask_optics import MaskOptics
 from compute.optics.masks.window import CodedWindow
 from compute.optics.placement import place_sensor
 from compute.optics.profiles.parts import LedMarkers
 from compute.optics.profiles.profile import DeviceProfile, Optics, PlateOptics
 from compute.optics.tracing.assembly import Assembly
-from compute.planning.line_bound import FootprintOptics, PixelNoise, centroids
+from compute.planning.line_bound import (
+    Lines,
+    PixelNoise,
+    centroids,
+    displaced_lines,
+    shifted_lines,
+)
 
 Array = NDArray[np.float64]
 
 RAYS: Final = 17
 """Rays of a fan: the bound is within 0.5 % of that with 65 (bar and Optotrak, 27 points)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What S sensors see of N points.
+
+    Args:
+        points_mm: shape (N, 3) [mm].
+        readings_px: without noise, shape (N, S) [px]; NaN without light.
+        light_sr: on the pixels, shape (N, S) [sr].
+        footprints: where lines must be displaced for their derivative.
+        lines: where their derivative is known already.
+    """
+
+    points_mm: Array
+    readings_px: Array
+    light_sr: Array
+    footprints: Footprints | None
+    lines: Lines | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +66,8 @@ class PlanningDevice:
         names: of the S sensors.
         pixels: of a line; for a plate with tracks, the steps of its resolution.
         positions_mm: where the optics are, shape (S, 3) [mm].
-        optics: forms the lines.
-        mask: the same, where lines are shadows of a mask, which have no centre of gravity.
+        lenses: what forms lines of light, for each sensor; empty: none does.
+        mask: what throws shadows of a mask, where there are no lenses.
         source: the markers' light.
         exposure_s: of a line [s].
         quantum_efficiency: filter included.
@@ -55,7 +80,7 @@ class PlanningDevice:
     names: tuple[str, ...]
     pixels: int
     positions_mm: Array
-    optics: FootprintOptics
+    lenses: tuple[tuple[OpticalSensor, TracedLines], ...]
     mask: MaskOptics | None
     source: LightSource
     exposure_s: float
@@ -69,17 +94,24 @@ class PlanningDevice:
         light = self.source.photons_per_sr(points_mm, None, self.positions_mm, self.exposure_s)
         return light * self.quantum_efficiency
 
-    def readings(self, points_mm: Array, here: Footprints) -> tuple[Array, Array]:
-        """Return readings without noise [px] and the light on the pixels [sr], both (N, S).
-
-        Args:
-            points_mm: shape (N, 3) [mm].
-            here: their footprints.
-        """
-        position, light = centroids(here, self.pixels)
+    def look(self, points_mm: Array) -> "Look":
+        """Return what the sensors see of points (N, 3) [mm], without noise."""
         if self.mask is not None:
+            here = self.mask.footprints(points_mm)
+            light = centroids(here, self.pixels)[1]
             position = np.where(light > 0.0, self.mask.readings(points_mm), np.nan)
-        return position, light
+            return Look(points_mm, position, light, here, None)
+        shapes = [lines.shapes(sensor.in_sensor_frame(points_mm)) for sensor, lines in self.lenses]
+        lines = shifted_lines(shapes, self.pixels)
+        position = np.stack([shape.centroid_px for shape in shapes], axis=1)
+        return Look(points_mm, position, lines.mean_sr.sum(axis=2), None, lines)
+
+    def lines(self, look: "Look", cameras: CameraStack) -> Lines:
+        """Return the lines of points that were looked at, with their derivatives."""
+        if look.lines is not None:
+            return look.lines
+        assert self.mask is not None
+        return displaced_lines(self.mask, cameras, look.points_mm, self.pixels, look.footprints)
 
     def cameras(
         self, points_mm: Array, readings_px: Array, sees: NDArray[np.bool_]
@@ -134,9 +166,9 @@ def planning_device(profile: DeviceProfile) -> PlanningDevice:
     detector = profile.detector.detector(profile.rates.exposure_s)
     [kind] = kinds
     pixels, quantisation, mask = profile.pixels.count, None, None
-    optics: FootprintOptics
+    lenses: tuple[tuple[OpticalSensor, TracedLines], ...] = ()
     if kind is CodedWindow:
-        optics = mask = _masks(profile, source)
+        mask = _masks(profile, source)
     elif kind is PlateOptics:
         plates = {one.plate for one in profile.optics.values() if isinstance(one, PlateOptics)}
         if len({(plate.bits, plate.length_mm) for plate in plates}) != 1:
@@ -148,15 +180,15 @@ def planning_device(profile: DeviceProfile) -> PlanningDevice:
         plate = plates.pop()
         pixels, quantisation = 2**plate.bits, 12.0**-0.5
         row = PixelRow(pixels, plate.step_mm * 1e3, profile.pixels.height_um)
-        optics = _lenses(profile, row, blur)
+        lenses = _lenses(profile, row, blur)
     else:
         row = PixelRow(pixels, profile.pixels.pitch_um, profile.pixels.height_um)
-        optics = _lenses(profile, row, blur)
+        lenses = _lenses(profile, row, blur)
     return PlanningDevice(
         tuple(sensor.name for sensor in profile.sensors),
         pixels,
         np.array([sensor.position_mm for sensor in profile.sensors]),
-        optics,
+        lenses,
         mask,
         source,
         profile.rates.exposure_s,
@@ -170,19 +202,27 @@ def planning_device(profile: DeviceProfile) -> PlanningDevice:
     )
 
 
-def _lenses(profile: DeviceProfile, row: PixelRow, blur: Blur) -> ExactOptics:
-    sensors = [
-        place_optics(
-            sensor.name,
-            position_mm=sensor.position_mm,
-            aim_mm=sensor.aim_mm,
-            measured_direction=sensor.measured_direction,
-            assembly=_assembly(profile.optics[sensor.optics]),
-            row=row,
+def _lenses(
+    profile: DeviceProfile, row: PixelRow, blur: Blur
+) -> tuple[tuple[OpticalSensor, TracedLines], ...]:
+    traced = {
+        name: TracedLines(_assembly(optics), row, blur, Fineness(RAYS))
+        for name, optics in profile.optics.items()
+    }
+    return tuple(
+        (
+            place_optics(
+                sensor.name,
+                position_mm=sensor.position_mm,
+                aim_mm=sensor.aim_mm,
+                measured_direction=sensor.measured_direction,
+                assembly=_assembly(profile.optics[sensor.optics]),
+                row=row,
+            ),
+            traced[sensor.optics],
         )
         for sensor in profile.sensors
-    ]
-    return ExactOptics(sensors, blur, Fineness(RAYS))
+    )
 
 
 def _assembly(optics: Optics) -> Assembly:

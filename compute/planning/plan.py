@@ -21,7 +21,6 @@ from compute.planning.ghosts import (
 )
 from compute.planning.line_bound import (
     centre_of_gravity_sigma,
-    displaced_lines,
     position_bound,
 )
 from compute.planning.precision import precision_of_slopes
@@ -142,20 +141,19 @@ class _Lines:
 
 def _lines(device: PlanningDevice, points: Array, tell: Progress) -> _Lines:
     blocks = [slice(start, start + _BLOCK) for start in range(0, len(points), _BLOCK)]
-    here = []
+    looks = []
     for done, block in enumerate(blocks):
-        here.append(device.optics.footprints(points[block]))
-        tell(0.3 * (done + 1) / len(blocks))
-    found = [device.readings(points[block], one) for block, one in zip(blocks, here, strict=True)]
-    readings = np.concatenate([position for position, _ in found])
-    light = np.concatenate([sr for _, sr in found])
+        looks.append(device.look(points[block]))
+        tell(0.5 * (done + 1) / len(blocks))
+    readings = np.concatenate([look.readings_px for look in looks])
+    light = np.concatenate([look.light_sr for look in looks])
     sees = seen(readings, device.pixels, light)
     cameras, misfit = device.cameras(points, readings, sees)
 
     shape = readings.shape
     electrons, peak, bound, centroid = (np.full(shape, np.nan) for _ in range(4))
-    for done, (block, one) in enumerate(zip(blocks, here, strict=True)):
-        lines = displaced_lines(device.optics, cameras, points[block], device.pixels, one)
+    for done, (block, look) in enumerate(zip(blocks, looks, strict=True)):
+        lines = device.lines(look, cameras)
         per_sr = device.electrons_per_sr(points[block])[..., None]
         mean, slope = lines.mean_sr * per_sr, lines.slope_sr_per_px * per_sr
         electrons[block], peak[block] = mean.sum(axis=2), mean.max(axis=2)
@@ -165,7 +163,7 @@ def _lines(device: PlanningDevice, points: Array, tell: Progress) -> _Lines:
                 centroid[block] = _by_centre_of_gravity(device, mean, sees[block])
         else:
             bound[block] = device.quantisation_px
-        tell(0.3 + 0.6 * (done + 1) / len(blocks))
+        tell(0.5 + 0.4 * (done + 1) / len(blocks))
     for values in (electrons, peak, bound, centroid):
         values[~sees] = np.nan
     bound[~np.isfinite(bound)] = np.nan

@@ -12,7 +12,6 @@ from service.planning.schema import (
     DeviceProfileDocument,
     DeviceProfileSummary,
     GridQuery,
-    MarkersQuery,
     ProfilePath,
     document_of,
     summary_of,
@@ -46,12 +45,12 @@ def get_device_profile(name: ProfilePath) -> DeviceProfileDocument:
     summary="Plan a device",
     responses=problems(UnknownDeviceProfile, Busy),
 )
-def get_plan(name: ProfilePath, grid: GridQuery = 3, markers: MarkersQuery = None) -> Plan:
+def get_plan(name: ProfilePath, grid: GridQuery = 3) -> Plan:
     """What the device reaches over its working volume: precision, coverage, rates, ghosts.
 
     The first answer takes seconds, longer for a finer grid; the same again comes at once.
     """
-    return plan_of(name, grid, markers)
+    return plan_of(name, grid)
 
 
 @router.get(
@@ -61,8 +60,6 @@ def get_plan(name: ProfilePath, grid: GridQuery = 3, markers: MarkersQuery = Non
     response_class=Response,
     responses=problems(UnknownDeviceProfile, Busy) | {200: _PNG},
 )
-def get_plan_picture(
-    name: ProfilePath, grid: GridQuery = 3, markers: MarkersQuery = None
-) -> Response:
+def get_plan_picture(name: ProfilePath, grid: GridQuery = 3) -> Response:
     """The plan as a picture (PNG): maps of the deviations, error against distance, ghosts."""
-    return Response(picture_of(name, grid, markers), media_type="image/png")
+    return Response(picture_of(name, grid), media_type="image/png")

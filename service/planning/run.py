@@ -81,7 +81,7 @@ def profile_text(name: str) -> str:
     return file.read_text("utf-8")
 
 
-def plan_of(name: str, grid: int, markers: int | None) -> Plan:
+def plan_of(name: str, grid: int) -> Plan:
     """Return the plan of a built-in profile.
 
     Raises:
@@ -89,16 +89,16 @@ def plan_of(name: str, grid: int, markers: int | None) -> Plan:
         Busy: as many plans as may be are being worked out.
     """
     profile = find_profile(name)
-    return _plans.get((name, grid, markers), lambda: plan(profile, grid=grid, markers=markers))
+    return _plans.get((name, grid), lambda: plan(profile, grid=grid))
 
 
-def picture_of(name: str, grid: int, markers: int | None) -> bytes:
+def picture_of(name: str, grid: int) -> bytes:
     """Return the picture of a plan as PNG.
 
     Raises:
         UnknownDeviceProfile, Busy: as ``plan_of``.
     """
-    found = plan_of(name, grid, markers)
+    found = plan_of(name, grid)
 
     def draw() -> bytes:
         # Matplotlib is loaded by who wants a picture.
@@ -106,4 +106,4 @@ def picture_of(name: str, grid: int, markers: int | None) -> bytes:
 
         return draw_plan(found)
 
-    return _pictures.get((name, grid, markers), draw)
+    return _pictures.get((name, grid), draw)

@@ -15,11 +15,10 @@ from compute.optics.profiles.parts import (
     Volume,
 )
 from compute.optics.profiles.profile import DeviceProfile, SensorProfile
-from compute.planning.plan import MOST_MARKERS
 from service.schema import Document
 
 PROFILE_PATTERN = r"^[a-z0-9]([a-z0-9.-]{0,61}[a-z0-9])?$"
-MOST_GRID = 7
+MOST_GRID = 5
 
 ProfilePath = Annotated[
     str,
@@ -36,15 +35,6 @@ GridQuery = Annotated[
         le=MOST_GRID,
         description="Points of the working volume along each axis; odd numbers hold its middle.",
         examples=[3],
-    ),
-]
-MarkersQuery = Annotated[
-    int | None,
-    Query(
-        ge=1,
-        le=MOST_MARKERS,
-        description="Most markers to count ghosts for; left out: as many as the device drives.",
-        examples=[8],
     ),
 ]
 

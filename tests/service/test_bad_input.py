@@ -346,8 +346,8 @@ builds("picture of an unknown device profile")(
 )
 builds("grid of a plan too coarse")(lambda: Sent("GET", "/api/v1/device-profiles/bar/plan?grid=2"))
 builds("grid of a plan too fine")(lambda: Sent("GET", "/api/v1/device-profiles/bar/plan?grid=50"))
-builds("markers of a plan out of bounds")(
-    lambda: Sent("GET", "/api/v1/device-profiles/bar/plan.png?markers=0")
+builds("grid of a picture no number")(
+    lambda: Sent("GET", "/api/v1/device-profiles/bar/plan.png?grid=fine")
 )
 builds("unknown problem type")(lambda: Sent("GET", "/problems/nothing"))
 

@@ -9,6 +9,7 @@ from scipy.special import ndtr
 
 from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
+from compute.optics.line_optics.line_shape import CELLS, LineShapes
 from compute.planning.line_bound import (
     SHIFT_PX,
     Lines,
@@ -17,6 +18,7 @@ from compute.planning.line_bound import (
     centroids,
     displaced_lines,
     position_bound,
+    shifted_lines,
 )
 from compute.signal.settings import CentroidSettings
 from tests.compute.planning.gaussian_optics import GaussianOptics
@@ -82,6 +84,26 @@ def test_derivatives_of_displaced_lines_are_those_of_calculus(sigma: float) -> N
         # The central difference's own error, see SHIFT_PX.
         most = (SHIFT_PX / sigma) ** 2 + 1e-3
         assert np.abs(found.slope_sr_per_px[n, s] - exact).max() < most * np.abs(exact).max()
+
+
+@given(st.floats(-0.5, 0.5), st.floats(0.5, 4.0), st.integers(-30, 2060))
+@settings(max_examples=40, deadline=None)
+def test_shifted_lines_are_those_of_calculus_too(place: float, sigma: float, first: int) -> None:
+    """A Gaussian on the fine grid, shifted by a cell: pixels, derivative, and the sensor's end."""
+    edges = np.arange(41 * CELLS + 1) / CELLS - 20.5
+    cells = np.diff(ndtr((edges - place) / sigma))[None]
+    other = LineShapes(np.array([first + 7]), cells[:, : 30 * CELLS])
+    found = shifted_lines([LineShapes(np.array([first]), cells), other], PIXELS)
+    assert found.first_px.tolist() == [[first - 1, first + 6]]
+    pixel = first + np.arange(-1, found.mean_sr.shape[2] - 1)
+    inside = (pixel >= 0) & (pixel < PIXELS)
+    whole = np.arange(found.mean_sr.shape[2] + 1) - 21.5
+    mean = np.diff(ndtr((whole - place) / sigma))
+    np.testing.assert_allclose(found.mean_sr[0, 0], np.where(inside, mean, 0.0), atol=1e-6)
+    density = np.exp(-0.5 * ((whole - place) / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
+    slope = np.where(inside, -np.diff(density), 0.0)
+    most = (1.0 / CELLS / sigma) ** 2 * np.abs(np.diff(density)).max() + 1e-6
+    np.testing.assert_allclose(found.slope_sr_per_px[0, 0], slope, atol=most)
 
 
 @pytest.mark.parametrize(("sigma", "electrons"), [(0.6, 2e4), (1.2, 2e3), (1.2, 2e5)])

@@ -88,7 +88,7 @@ def test_short_waves_leave_the_geometric_shadow() -> None:
     assert error[-1] < 3e-3  # of an edge, at most sqrt(2)/pi x width / distance
 
 
-@settings(max_examples=15)
+@settings(max_examples=15, deadline=None)
 @given(
     bars=st.lists(st.floats(0.05, 0.3), min_size=2, max_size=4).filter(lambda b: len(b) % 2 == 0),
     width=st.floats(0.06, 0.12),
@@ -196,7 +196,7 @@ def test_the_table_tends_to_the_geometric_shadow() -> None:
     assert rms[2] < 0.5 * rms[1]
 
 
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None)
 @given(
     code=st.lists(st.sampled_from([0, 1]), min_size=1, max_size=30).filter(any),
     at=st.floats(-4.0, 4.0),

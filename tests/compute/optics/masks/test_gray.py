@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import quad
 
 from compute.errors import InvalidParameter
 from compute.optics.masks.gray_code import from_bits, gray_decode, gray_encode, to_bits
@@ -53,17 +52,10 @@ def test_each_cell_differs_from_the_next_in_one_gray_track() -> None:
 def test_a_track_passes_the_light_on_its_zones(at: float, sigma: float) -> None:
     plate = GrayPlate(gray_bits=3, length_mm=8.0)
     outputs = plate.outputs(np.array(at), np.array(sigma))
-    for track in range(plate.tracks):
-        expected = sum(
-            quad(
-                lambda x: np.exp(-((x - at) ** 2) / (2 * sigma**2)) / (sigma * np.sqrt(2 * np.pi)),
-                cell,
-                cell + 1,
-                points=[min(max(at, cell), cell + 1)],
-            )[0]
-            for cell in np.flatnonzero(plate.transparent[:, track])
-        )
-        assert outputs[track] == pytest.approx(expected, abs=1e-7)
+    x = (np.arange(8000 * 4) + 0.5) / 4000  # the middles of 4000 pieces of each cell
+    line = np.exp(-((x - at) ** 2) / (2 * sigma**2)) / (sigma * np.sqrt(2 * np.pi))
+    cells = line.reshape(8, -1).mean(axis=1)
+    np.testing.assert_allclose(outputs, cells @ plate.transparent, atol=2e-6)
 
 
 @settings(max_examples=100, deadline=None)

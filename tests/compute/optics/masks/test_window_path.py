@@ -80,7 +80,7 @@ def test_without_a_plate_all_is_perspective(gap: float, x: float, y: float, z: f
     assert float(found.transmittance) == pytest.approx(1.0, abs=1e-12)
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 @given(thickness=THICKNESSES, index=INDICES, x=ACROSS, y=ACROSS, z=DEPTHS)
 def test_the_solid_angle_is_that_between_rays_to_neighbouring_places(
     thickness: float, index: float, x: float, y: float, z: float
@@ -102,7 +102,7 @@ def test_the_solid_angle_is_that_between_rays_to_neighbouring_places(
     assert found == pytest.approx(expected, rel=2e-5)
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(thickness=st.floats(0.5, 10.0), index=INDICES, x=ACROSS, y=ACROSS, z=DEPTHS)
 def test_the_curvature_is_that_of_the_optical_path(
     thickness: float, index: float, x: float, y: float, z: float
@@ -121,8 +121,8 @@ def test_the_curvature_is_that_of_the_optical_path(
         return float(outside + inside + np.sqrt(at_x**2 + at_y**2 + gap**2))
 
     def shortest(at_x: float) -> float:
-        # For a crossing this far off in x, the one in y moves by less than a step.
-        low, high = crossing[1] - step, crossing[1] + step
+        # At 75 deg the shortest way moves in y by up to 1.9 times the step in x.
+        low, high = crossing[1] - 4.0 * step, crossing[1] + 4.0 * step
         best = minimize_scalar(
             lambda at_y: length(at_x, at_y),
             bounds=(low, high),

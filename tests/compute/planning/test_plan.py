@@ -11,7 +11,7 @@ from compute.errors import InvalidParameter
 from compute.optics.profiles.loader import load_profile
 from compute.optics.profiles.parts import RetroMarkers
 from compute.optics.profiles.profile import DeviceProfile, PlateOptics, SensorProfile
-from compute.planning.coverage import Box
+from compute.planning.coverage import Box, seen
 from compute.planning.device import planning_device
 from compute.planning.plan import plan
 from compute.planning.result import AxisSummary
@@ -148,6 +148,24 @@ def test_what_no_three_sensors_see_has_no_position() -> None:
     assert dark
     assert all(point.sd_mm is None and point.distortion_mm is None for point in dark)
     assert all(point.sd_mm is not None for point in wide.points if point.sensors >= 3)
+    # What a sensor does not see is not in its medians.
+    device = planning_device(BAR)
+    points = np.array([point.position_mm for point in wide.points])
+    look = device.look(points)
+    electrons = look.light_sr * device.electrons_per_sr(points)
+    sees = seen(look.readings_px, device.pixels, look.light_sr)
+    assert not sees.all()
+    for number, sensor in enumerate(wide.sensors):
+        median = np.median(electrons[sees[:, number], number])
+        assert sensor.line_electrons == pytest.approx(median)
+
+
+def test_light_of_the_markers_makes_electrons() -> None:
+    """I t lambda / (h c) photons per steradian, times the quantum efficiency."""
+    device = planning_device(BAR)
+    [[electrons, *_], *_] = device.electrons_per_sr(np.array([[0.0, 0.0, 1500.0]]))
+    photon_j = 6.62607015e-34 * 299792458.0 / 880e-9
+    assert electrons == pytest.approx(25e-3 * 100e-6 / photon_j * 0.5)
 
 
 @pytest.mark.parametrize(

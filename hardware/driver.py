@@ -2,9 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 from hardware.frame import LineFrame
+
+Readout = Literal["lines", "coded-window", "gray-tracks"]
+"""What the pixels of a line show: images of the markers as lines of light, the shadow of a coded
+window, or the outputs of the detectors behind a plate's Gray tracks."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,7 @@ class DeviceDescription:
         read_noise_electrons: standard deviation of the read noise.
         offset_counts: electronic offset, the count without light.
         markers: number of strobed markers, 0 when the markers are lit together.
+        readout: what the pixels of a line show.
     """
 
     name: str
@@ -39,6 +44,7 @@ class DeviceDescription:
     read_noise_electrons: float
     offset_counts: float
     markers: int
+    readout: Readout = "lines"
 
 
 class Driver(Protocol):

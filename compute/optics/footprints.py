@@ -1,6 +1,7 @@
 """Footprints: through which solid angle each pixel collects the light of each point."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,14 @@ class Footprints:
 
     first_px: NDArray[np.int64]
     solid_angle_sr: Array
+
+
+class FootprintOptics(Protocol):
+    """What forms the light lines: traced lenses, tables of them, coded windows."""
+
+    def footprints(self, points_mm: Array) -> Footprints:
+        """Return the footprints of points (N, 3) in the world frame [mm]."""
+        ...
 
 
 def line_electrons(

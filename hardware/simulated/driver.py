@@ -10,15 +10,16 @@ from hardware.driver import DeviceDescription, SensorDescription
 from hardware.frame import FrameFlag, LineFrame
 from hardware.pacing import host_time_ns, wait_until
 from hardware.simulated.bar import sensor_bar
-from hardware.simulated.renderer import BATCH, FrameRenderer
+from hardware.simulated.batch import BATCH, Renderer, Timing
+from hardware.simulated.renderer import FrameRenderer
 from hardware.simulated.settings import SimulationSettings
 
 FIFO_S: Final = 1.0
 """What the device's memory holds; older exposures that nobody fetched are lost."""
 
 
-class SimulatedDriver:
-    """A bar of four line sensors looking at a scene; see ``SimulationSettings``.
+class RenderedDriver:
+    """A device whose frames are rendered.
 
     The device starts exposing, and its clock at zero, when ``frames`` is first asked for one.
     In real time a frame is handed out at the middle of its exposure, whose host time is read
@@ -27,28 +28,17 @@ class SimulatedDriver:
     lost, and the host times go along with the device's clock from the start.
 
     Args:
-        name: the device's name.
-        settings: the simulation.
+        description: what the device is.
+        renderer: renders its exposures.
+        timing: when it makes them.
     """
 
-    def __init__(self, name: str, settings: SimulationSettings) -> None:
-        self._settings = settings
-        self._renderer = FrameRenderer(settings)
-        self._fifo_frames = max(2, math.ceil(FIFO_S * settings.frame_rate_hz))
+    def __init__(self, description: DeviceDescription, renderer: Renderer, timing: Timing) -> None:
+        self._description = description
+        self._renderer = renderer
+        self._timing = timing
+        self._fifo_frames = max(2, math.ceil(FIFO_S * timing.frame_rate_hz))
         self._closed: Event | None = None
-        self._description = DeviceDescription(
-            name=name,
-            sensors=tuple(
-                SensorDescription(sensor.model.name, sensor.model.pixels, sensor.pitch_um)
-                for sensor in sensor_bar()
-            ),
-            frame_rate_hz=settings.frame_rate_hz,
-            bits=settings.bits,
-            electrons_per_count=settings.electrons_per_count,
-            read_noise_electrons=settings.read_noise_electrons,
-            offset_counts=settings.offset_counts,
-            markers=settings.strobed_markers,
-        )
 
     @property
     def description(self) -> DeviceDescription:
@@ -81,19 +71,19 @@ class SimulatedDriver:
         batch = self._renderer.batch(number)  # before the first exposure, which is then in time
         start_host_ns = time.time_ns()
         start_ns = time.monotonic_ns()
-        sequence, end = 0, self._settings.frames
+        sequence, end = 0, self._timing.frames
         while (end is None or sequence < end) and not closed.is_set():
             flags = FrameFlag.NONE
-            if self._settings.realtime:
+            if self._timing.realtime:
                 oldest = self._exposed(time.monotonic_ns() - start_ns) - self._fifo_frames
                 if oldest > sequence:
                     sequence, flags = oldest, FrameFlag.OVERFLOW
             if number != sequence // BATCH:
                 number = sequence // BATCH
                 batch = self._renderer.batch(number)
-            device_ns = self._renderer.time_ns(sequence)
+            device_ns = self._timing.time_ns(sequence)
             host_ns = start_host_ns + device_ns
-            if self._settings.realtime:
+            if self._timing.realtime:
                 due_ns = start_ns + device_ns
                 wait_until(due_ns, closed)
                 host_ns = host_time_ns(due_ns)
@@ -107,7 +97,7 @@ class SimulatedDriver:
                 sequence=sequence,
                 exposure_device_ns=device_ns,
                 exposure_host_ns=host_ns,
-                marker=self._renderer.marker(sequence),
+                marker=self._timing.marker(sequence),
                 lines=batch.lines[index],
                 flags=flags,
             )
@@ -115,6 +105,31 @@ class SimulatedDriver:
 
     def _exposed(self, elapsed_ns: int) -> int:
         """Return how many exposures were made in that time since the start."""
-        exposed = math.floor(elapsed_ns * 1e-9 * self._settings.frame_rate_hz + 0.5)
-        end = self._settings.frames
+        exposed = math.floor(elapsed_ns * 1e-9 * self._timing.frame_rate_hz + 0.5)
+        end = self._timing.frames
         return exposed if end is None else min(exposed, end)
+
+
+class SimulatedDriver(RenderedDriver):
+    """A bar of four line sensors with ideal lenses looking at a scene.
+
+    Args:
+        name: the device's name.
+        settings: the simulation; see ``SimulationSettings``.
+    """
+
+    def __init__(self, name: str, settings: SimulationSettings) -> None:
+        description = DeviceDescription(
+            name=name,
+            sensors=tuple(
+                SensorDescription(sensor.model.name, sensor.model.pixels, sensor.pitch_um)
+                for sensor in sensor_bar()
+            ),
+            frame_rate_hz=settings.frame_rate_hz,
+            bits=settings.bits,
+            electrons_per_count=settings.electrons_per_count,
+            read_noise_electrons=settings.read_noise_electrons,
+            offset_counts=settings.offset_counts,
+            markers=settings.strobed_markers,
+        )
+        super().__init__(description, FrameRenderer(settings), settings.timing)

@@ -1,8 +1,5 @@
 """Renders the simulated frames: scene, optics, line images, detector; in batches."""
 
-from dataclasses import dataclass
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,23 +7,8 @@ from compute.optics.detector import Detector
 from compute.optics.ideal import IdealOptics
 from compute.optics.line_image import line_images
 from hardware.simulated.bar import PIXELS, WORKING_CENTRE_MM, sensor_bar
+from hardware.simulated.batch import Batch, batch_rng, batch_sequence, finished_batch
 from hardware.simulated.settings import SimulationSettings
-
-BATCH: Final = 8
-"""Frames rendered at once; the noise of a frame depends on it, see ``FrameRenderer.batch``."""
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """BATCH consecutive exposures.
-
-    Args:
-        lines: counts, uint16, shape (BATCH, sensors, pixels), read-only.
-        saturated: whether an exposure has a pixel at full scale, shape (BATCH,).
-    """
-
-    lines: NDArray[np.uint16]
-    saturated: NDArray[np.bool_]
 
 
 class FrameRenderer:
@@ -53,25 +35,10 @@ class FrameRenderer:
             ambient_electrons=settings.ambient_electrons,
         )
 
-    def time_s(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the middle of exposures on the device's clock, same shape [s]."""
-        return (sequence.astype(np.float64) + 0.5) / self._settings.frame_rate_hz
-
-    def time_ns(self, sequence: int) -> int:
-        """Return the middle of an exposure on the device's clock [ns]."""
-        return round((sequence + 0.5) * 1e9 / self._settings.frame_rate_hz)
-
-    def marker(self, sequence: int) -> int | None:
-        """Return which marker an exposure lights; None: all."""
-        strobed = self._settings.strobed_markers
-        return sequence % strobed if strobed else None
-
     def signal_electrons(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the mean electrons of the markers in N exposures, shape (N, sensors, pixels)."""
-        points = self._settings.scene.points(self.time_s(sequence))
-        if self._settings.strobed_markers:
-            lit = sequence % self._settings.strobed_markers
-            points = points[np.arange(len(sequence)), lit][:, None]
+        timing = self._settings.timing
+        points = timing.lit(self._settings.scene.points(timing.time_s(sequence)), sequence)
         frames, markers, _ = points.shape
         spots = self._optics.spots(points.reshape(-1, 3))
         sensors = spots.position_px.shape[1]
@@ -86,13 +53,7 @@ class FrameRenderer:
         return signal.reshape(frames, sensors, PIXELS)
 
     def batch(self, number: int) -> Batch:
-        """Render exposures ``BATCH * number`` to ``BATCH * (number + 1) - 1``.
-
-        The noise is seeded by the simulation's seed and the batch's number alone.
-        """
-        sequence = np.arange(BATCH * number, BATCH * (number + 1), dtype=np.int64)
-        seed = np.random.SeedSequence(self._settings.seed, spawn_key=(number,))
-        rng = np.random.Generator(np.random.SFC64(seed))
-        lines = self._detector.expose(self.signal_electrons(sequence), rng)
-        lines.setflags(write=False)
-        return Batch(lines, lines.max(axis=(1, 2)) == self._detector.full_scale)
+        """Render exposures ``BATCH * number`` to ``BATCH * (number + 1) - 1``."""
+        signal = self.signal_electrons(batch_sequence(number))
+        lines = self._detector.expose(signal, batch_rng(self._settings.seed, number))
+        return finished_batch(lines, self._detector.full_scale)

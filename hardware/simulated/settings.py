@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
+from hardware.simulated.batch import Timing
 from hardware.simulated.bounds import check_bounds
 from hardware.simulated.scenes import RotatingBar, Scene
 
@@ -64,12 +65,9 @@ class SimulationSettings:
             )
 
     @property
-    def frames(self) -> int | None:
-        """Number of exposures in the duration; None: endless."""
-        if self.duration_s is None:
-            return None
-        # A fraction of a frame forgives the rounding of a product meant to be whole.
-        return max(1, int(self.duration_s * self.frame_rate_hz + 5e-7))
+    def timing(self) -> Timing:
+        """When exposures are made, and which marker each lights."""
+        return Timing(self.frame_rate_hz, self.strobed_markers, self.duration_s, self.realtime)
 
     @property
     def strobed_markers(self) -> int:

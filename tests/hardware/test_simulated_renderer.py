@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from hardware.simulated.bar import PIXELS, simulated_sensor_models
-from hardware.simulated.renderer import BATCH, FrameRenderer
+from hardware.simulated.batch import BATCH
+from hardware.simulated.renderer import FrameRenderer
 from hardware.simulated.scenes import CalibrationFrame, RotatingBar, StillPoints
 from hardware.simulated.settings import SimulationSettings
 
@@ -27,7 +28,8 @@ def test_strobing_lights_the_markers_in_turn() -> None:
     renderer = FrameRenderer(SimulationSettings(scene=THREE))
     sequence = np.arange(10, 17)
     light = renderer.signal_electrons(sequence)
-    lit = [renderer.marker(int(number)) for number in sequence]
+    timing = SimulationSettings(scene=THREE).timing
+    lit = [timing.marker(int(number)) for number in sequence]
     assert lit == [1, 2, 0, 1, 2, 0, 1]
     np.testing.assert_allclose(
         centroids(light), readings(np.array(THREE.points_mm))[lit], atol=1e-6
@@ -41,14 +43,14 @@ def test_all_markers_are_lit_together_when_simultaneous() -> None:
         np.array([0, 1, 2])
     )
     np.testing.assert_allclose(together[0], one_by_one.sum(axis=0), atol=1e-6)
-    assert FrameRenderer(settings).marker(4) is None
+    assert settings.timing.marker(4) is None
 
 
 def test_the_moving_bar_is_where_it_is_in_the_middle_of_the_exposure() -> None:
     bar = RotatingBar()
     renderer = FrameRenderer(SimulationSettings(scene=bar, frame_rate_hz=500.0))
     light = renderer.signal_electrons(np.array([321]))
-    assert renderer.time_ns(321) == 643_000_000
+    assert SimulationSettings(frame_rate_hz=500.0).timing.time_ns(321) == 643_000_000
     np.testing.assert_allclose(centroids(light[0]), readings(bar.points(0.643)[[1]])[0], atol=1e-6)
 
 

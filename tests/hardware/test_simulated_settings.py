@@ -91,4 +91,4 @@ def test_unknown_fields_and_scenes_are_refused(body: str) -> None:
 )
 def test_frames_in_a_duration(duration_s: float | None, rate_hz: float, frames: int | None) -> None:
     settings = SimulationSettings(duration_s=duration_s, frame_rate_hz=rate_hz)
-    assert settings.frames == frames
+    assert settings.timing.frames == frames

@@ -22,7 +22,7 @@ NEAREST_MM: Final = 1.0
 """A point closer to the front of the optics than this is not imaged."""
 
 _STEP: Final = 1e-4  # of the distance: the shift that measures a line's displacement
-_GAUSS = np.polynomial.legendre.leggauss(3)  # over a pixel's height, where the line bends
+_PITCHES_BY_NODE: Final = 8.0  # height of a pixel for which one more node is needed
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Fineness:
         rays: rays of a fan, at least 5.
     """
 
-    rays: int = 65
+    rays: int = 33
 
     def __post_init__(self) -> None:
         if self.rays < 5:
@@ -64,7 +64,9 @@ class TracedLines:
         self.blur = blur
         self._fineness = fineness or Fineness()
         self._aim = RowAim(assembly, tracer)
-        nodes, weights = _GAUSS
+        # Gauss's nodes over a pixel's height, across which the line leans and bends.
+        count = min(5, 2 + int(row.height_um / (_PITCHES_BY_NODE * row.pitch_um)))
+        nodes, weights = np.polynomial.legendre.leggauss(count)
         self._heights_mm = nodes * row.height_mm / 2.0
         self._weights_mm = weights * row.height_mm / 2.0
 

@@ -87,35 +87,30 @@ class RowAim:
 
     def fans(self, points_mm: Array, heights_mm: Array, samples: int) -> RowRays:
         """Return the fans of points (N, 3) [mm] in the optics' frame to heights (T,) [mm]."""
-        guide = self._guide(points_mm)
-        first, last, lit = self._ends(points_mm, guide)
+        shape = (len(points_mm), len(heights_mm), samples)
+        source = np.repeat(points_mm, len(heights_mm), axis=0)
+        height = np.tile(heights_mm, len(points_mm))
+        guide = self._guide(source, height)
+        first, last, lit = self._ends(source, height, guide)
         share = np.linspace(0.0, 1.0, samples)
         pupil = first[:, None] + (last - first)[:, None] * share
-        y, slope = guide.at(pupil)
-        shape = (len(points_mm), len(heights_mm), samples)
-        aim = _Aim(
-            np.repeat(points_mm, len(heights_mm) * samples, axis=0),
-            np.broadcast_to(heights_mm[:, None], shape).ravel(),
-            np.broadcast_to(pupil[:, None, :], shape).ravel(),
-        )
-        start = y[:, None, :] + heights_mm[:, None] / slope[:, None, :]
-        y_mm, slopes = self._aimed(
-            aim, start.ravel(), np.broadcast_to(slope[:, None, :], shape).ravel()
-        )
+        aim = _Aim.of(source, height, pupil)
+        y, slope = (values.ravel() for values in guide.at(pupil))
+        y, slope = self._aimed(aim, y, slope)
         # Where a ray would end is known behind the edge of a lens as well; whether it does is not.
-        rays = self._through(aim, y_mm, self._open)
-        status = self._through(aim, y_mm, self._stack).status
+        rays = self._through(aim, y, self._open)
+        status = self._through(aim, y, self._stack).status
         arrived = np.asarray(status == RayStatus.ARRIVED).reshape(shape)
-        # The ends lie on an edge at the row's middle, at other heights a hair to either side.
+        # The ends lie on an edge, and the rounding decides to which side.
         arrived[..., 0], arrived[..., -1] = arrived[..., 1], arrived[..., -2]
-        light = self._density(aim, y_mm, slopes) * rays.transmittance.mean(axis=1)
+        light = self._density(aim, y, slope) * rays.transmittance.mean(axis=1)
         light = np.where(arrived, light.reshape(shape), 0.0)
         return RowRays(
-            np.broadcast_to(pupil[:, None, :], shape),
+            pupil.reshape(shape),
             rays.position_mm[:, 0].reshape(shape),
             light,
             rays.direction[:, 0].reshape(shape),
-            lit[:, None] & (light > 0.0).any(axis=2),
+            lit.reshape(shape[:2]) & (light > 0.0).any(axis=2),
         )
 
     def places(self, points_mm: Array, pupil_mm: Array) -> Array:
@@ -131,37 +126,35 @@ class RowAim:
         y, _ = self._aimed(aim)
         return self._through(aim, y, self._open).position_mm[:, 0]
 
-    def _guide(self, points_mm: Array) -> "_Guide":
-        """Aim a few rays of each point at the middle of the row, to start all others from."""
-        pupil = self._centre_mm + self._reach_mm * _NODES
-        count = len(points_mm)
-        aim = _Aim(
-            np.repeat(points_mm, _GUIDES, axis=0), np.zeros(count * _GUIDES), np.tile(pupil, count)
+    def _guide(self, source_mm: Array, height_mm: Array) -> "_Guide":
+        """Aim a few rays of each fan, to start all others from."""
+        pupil = np.broadcast_to(
+            self._centre_mm + self._reach_mm * _NODES, (len(source_mm), _GUIDES)
         )
+        aim = _Aim.of(source_mm, height_mm, pupil)
         y, slope = self._aimed(aim)
         found = np.isfinite(self._through(aim, y, self._open).position_mm[:, 0])
         found &= np.isfinite(y) & np.isfinite(slope) & (slope != 0.0)
-        found = found.reshape(count, _GUIDES)
         return _Guide(
             self._centre_mm,
             self._reach_mm,
-            _series(y.reshape(count, _GUIDES), found, 0.0),
-            _series(slope.reshape(count, _GUIDES), found, 1.0),
+            _series(y.reshape(pupil.shape), found.reshape(pupil.shape), 0.0),
+            _series(slope.reshape(pupil.shape), found.reshape(pupil.shape), 1.0),
         )
 
-    def _ends(self, points_mm: Array, guide: "_Guide") -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Find the ends of each point's fan in the pupil, shape (N,), and whether there is one."""
+    def _ends(
+        self, source_mm: Array, height_mm: Array, guide: "_Guide"
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Find the ends of each fan in the pupil, shape (R,), and whether there is one."""
 
-        def passes(points: Array, part: "_Guide", pupil: Array) -> NDArray[np.bool_]:
-            y, _ = part.at(pupil)
-            source = np.repeat(points, pupil.shape[1], axis=0)
-            aim = _Aim(source, np.zeros(pupil.size), pupil.ravel())
+        def passes(pupil: Array) -> NDArray[np.bool_]:
+            y, _ = guide.at(pupil)
+            aim = _Aim.of(source_mm, height_mm, pupil)
             status = self._through(aim, y.ravel(), self._stack).status
-            good: NDArray[np.bool_] = (status == RayStatus.ARRIVED).reshape(pupil.shape)
-            return good
+            return np.asarray(status == RayStatus.ARRIVED).reshape(pupil.shape)
 
         coarse = self._centre_mm + self._reach_mm * np.linspace(-1.0, 1.0, _COARSE)
-        seen = passes(points_mm, guide, np.broadcast_to(coarse, (len(points_mm), _COARSE)))
+        seen = passes(np.broadcast_to(coarse, (len(source_mm), _COARSE)))
         lit = np.asarray(seen.any(axis=1))
         low = seen.argmax(axis=1)
         high = _COARSE - 1 - seen[:, ::-1].argmax(axis=1)
@@ -172,7 +165,7 @@ class RowAim:
         )
         for _ in range(_BISECTIONS):
             middle = 0.5 * (inside + beyond)
-            good = passes(points_mm, guide, middle)
+            good = passes(middle)
             inside = np.where(good, middle, inside)
             beyond = np.where(good, beyond, middle)
         return inside[:, 0], inside[:, 1], lit
@@ -255,6 +248,14 @@ class _Aim:
     source_mm: Array
     height_mm: Array
     pupil_mm: Array
+
+    @classmethod
+    def of(cls, source_mm: Array, height_mm: Array, pupil_mm: Array) -> "_Aim":
+        """Return the rays of fans: sources (R, 3) and heights (R,) through places (R, M)."""
+        samples = pupil_mm.shape[1]
+        return cls(
+            np.repeat(source_mm, samples, axis=0), np.repeat(height_mm, samples), pupil_mm.ravel()
+        )
 
 
 @dataclass(frozen=True, eq=False)

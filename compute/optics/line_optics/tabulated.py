@@ -8,6 +8,7 @@ given pixels do not.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -22,12 +23,16 @@ from compute.optics.line_optics.pixel_row import PixelRow
 from compute.optics.line_optics.row_rays import Tracer
 from compute.optics.line_optics.sensor import OpticalSensor
 from compute.optics.tracing.assembly import Assembly
+from compute.optics.tracing.elements import Alignment
 from compute.optics.tracing.trace import trace_rays
 
 Array = NDArray[np.float64]
 
 SHARES: Final = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 49))
 """Shares of the light below the tabulated quantiles; closer towards the tails."""
+
+TABLE_FINENESS: Final = Fineness(17)
+"""Rays of a fan for a table: within 1e-4 px of 257 for the built-in devices."""
 
 _Kind = tuple[Assembly, PixelRow]  # sensors of one kind share a table
 
@@ -77,16 +82,22 @@ class Field:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Numbers of nodes of a table along u, v and the inverse distance, each at least 4."""
+    """Numbers of nodes of a table, each at least 4.
 
-    u: int = 25
-    v: int = 13
-    distance: int = 5
+    Args:
+        u: along u, from end to end.
+        v: along v from the middle to the end, in steps of v^2 where the optics are symmetric.
+        distance: along the inverse distance.
+    """
+
+    u: int = 33
+    v: int = 57
+    distance: int = 9
 
     def __post_init__(self) -> None:
         for name in ("u", "v", "distance"):
             value = getattr(self, name)
-            if value < _DEGREE + 1:
+            if value < (2 * _DEGREE + 1 if name == "u" else _DEGREE + 1):
                 raise InvalidParameter(
                     f"{name} is {value} nodes; it must be at least {_DEGREE + 1}", **{name: value}
                 )
@@ -99,35 +110,37 @@ class LineTable:
         lines: what traces them.
         field: the part of the field of view to tabulate.
         nodes: how finely.
-
-    Raises:
-        InvalidParameter: some part of the field sends no light to the row.
     """
 
     def __init__(self, lines: TracedLines, field: Field, nodes: Nodes | None = None) -> None:
         nodes = nodes or Nodes()
         self.field = field
+        self._lines = lines
+        # Optics that are their own mirror image need a quarter of the field, and their lines
+        # change with the square of v: a skew ray meets a steeper lens.
+        self._mirrored = _is_symmetric(lines.assembly)
         near, far = field.distance_mm
-        axes = (
-            np.linspace(*field.u, nodes.u),
-            np.linspace(*field.v, nodes.v),
-            np.linspace(1.0 / far, 1.0 / near, nodes.distance),
-        )
-        u, v, inverse = np.meshgrid(*axes, indexing="ij")
-        z = 1.0 / inverse.ravel()
-        shapes = lines.shapes(np.stack([u.ravel() * z, v.ravel() * z, z], axis=1))
-        dark = shapes.total_sr == 0.0
-        if dark.any():
-            first = int(np.flatnonzero(dark)[0])
-            raise InvalidParameter(
-                f"no light reaches the row from u = {u.ravel()[first]:.3g}, "
-                f"v = {v.ravel()[first]:.3g}, z = {z[first]:.4g} mm; take a smaller field",
-                field=field,
-            )
+        if self._mirrored:
+            across = np.linspace(0.0, max(abs(field.u[0]), abs(field.u[1])), (nodes.u + 1) // 2)
+            along = np.linspace(0.0, max(field.v[0] ** 2, field.v[1] ** 2), nodes.v)
+            slopes = np.sqrt(along)
+        else:
+            across = np.linspace(*field.u, nodes.u)
+            along = slopes = np.linspace(*field.v, 2 * nodes.v - 1)
+        inverse = np.linspace(1.0 / far, 1.0 / near, nodes.distance)
+        axes = (across, along, inverse)
+        u, v, w = (values.ravel() for values in np.meshgrid(across, slopes, inverse, indexing="ij"))
+        shape = tuple(len(axis) for axis in axes)
+        shapes = lines.shapes(np.stack([u / w, v / w, 1.0 / w], axis=1))
+        lit = shapes.total_sr > 0.0
         # The light falls with the square of the distance: what is left is smooth.
-        values = np.concatenate(
-            [quantiles(shapes), (shapes.total_sr * z**2)[:, None]], axis=1
-        ).reshape(*u.shape, -1)
+        values = np.concatenate([quantiles(shapes), (shapes.total_sr / w**2)[:, None]], axis=1)
+        _continue_into_the_dark(np.stack([u, v, w], axis=1), values, lit)
+        values = values.reshape(*shape, -1)
+        self._low = np.array([axis[0] for axis in axes])
+        self._step = np.array([axis[1] - axis[0] for axis in axes])
+        self._whole = _cells(lit.reshape(shape), all_of=True)
+        self._dark = ~_cells(lit.reshape(shape), all_of=False)
         knots = []
         for axis, places in enumerate(axes):
             spline = make_interp_spline(places, values, k=_DEGREE, axis=axis)
@@ -136,32 +149,99 @@ class LineTable:
         self._spline = NdBSpline(tuple(knots), np.ascontiguousarray(values), _DEGREE)
 
     def __call__(self, seen_mm: Array) -> tuple[Array, Array]:
-        """Interpolate for points (N, 3) of the field, in the sensor's frame [mm].
+        """Look up points (N, 3) in the sensor's frame [mm].
+
+        Points outside of the field, and those at the edge of what the row can see, are traced.
 
         Returns:
-            Quantiles at SHARES, shape (N, K) [px], and the total light, shape (N,) [sr].
+            Quantiles at SHARES, shape (N, K) [px], and the total light, shape (N,) [sr]; zero
+            for a point that the row does not see.
         """
-        z = seen_mm[:, 2]
+        in_field = self.field.contains(seen_mm)
+        z = np.where(in_field, seen_mm[:, 2], 1.0)
         place = np.stack([seen_mm[:, 0] / z, seen_mm[:, 1] / z, 1.0 / z], axis=1)
+        turned = np.zeros(len(place), dtype=np.bool_)
+        if self._mirrored:
+            turned = place[:, 0] < 0.0
+            place[:, 0] = np.abs(place[:, 0])
+            place[:, 1] *= place[:, 1]
+        steps = (np.where(in_field[:, None], place, self._low) - self._low) / self._step
+        cell = tuple(np.minimum(steps.astype(np.int64), np.array(self._whole.shape) - 1).T)
+        whole = in_field & self._whole[cell]
+        if whole.all():
+            return self._interpolated(place, turned)
+        levels, light = np.zeros((len(seen_mm), len(SHARES))), np.zeros(len(seen_mm))
+        levels[whole], light[whole] = self._interpolated(place[whole], turned[whole])
+        traced = ~whole & ~(in_field & self._dark[cell])
+        if traced.any():
+            shapes = self._lines.shapes(seen_mm[traced])
+            levels[traced], light[traced] = quantiles(shapes), shapes.total_sr
+        return levels, light
+
+    def _interpolated(self, place: Array, turned: NDArray[np.bool_]) -> tuple[Array, Array]:
         found = self._spline(place)
-        return found[:, :-1], np.maximum(found[:, -1], 0.0) / z**2
+        levels, light = found[:, :-1], np.maximum(found[:, -1], 0.0) * place[:, 2] ** 2
+        if turned.any():
+            levels[turned] = 2.0 * self._lines.row.middle_px - levels[turned, ::-1]
+        return levels, light
+
+
+def _is_symmetric(assembly: Assembly) -> bool:
+    """Return whether the optics are their own mirror image along x and along y."""
+    straight = Alignment()
+    elements = all(element.alignment == straight for element in assembly.elements)
+    return elements and assembly.sensor_alignment == straight
+
+
+@lru_cache(maxsize=8)
+def _table(
+    assembly: Assembly,
+    row: PixelRow,
+    blur: Blur,
+    fineness: Fineness,
+    tracer: Tracer,
+    field: Field,
+    nodes: Nodes | None,
+) -> LineTable:
+    """Return a table, kept for the next device of the kind: making one takes seconds."""
+    return LineTable(TracedLines(assembly, row, blur, fineness, tracer), field, nodes)
+
+
+def _continue_into_the_dark(places: Array, values: Array, lit: NDArray[np.bool_]) -> None:
+    """Fill nodes without light by a polynomial through the others, so that the spline is smooth."""
+    if lit.all() or not lit.any():
+        return
+    scaled = 2.0 * (places - places.min(axis=0)) / np.ptp(places, axis=0) - 1.0
+    powers = [p for p in np.ndindex(*(_DEGREE + 2,) * 3) if sum(p) <= _DEGREE + 1]
+    terms = np.stack([np.prod(scaled ** np.array(power), axis=1) for power in powers], axis=1)
+    fitted, *_ = np.linalg.lstsq(terms[lit], values[lit], rcond=None)
+    values[~lit] = terms[~lit] @ fitted
+
+
+def _cells(lit: NDArray[np.bool_], *, all_of: bool) -> NDArray[np.bool_]:
+    """Return for each cell between nodes whether all, or any, nodes about it are lit.
+
+    About it: its eight corners and their neighbours, on which the spline in the cell leans.
+    """
+    about = (4, 4, 4)
+    padded = np.pad(lit, 1, mode="edge")
+    windows_of = np.lib.stride_tricks.sliding_window_view(padded, about)
+    axes = (3, 4, 5)
+    return np.asarray(windows_of.all(axis=axes) if all_of else windows_of.any(axis=axes))
 
 
 class TabulatedOptics:
     """The optics of S sensors by tables of exact traces: for live simulation.
 
-    Points outside of a table's field are traced.
+    Points outside of a table's field, and at the edge of what the row can see, are traced.
 
     Args:
         sensors: the sensors, in the device's order; those of one kind share a table.
         blur: emitter and wavelength.
         field: the part of each sensor's field of view to tabulate.
         nodes: how finely to tabulate.
-        fineness: how finely to trace.
+        fineness: how finely to trace; None: TABLE_FINENESS.
         tracer: what traces; NumPy's by default.
-
-    Raises:
-        InvalidParameter: some part of the field sends no light to the row.
     """
 
     def __init__(
@@ -174,15 +254,15 @@ class TabulatedOptics:
         tracer: Tracer = trace_rays,
     ) -> None:
         self._sensors = tuple(sensors)
-        self._lines: dict[_Kind, TracedLines] = {}
         self._tables: dict[_Kind, LineTable] = {}
         self._of_kind: dict[_Kind, list[int]] = {}
         for number, sensor in enumerate(self._sensors):
             kind = (sensor.assembly, sensor.row)
             self._of_kind.setdefault(kind, []).append(number)
             if kind not in self._tables:
-                self._lines[kind] = TracedLines(*kind, blur, fineness, tracer)
-                self._tables[kind] = LineTable(self._lines[kind], field, nodes)
+                self._tables[kind] = _table(
+                    *kind, blur, fineness or TABLE_FINENESS, tracer, field, nodes
+                )
 
     def footprints(self, points_mm: Array) -> Footprints:
         """Return the footprints of points (N, 3) in the world frame [mm]."""
@@ -193,25 +273,13 @@ class TabulatedOptics:
             seen = np.concatenate(
                 [self._sensors[number].in_sensor_frame(points_mm) for number in numbers]
             )
-            found, strength = self._look_up(kind, seen)
+            found, strength = self._tables[kind](seen)
             levels[numbers] = found.reshape(len(numbers), count, -1)
             light[numbers] = strength.reshape(len(numbers), count)
         first, window = windows(levels.reshape(-1, len(SHARES)), light.ravel())
         return Footprints(
             first.reshape(total, count).T, window.reshape(total, count, -1).transpose(1, 0, 2)
         )
-
-    def _look_up(self, kind: _Kind, seen_mm: Array) -> tuple[Array, Array]:
-        table = self._tables[kind]
-        inside = table.field.contains(seen_mm)
-        if inside.all():
-            return table(seen_mm)
-        levels = np.zeros((len(seen_mm), len(SHARES)))
-        light = np.zeros(len(seen_mm))
-        levels[inside], light[inside] = table(seen_mm[inside])
-        shapes = self._lines[kind].shapes(seen_mm[~inside])
-        levels[~inside], light[~inside] = quantiles(shapes), shapes.total_sr
-        return levels, light
 
 
 def quantiles(lines: LineShapes) -> Array:

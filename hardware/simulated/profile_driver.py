@@ -1,0 +1,54 @@
+"""ProfileDriver: a device simulated from its profile."""
+
+from compute.optics.masks.window import CodedWindow
+from compute.optics.profiles.profile import DeviceProfile, PlateOptics
+from hardware.driver import DeviceDescription, Readout, SensorDescription
+from hardware.simulated.batch import Timing
+from hardware.simulated.driver import RenderedDriver
+from hardware.simulated.profile_renderer import ProfileRenderer
+from hardware.simulated.profile_settings import ProfileSettings
+
+
+class ProfileDriver(RenderedDriver):
+    """The device that a profile describes, with its own optics, light and detector.
+
+    Args:
+        name: the device's name.
+        profile: the device.
+        settings: what it shows; see ``ProfileSettings``.
+
+    Raises:
+        InvalidParameter: it is asked for more lines per second than its device reads.
+    """
+
+    def __init__(self, name: str, profile: DeviceProfile, settings: ProfileSettings) -> None:
+        timing = Timing(
+            settings.rate_of(profile),
+            settings.strobed_in(profile),
+            settings.duration_s,
+            settings.realtime,
+        )
+        detector = profile.detector
+        description = DeviceDescription(
+            name=name,
+            sensors=tuple(
+                SensorDescription(sensor.name, profile.pixels.count, profile.pixels.pitch_um)
+                for sensor in profile.sensors
+            ),
+            frame_rate_hz=timing.frame_rate_hz,
+            bits=detector.bits,
+            electrons_per_count=detector.electrons_per_count,
+            read_noise_electrons=detector.read_noise_electrons,
+            offset_counts=detector.offset_counts,
+            markers=timing.strobed_markers,
+            readout=readout_of(profile),
+        )
+        super().__init__(description, ProfileRenderer(profile, settings, timing), timing)
+
+
+def readout_of(profile: DeviceProfile) -> Readout:
+    """Return what a line of the profile's sensors is."""
+    kinds = {type(one) for one in profile.optics.values()}
+    if CodedWindow in kinds:
+        return "coded-window"
+    return "gray-tracks" if PlateOptics in kinds else "lines"

@@ -1,0 +1,93 @@
+"""Settings of a device that is simulated from its profile."""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Final, Literal, get_args
+
+from pydantic import ConfigDict, Field
+
+from compute.errors import InvalidParameter
+from compute.optics.profiles.build import OpticsMode
+from compute.optics.profiles.profile import DeviceProfile
+from hardware.simulated.bounds import check_bounds
+from hardware.simulated.scenes import RotatingBar, Scene
+
+FASTEST_HZ: Final = 1000.0
+"""Frame rate of a profile's device unless another is asked for: what a host follows easily."""
+
+_BAR_SHARE: Final = 0.5  # length of the bar in the default scene, of the volume's least side
+
+
+@dataclass(frozen=True)
+class ProfileSettings:
+    """What a profile's device shows, and how it is simulated.
+
+    Geometry, optics, markers' light, detector and exposure are the profile's.
+
+    Args:
+        scene: the markers and their motion; None: a bar that turns in the middle of the volume.
+        optics: "tabulated" interpolates between exact traces, for live use; "exact" traces every
+            ray of every frame, too slowly for live use.
+        frame_rate_hz: exposures per second; None: the profile's line rate, at most 1000.
+        illumination: "strobed" or "simultaneous"; None: as the profile says.
+        seed: seed of the noise.
+        pattern_seed: seed of the pixels' differences: another device of the kind.
+        duration_s: length of the scene [s], at least one exposure; None: endless.
+        realtime: True: a frame is delivered when it is exposed; False: as soon as it is asked
+            for. The lines are the same.
+
+    Raises:
+        InvalidParameter: a value is outside of its bounds.
+    """
+
+    scene: Scene | None = None
+    optics: OpticsMode = "tabulated"
+    frame_rate_hz: Annotated[float, Field(ge=0.01, le=10_000.0)] | None = None
+    illumination: Literal["strobed", "simultaneous"] | None = None
+    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
+    pattern_seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
+    duration_s: Annotated[float, Field(gt=0.0, le=1e7)] | None = None
+    realtime: bool = True
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if self.optics not in get_args(OpticsMode):
+            raise InvalidParameter(
+                f"optics is {self.optics!r}; it must be 'tabulated' or 'exact'",
+                optics=self.optics,
+            )
+        if self.illumination not in ("strobed", "simultaneous", None):
+            raise InvalidParameter(
+                f"illumination is {self.illumination!r}; it must be 'strobed' or 'simultaneous'",
+                illumination=self.illumination,
+            )
+
+    def scene_in(self, profile: DeviceProfile) -> Scene:
+        """Return the scene, by default one in the middle of the profile's volume."""
+        if self.scene is not None:
+            return self.scene
+        volume = profile.volume
+        return RotatingBar(length_mm=_BAR_SHARE * min(volume.size_mm), centre_mm=volume.centre_mm)
+
+    def rate_of(self, profile: DeviceProfile) -> float:
+        """Return the exposures per second [Hz].
+
+        Raises:
+            InvalidParameter: more than the profile's device reads.
+        """
+        fastest = profile.rates.line_rate_hz
+        if self.frame_rate_hz is None:
+            return min(fastest, FASTEST_HZ)
+        if self.frame_rate_hz > fastest:
+            raise InvalidParameter(
+                f"frame_rate_hz is {self.frame_rate_hz}; {profile.name} reads at most "
+                f"{fastest:g} lines per second",
+                frame_rate_hz=self.frame_rate_hz,
+            )
+        return self.frame_rate_hz
+
+    def strobed_in(self, profile: DeviceProfile) -> int:
+        """Return the number of strobed markers, 0 when they are lit together."""
+        illumination = self.illumination or profile.markers.illumination
+        return self.scene_in(profile).markers if illumination == "strobed" else 0

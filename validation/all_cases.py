@@ -3,6 +3,7 @@
 from typing import Final
 
 from validation.aberrations_polynomials import CASE as TABLES_3_1_3_2
+from validation.attenuation import CASE as ATTENUATION
 from validation.cases import CASES, Case
 from validation.distortion_tables import TABLE_A1, TABLE_A2
 from validation.skew_effect import CASE as SKEW_EFFECT
@@ -18,6 +19,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_A2,
     SKEW_EFFECT,
     STOP_AND_FOCUS,
+    ATTENUATION,
     TABLES_3_1_3_2,
 )
 

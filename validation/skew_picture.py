@@ -26,7 +26,7 @@ def draw(path: Path) -> None:
     """Draw the errors over the field at 1.5 m, of fits to the whole field, as a PNG."""
     assembly = stopped_lens(4.0)
     known = traced_readings(assembly, field_points((15, 9, 4)))
-    u, v = np.meshgrid(np.linspace(-FIELD_U, FIELD_U, 41), np.linspace(-FIELD_V, FIELD_V, 21))
+    u, v = np.meshgrid(np.linspace(-FIELD_U, FIELD_U, 31), np.linspace(-FIELD_V, FIELD_V, 17))
     points = _DISTANCE_MM * np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
     shown = traced_readings(assembly, points)
     # A pair of angles whose line falls beside the row has no error, and is left white.

@@ -11,20 +11,19 @@ from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
 from compute.optics.footprints import Footprints
-from compute.optics.light.emission import CosinePower, TabulatedEmission
-from compute.optics.light.led import Led
-from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroSheet
 from compute.optics.light.source import LightSource
 from compute.optics.line_optics.exact import Fineness, TracedLines
 from compute.optics.line_optics.line_shape import Blur
-from compute.optics.line_optics.pixel_row import PixelRow
-from compute.optics.line_optics.sensor import OpticalSensor, place_optics
+from compute.optics.line_optics.sensor import OpticalSensor
 from compute.optics.masks.mask_optics import MaskOptics
-from compute.optics.masks.window import CodedWindow
-from compute.optics.placement import place_sensor
-from compute.optics.profiles.parts import LedMarkers
-from compute.optics.profiles.profile import DeviceProfile, Optics, PlateOptics
-from compute.optics.tracing.assembly import Assembly
+from compute.optics.profiles.build import (
+    gray_plate,
+    lens_sensors,
+    light_source,
+    mask_optics,
+    pixel_row,
+)
+from compute.optics.profiles.profile import DeviceProfile
 from compute.planning.line_bound import (
     Lines,
     PixelNoise,
@@ -161,32 +160,21 @@ def planning_device(profile: DeviceProfile) -> PlanningDevice:
             "sensors with lenses, with coded windows or with plates",
             optics=sorted(profile.optics),
         )
-    source = _source(profile)
+    source = light_source(profile)
     blur = Blur(source.wavelength_nm, source.width_mm)
     detector = profile.detector.detector(profile.rates.exposure_s)
-    [kind] = kinds
-    pixels, quantisation, mask = profile.pixels.count, None, None
+    row, mask = pixel_row(profile), mask_optics(profile, source)
     lenses: tuple[tuple[OpticalSensor, TracedLines], ...] = ()
-    if kind is CodedWindow:
-        mask = _masks(profile, source)
-    elif kind is PlateOptics:
-        plates = {one.plate for one in profile.optics.values() if isinstance(one, PlateOptics)}
-        if len({(plate.bits, plate.length_mm) for plate in plates}) != 1:
-            raise InvalidParameter(
-                f"profile {profile.name} has plates of several lengths or resolutions; a plan is "
-                "made for one",
-                optics=sorted(profile.optics),
-            )
-        plate = plates.pop()
-        pixels, quantisation = 2**plate.bits, 12.0**-0.5
-        row = PixelRow(pixels, plate.step_mm * 1e3, profile.pixels.height_um)
-        lenses = _lenses(profile, row, blur)
-    else:
-        row = PixelRow(pixels, profile.pixels.pitch_um, profile.pixels.height_um)
-        lenses = _lenses(profile, row, blur)
+    if mask is None:
+        sensors = lens_sensors(profile, row)
+        traced = {
+            assembly: TracedLines(assembly, row, blur, Fineness(RAYS))
+            for assembly in {sensor.assembly for sensor in sensors}
+        }
+        lenses = tuple((sensor, traced[sensor.assembly]) for sensor in sensors)
     return PlanningDevice(
         tuple(sensor.name for sensor in profile.sensors),
-        pixels,
+        row.pixels,
         np.array([sensor.position_mm for sensor in profile.sensors]),
         lenses,
         mask,
@@ -194,96 +182,9 @@ def planning_device(profile: DeviceProfile) -> PlanningDevice:
         profile.rates.exposure_s,
         profile.detector.quantum_efficiency,
         PixelNoise.of(detector),
-        quantisation,
+        None if gray_plate(profile) is None else 12.0**-0.5,
         min(
             detector.full_well_electrons,
             (detector.full_scale - detector.offset_counts) * detector.electrons_per_count,
         ),
     )
-
-
-def _lenses(
-    profile: DeviceProfile, row: PixelRow, blur: Blur
-) -> tuple[tuple[OpticalSensor, TracedLines], ...]:
-    traced = {
-        name: TracedLines(_assembly(optics), row, blur, Fineness(RAYS))
-        for name, optics in profile.optics.items()
-    }
-    return tuple(
-        (
-            place_optics(
-                sensor.name,
-                position_mm=sensor.position_mm,
-                aim_mm=sensor.aim_mm,
-                measured_direction=sensor.measured_direction,
-                assembly=_assembly(profile.optics[sensor.optics]),
-                row=row,
-            ),
-            traced[sensor.optics],
-        )
-        for sensor in profile.sensors
-    )
-
-
-def _assembly(optics: Optics) -> Assembly:
-    assert not isinstance(optics, CodedWindow)
-    return optics.assembly if isinstance(optics, PlateOptics) else optics
-
-
-def _masks(profile: DeviceProfile, source: LightSource) -> MaskOptics:
-    if len(profile.optics) != 1:
-        raise InvalidParameter(
-            f"profile {profile.name} has {len(profile.optics)} coded windows; a plan is made for "
-            "one, the same before all sensors",
-            optics=sorted(profile.optics),
-        )
-    [window] = profile.optics.values()
-    assert isinstance(window, CodedWindow)
-    placed = [
-        place_sensor(
-            sensor.name,
-            lens_position_mm=sensor.position_mm,
-            aim_mm=sensor.aim_mm,
-            measured_direction=sensor.measured_direction,
-            principal_distance_mm=window.gap_mm,
-            pixels=profile.pixels.count,
-            pitch_um=profile.pixels.pitch_um,
-        )
-        for sensor in profile.sensors
-    ]
-    return MaskOptics(
-        window,
-        placed,
-        pixel_height_mm=profile.pixels.height_um * 1e-3,
-        emitter_width_mm=source.width_mm,
-        wavelength_nm=source.wavelength_nm,
-        spectral_width_nm=source.spectral_width_nm,
-    )
-
-
-def _source(profile: DeviceProfile) -> LightSource:
-    markers = profile.markers
-    if isinstance(markers, LedMarkers):
-        return Led(
-            markers.radiant_intensity_w_per_sr,
-            markers.wavelength_nm,
-            CosinePower(markers.half_angle_rad),
-            markers.spectral_width_nm,
-            markers.emitter_width_mm,
-        )
-    towards = np.subtract(profile.volume.centre_mm, markers.illuminator_position_mm)
-    x, y, z = towards.tolist()
-    # The profile's intensity is that towards the markers: an even beam.
-    beam = TabulatedEmission((0.0, np.pi / 2.0), (1.0, 1.0))
-    lamp = Illuminator(
-        markers.illuminator_position_mm,
-        (x, y, z),
-        markers.illuminator_intensity_w_per_sr,
-        beam,
-        markers.wavelength_nm,
-        markers.spectral_width_nm,
-    )
-    sheet = RetroSheet(
-        markers.retroreflection_per_sr, markers.observation_half_angle_rad, markers.half_angle_rad
-    )
-    return RetroDisc(markers.diameter_mm, sheet, lamp)

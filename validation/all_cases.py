@@ -3,6 +3,7 @@
 from typing import Final
 
 from validation.aberrations_polynomials import CASE as TABLES_3_1_3_2
+from validation.aberrations_seidel import CASE as SEIDEL
 from validation.attenuation import CASE as ATTENUATION
 from validation.cases import CASES, Case
 from validation.distortion_tables import TABLE_A1, TABLE_A2
@@ -17,6 +18,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_5_5,
     TABLE_A1,
     TABLE_A2,
+    SEIDEL,
     SKEW_EFFECT,
     STOP_AND_FOCUS,
     ATTENUATION,

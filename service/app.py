@@ -52,13 +52,13 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         database = Database(settings.effective_database_url)
         try:
-            await run_sync(prepare, settings, database)
+            named = await run_sync(prepare, settings, database)
             manager = live if live is not None else LiveManager(settings.compute_device)
             try:
-                operation = Operation(database, manager, settings.recordings_dir)
+                operation = Operation(database, manager, settings.folders)
                 app.state.database, app.state.live = database, manager
                 app.state.operation = operation
-                await run_sync(operation.autostart)
+                await run_sync(operation.autostart, *named)
                 if started is not None:
                     started()
                 yield

@@ -28,7 +28,7 @@ class UnknownRecording(LumilineError):
 
 
 class UnknownDeviceProfile(LumilineError):
-    """No built-in device profile has the given name."""
+    """No device profile has the given name."""
 
     code = "unknown-device-profile"
 

@@ -1,6 +1,7 @@
 """Settings of the service: from arguments, LUMILINE_... variables, then a TOML file."""
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -24,6 +25,19 @@ def configuration_file() -> Path:
     return Path(os.environ.get("LUMILINE_CONFIG") or "lumiline.toml")
 
 
+@dataclass(frozen=True)
+class DataFolders:
+    """Folders of the data directory.
+
+    Args:
+        recordings: the only folder from which recordings are replayed.
+        profiles: device profiles of one's own.
+    """
+
+    recordings: Path
+    profiles: Path
+
+
 class Settings(BaseSettings):
     """What an administrator may set; every value has a default that works as it stands."""
 
@@ -39,6 +53,8 @@ class Settings(BaseSettings):
     host: str = "127.0.0.1"
     port: int = Field(default=8000, ge=0, le=65535)
     log_level: Literal["critical", "error", "warning", "info", "debug"] = "info"
+    device: str | None = None
+    """A device profile to start as a device: the name of a built-in one, or the path of a file."""
     compute_device: str | None = None
     """Where the live pipeline computes: ``cpu``, ``cuda:0``, ...; None: the compute's choice."""
     stream_queue_messages: int = Field(default=2000, ge=1)
@@ -52,9 +68,9 @@ class Settings(BaseSettings):
         return self.database_url or f"sqlite:///{self.data_dir / 'lumiline.sqlite3'}"
 
     @property
-    def recordings_dir(self) -> Path:
-        """The only folder from which recordings are replayed."""
-        return self.data_dir / "recordings"
+    def folders(self) -> DataFolders:
+        """The folders of the data directory."""
+        return DataFolders(self.data_dir / "recordings", self.data_dir / "profiles")
 
     @classmethod
     def settings_customise_sources(

@@ -83,3 +83,15 @@ class PeakBatch:
             )
             for k in range(int(self.count[line]))
         )
+
+
+def no_peaks(lines: int) -> PeakBatch:
+    """Return the batch of lines without any peak."""
+    return PeakBatch(
+        np.zeros(lines, dtype=np.int32),
+        np.empty((lines, 0)),
+        np.empty((lines, 0), dtype=np.float32),
+        np.empty((lines, 0), dtype=np.float32),
+        np.empty((lines, 0), dtype=np.float32),
+        np.empty((lines, 0), dtype=np.int32),
+    )

@@ -40,6 +40,9 @@ def serve(
     host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to listen on; 0: a free one.")] = None,
     data_dir: Annotated[Path | None, typer.Option(help="Database and recordings.")] = None,
+    device: Annotated[
+        str | None, typer.Option(help="Start a device profile: optotrak, ..., or a TOML file.")
+    ] = None,
     compute_device: Annotated[
         str | None, typer.Option(help="Where the pipeline computes: cpu, cuda:0, ...")
     ] = None,
@@ -47,7 +50,7 @@ def serve(
     """Run the service. Options win over LUMILINE_... variables and lumiline.toml."""
     from service.cli.serve import run
 
-    run(host=host, port=port, data_dir=data_dir, compute_device=compute_device)
+    run(host=host, port=port, data_dir=data_dir, device=device, compute_device=compute_device)
 
 
 @app.command()

@@ -5,7 +5,7 @@ from alembic.util import CommandError
 from sqlalchemy import URL
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
-from compute.errors import LumilineError
+from compute.errors import InvalidParameter, LumilineError
 from service.database.engine import Database
 from service.settings import Settings
 from service.start import prepare
@@ -36,6 +36,8 @@ def check_start(settings: Settings) -> None:
             "that wrote it, or a newer one",
             _FAILED,
         ) from None
+    except InvalidParameter as error:
+        raise _end(f"setting device: {error.detail}", _WRONG_SETTING) from None
     except (SQLAlchemyError, LumilineError) as error:
         reason = str(error.orig if isinstance(error, DBAPIError) else error)
         for secret in _secrets(database.engine.url):

@@ -7,18 +7,21 @@ from pydantic import TypeAdapter, ValidationError
 
 from compute.errors import InvalidParameter
 from hardware.driver import Driver
-from service.devices.schema import ExternalSource, ReplaySource, Sensor, Source
+from service.devices.schema import ExternalSource, ProfileSource, ReplaySource, Sensor, Source
 from service.errors import DeviceWithoutDriver, UnknownRecording
+from service.settings import DataFolders
 
 _SENSORS = TypeAdapter(list[Sensor])
 
 
-def make_driver(device_id: str, source: Source, recordings_dir: Path) -> Driver:
+def make_driver(device_id: str, source: Source, folders: DataFolders) -> Driver:
     """Return the device's driver, not opened.
 
     Raises:
         DeviceWithoutDriver: the device is an external one.
         UnknownRecording: the recording is not there.
+        UnknownDeviceProfile: the profile is not there.
+        InvalidParameter: the profile, or what is asked of it, is not possible.
     """
     if isinstance(source, ExternalSource):
         raise DeviceWithoutDriver(
@@ -30,8 +33,14 @@ def make_driver(device_id: str, source: Source, recordings_dir: Path) -> Driver:
         from hardware.replay import ReplayDriver
 
         return ReplayDriver(
-            device_id, recording_path(source.recording, recordings_dir), source.speed
+            device_id, recording_path(source.recording, folders.recordings), source.speed
         )
+    if isinstance(source, ProfileSource):
+        from hardware.simulated.profile_driver import ProfileDriver
+        from service.devices.profiles import source_profile
+
+        profile = source_profile(source.profile, folders.profiles)
+        return ProfileDriver(device_id, profile, source.settings)
     from hardware.simulated.driver import SimulatedDriver
 
     return SimulatedDriver(device_id, source.settings)
@@ -54,7 +63,7 @@ def recording_path(name: str, recordings_dir: Path) -> Path:
     return path
 
 
-def sensors_of(device_id: str, source: Source, recordings_dir: Path) -> list[Sensor]:
+def sensors_of(device_id: str, source: Source, folders: DataFolders) -> list[Sensor]:
     """Return the sensors that a source has: given with an external one, else its driver's.
 
     Raises:
@@ -64,7 +73,7 @@ def sensors_of(device_id: str, source: Source, recordings_dir: Path) -> list[Sen
     if isinstance(source, ExternalSource):
         sensors = source.sensors
     else:
-        sensors = _sensors_of_driver(device_id, source, recordings_dir)
+        sensors = _sensors_of_driver(device_id, source, folders)
     names = [sensor.name for sensor in sensors]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -75,8 +84,8 @@ def sensors_of(device_id: str, source: Source, recordings_dir: Path) -> list[Sen
     return sensors
 
 
-def _sensors_of_driver(device_id: str, source: Source, recordings_dir: Path) -> list[Sensor]:
-    driver = make_driver(device_id, source, recordings_dir)
+def _sensors_of_driver(device_id: str, source: Source, folders: DataFolders) -> list[Sensor]:
+    driver = make_driver(device_id, source, folders)
     try:
         driver.open()
         described = driver.description.sensors

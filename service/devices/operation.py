@@ -4,7 +4,6 @@ import logging
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from sqlalchemy import select
 
@@ -20,6 +19,7 @@ from service.devices.drivers import make_driver, sensors_of
 from service.devices.schema import Device, DeviceChange, NewDevice
 from service.live.manager import LiveManager
 from service.live.session import DeviceStatus
+from service.settings import DataFolders
 
 _log = logging.getLogger(__name__)
 
@@ -27,10 +27,10 @@ _log = logging.getLogger(__name__)
 class Operation:
     """Starts, stops and recalibrates devices so that the database and the live side agree."""
 
-    def __init__(self, database: Database, live: LiveManager, recordings_dir: Path) -> None:
+    def __init__(self, database: Database, live: LiveManager, folders: DataFolders) -> None:
         self._database = database
         self._live = live
-        self._recordings_dir = recordings_dir
+        self._folders = folders
         self._locks: dict[str, threading.Lock] = {}
         self._guard = threading.Lock()
 
@@ -48,7 +48,7 @@ class Operation:
         Raises:
             DeviceExists, or what the driver raises when it is opened.
         """
-        sensors = sensors_of(request.id, request.source, self._recordings_dir)
+        sensors = sensors_of(request.id, request.source, self._folders)
         with self._exclusive(request.id), self._database.write() as session:
             return store.document(session, store.add_device(session, request, sensors))
 
@@ -62,7 +62,7 @@ class Operation:
             store.get_device(session, device_id)
         sensors = None
         if "source" in change.model_fields_set:
-            sensors = sensors_of(device_id, change.source, self._recordings_dir)
+            sensors = sensors_of(device_id, change.source, self._folders)
         with self._exclusive(device_id):
             # Before the transaction: the live side may be busy starting another device.
             running = self._live.status(device_id).state == "running"
@@ -91,7 +91,7 @@ class Operation:
                 result = None
                 if active is not None:
                     result = result_of(calibrations.get_calibration(session, active).content)
-            driver = make_driver(device_id, source, self._recordings_dir)
+            driver = make_driver(device_id, source, self._folders)
             self._live.start_device(device_id, driver, active, result)
             return self._live.status(device_id)
 
@@ -134,13 +134,13 @@ class Operation:
                 _log.exception("device %s does not use %s yet", device_id, calibration_id)
         return summary
 
-    def autostart(self) -> None:
-        """Start all devices that say so; one that fails is logged and keeps no other waiting."""
+    def autostart(self, *also: str) -> None:
+        """Start all devices that say so, and these; one that fails keeps no other waiting."""
         with self._database.read() as session:
             wanted = session.scalars(
                 select(DeviceRow.id).where(DeviceRow.autostart).order_by(DeviceRow.id)
             ).all()
-        for device_id in wanted:
+        for device_id in dict.fromkeys((*wanted, *also)):
             try:
                 self.start(device_id)
             except LumilineError as error:

@@ -17,6 +17,7 @@ from service.errors import (
     DeviceRunning,
     DeviceWithoutDriver,
     UnknownDevice,
+    UnknownDeviceProfile,
     UnknownRecording,
 )
 from service.json_body import FromJson, JsonRoute
@@ -43,7 +44,9 @@ def list_devices(database: DatabaseDep, limit: Limit = 50, offset: Offset = 0) -
     operation_id="create-device",
     summary="Create a device",
     status_code=HTTP_201_CREATED,
-    responses=problems(DeviceExists, UnknownRecording, InvalidParameter, InvalidRecording),
+    responses=problems(
+        DeviceExists, UnknownRecording, UnknownDeviceProfile, InvalidParameter, InvalidRecording
+    ),
 )
 def create_device(request: NewDeviceBody, operation: OperationDep, response: Response) -> Device:
     """Create a device. It is not started; sensors are given for an external one only."""
@@ -71,6 +74,7 @@ def get_device(device_id: DevicePath, database: DatabaseDep) -> Device:
     responses=problems(
         UnknownDevice,
         UnknownRecording,
+        UnknownDeviceProfile,
         DeviceInUse,
         DeviceRunning,
         InvalidParameter,
@@ -117,7 +121,12 @@ def delete_device(
     operation_id="start-device",
     summary="Start a device",
     responses=problems(
-        UnknownDevice, UnknownRecording, DeviceWithoutDriver, InvalidParameter, InvalidRecording
+        UnknownDevice,
+        UnknownRecording,
+        UnknownDeviceProfile,
+        DeviceWithoutDriver,
+        InvalidParameter,
+        InvalidRecording,
     ),
 )
 def start_device(device_id: DevicePath, operation: OperationDep) -> Status:

@@ -6,6 +6,7 @@ from pydantic import ConfigDict, Field, StringConstraints
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from hardware.driver import SensorDescription
+from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.settings import SimulationSettings
 from service.live.session import DeviceStatus
 from service.schema import Document, Given, Moment, Name, Slug, Text200, absent
@@ -29,6 +30,14 @@ class SimulatedSource(Given):
     settings: SimulationSettings = Field(default_factory=SimulationSettings)
 
 
+class ProfileSource(Given):
+    """Line scans of a device simulated from its profile: its optics, light and detector."""
+
+    kind: Literal["profile"]
+    profile: Annotated[Slug, Field(description="A device profile: see `/api/v1/device-profiles`.")]
+    settings: ProfileSettings = Field(default_factory=ProfileSettings)
+
+
 class ReplaySource(Given):
     """Line scans from a recording in the data directory's folder ``recordings``."""
 
@@ -48,7 +57,9 @@ class ExternalSource(Given):
     sensors: Annotated[list[Sensor], Field(min_length=1, max_length=64)]
 
 
-Source = Annotated[SimulatedSource | ReplaySource | ExternalSource, Field(discriminator="kind")]
+Source = Annotated[
+    SimulatedSource | ProfileSource | ReplaySource | ExternalSource, Field(discriminator="kind")
+]
 
 
 class NewDevice(Given):

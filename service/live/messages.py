@@ -71,6 +71,7 @@ def describe_message(description: DeviceDescription) -> dict[str, Any]:
         "sensors": [sensor.name for sensor in description.sensors],
         "frame_rate_hz": description.frame_rate_hz,
         "markers": description.markers,
+        "readout": description.readout,
     }
 
 

@@ -15,7 +15,7 @@ from compute.reconstruction.estimate import PointBatch, PointFlag
 from compute.reconstruction.points import reconstruct
 from compute.signal.finder import CentroidFinder
 from compute.signal.noise import LineNoise
-from compute.signal.peaks import PeakBatch, PeakFlag
+from compute.signal.peaks import PeakBatch, PeakFlag, no_peaks
 from compute.signal.settings import CentroidSettings
 from hardware.driver import DeviceDescription
 from hardware.frame import LineFrame
@@ -50,6 +50,10 @@ class DeviceProcessor:
         """Load Warp and allocate the kernel's buffers; ``compute_device`` as in CentroidFinder."""
         self._device_id = device_id
         self._names = tuple(sensor.name for sensor in description.sensors)
+        self._active: _Active | None = None
+        self._finder: CentroidFinder | None = None
+        if description.readout != "lines":
+            return  # nothing to find: a shadow or tracks have no peaks
         self._finder = CentroidFinder(
             lines=len(description.sensors) * MAX_FRAMES,
             pixels=description.sensors[0].pixels,
@@ -62,7 +66,6 @@ class DeviceProcessor:
             ),
             device=compute_device,
         )
-        self._active: _Active | None = None
         # Loads the kernel and touches the buffers, before the first frame waits for it.
         self._finder.find(np.zeros((len(self._names), description.sensors[0].pixels), np.uint16))
 
@@ -95,15 +98,18 @@ class DeviceProcessor:
         )
 
     def process(self, frames: Sequence[LineFrame]) -> FrameBatch:
-        """Find the peaks of up to MAX_FRAMES frames and reconstruct their points."""
+        """Find the peaks of up to MAX_FRAMES frames and reconstruct their points.
+
+        A device whose lines do not show markers as lines of light gives neither.
+        """
         active = self._active
         if len(frames) == 1:
             lines = frames[0].lines
         else:
             lines = np.concatenate([frame.lines for frame in frames])
-        peaks = self._finder.find(lines)
         sensors = len(self._names)
-        if active is None:
+        peaks = no_peaks(len(lines)) if self._finder is None else self._finder.find(lines)
+        if active is None or self._finder is None:
             points, owner = _no_points(sensors), np.empty(0, dtype=np.intp)
         else:
             points, owner = _reconstruct(active, frames, peaks, sensors)

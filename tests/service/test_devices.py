@@ -149,14 +149,14 @@ def test_a_recordings_name_cannot_leave_the_folder(client: Any, recording: str):
 def test_a_link_out_of_the_folder_is_not_followed(client: Any, settings: Settings, tmp_path: Path):
     outside = tmp_path / "outside.h5"
     outside.write_bytes(b"secret")
-    (settings.recordings_dir / "link.h5").symlink_to(outside)
+    (settings.folders.recordings / "link.h5").symlink_to(outside)
     refused = client.post("/api/v1/devices", json=replay("link.h5"))
     assert refused.status_code == 404
     assert refused.json()["type"] == "/problems/unknown-recording"
 
 
 def test_a_file_that_is_no_recording_is_refused(client: Any, settings: Settings):
-    (settings.recordings_dir / "text.h5").write_text("no recording")
+    (settings.folders.recordings / "text.h5").write_text("no recording")
     refused = client.post("/api/v1/devices", json=replay("text.h5"))
     assert refused.status_code == 422
     assert refused.json()["type"] == "/problems/invalid-recording"
@@ -169,7 +169,7 @@ def record(settings: Settings) -> Callable[..., None]:
     def write(pixels: int = 16, **changes: Any) -> None:
         sensors = (SensorDescription("a", pixels, 7.0), SensorDescription("b", pixels, 7.0))
         described = DeviceDescription("bar", sensors, 100.0, 12, 12.0, 30.0, 64.0, 0)
-        with RecordingWriter(settings.recordings_dir / "odd.h5", replace(described, **changes)):
+        with RecordingWriter(settings.folders.recordings / "odd.h5", replace(described, **changes)):
             pass
 
     return write

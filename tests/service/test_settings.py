@@ -19,7 +19,7 @@ def test_defaults(tmp_path: Path):
     settings = Settings()
     assert settings.data_dir == tmp_path / "share" / "lumiline"
     assert settings.effective_database_url == f"sqlite:///{settings.data_dir}/lumiline.sqlite3"
-    assert settings.recordings_dir == settings.data_dir / "recordings"
+    assert settings.folders.recordings == settings.data_dir / "recordings"
     assert (settings.host, settings.port) == ("127.0.0.1", 8000)
 
 

@@ -3,7 +3,7 @@
 from typing import Final, Literal
 
 from compute.optics.aberrations.paraxial import paraxial_system
-from compute.optics.line_optics.pixel_row import PixelRow
+from compute.optics.pixel_row import PixelRow
 from compute.optics.tracing.assembly import Assembly
 from compute.optics.tracing.elements import Element, Lens, Stop
 from compute.optics.tracing.shapes import Cylinder, Plane
@@ -21,7 +21,7 @@ HEIGHT_MM: Final = 42.25
 FOCUSED_MM: Final = 1500.0
 """Distance for which the sensor is focused: where the thesis's sources stand (Figure 3.14)."""
 
-ROW: Final = PixelRow(pixels=2048, pitch_um=12.0, height_um=12.0)
+ROW: Final = PixelRow(count=2048, pitch_um=12.0, height_um=12.0)
 """Figure 5.2: 2048 pixels on 24.58 mm."""
 
 LENS: Final = Lens(

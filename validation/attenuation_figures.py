@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from compute.optics.aberrations.paraxial import paraxial_system
 from compute.optics.line_optics.exact import Fineness, TracedLines
 from compute.optics.line_optics.line_shape import Blur, LineShapes
-from compute.optics.line_optics.pixel_row import PixelRow
+from compute.optics.pixel_row import PixelRow
 from compute.optics.tracing.assembly import Assembly
 from compute.optics.tracing.elements import Lens
 from compute.optics.tracing.rays import RayStatus

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from compute.optics.line_optics.exact import Fineness, TracedLines
 from compute.optics.line_optics.line_shape import CELLS, Blur, LineShapes
-from compute.optics.line_optics.pixel_row import PixelRow
+from compute.optics.pixel_row import PixelRow
 from compute.optics.tracing.assembly import Assembly
 from compute.optics.tracing.elements import Alignment, Lens
 from compute.optics.tracing.shapes import Cylinder, Plane

@@ -12,8 +12,8 @@ from compute.optics.aberrations.field_fit import FieldFit, FieldModel, fit_field
 from compute.optics.aberrations.skew_rays import effective_index, in_plane_stack
 from compute.optics.line_optics.exact import Fineness, TracedLines
 from compute.optics.line_optics.line_shape import Blur
-from compute.optics.line_optics.pixel_row import PixelRow
 from compute.optics.line_optics.sensor import OpticalSensor, place_optics
+from compute.optics.pixel_row import PixelRow
 from compute.optics.tracing.assembly import Assembly
 from compute.optics.tracing.trace import trace_rays
 from validation.aberrations_lens import (
@@ -50,7 +50,7 @@ MODELS: Final[dict[str, tuple[Term, ...]]] = {
 }
 
 # The row is traced longer than it is, so that the sensor's end does not cut the lines there.
-_LONG_ROW: Final = PixelRow(2 * ROW.pixels, ROW.pitch_um, ROW.height_um)
+_LONG_ROW: Final = PixelRow(2 * ROW.count, ROW.pitch_um, ROW.height_um)
 _RAYS: Final = Fineness(33)
 
 
@@ -66,7 +66,7 @@ def traced_readings(assembly: Assembly, points_mm: Array) -> Readings:
     """Trace the centroids of points (N, 3) in the sensor's frame; those unseen are left out."""
     lines = TracedLines(assembly, _LONG_ROW, Blur(None, 0.0), _RAYS).shapes(points_mm)
     reading = lines.centroid_px - (_LONG_ROW.middle_px - ROW.middle_px)
-    seen = (reading >= -0.5) & (reading <= ROW.pixels - 0.5)
+    seen = (reading >= -0.5) & (reading <= ROW.count - 0.5)
     return Readings(points_mm[seen], reading[seen])
 
 

@@ -59,6 +59,6 @@ def draw(path: Path) -> None:
     axes[0].set_ylabel("angle along the lens's axis, arctan v [deg]")
     figure.suptitle(
         f"What models leave of the distortion: lens of section 3.4, slit of 4 mm on its plane "
-        f"face, {ROW.pixels} px of {ROW.pitch_um:g} um, at 1.5 m"
+        f"face, {ROW.count} px of {ROW.pitch_um:g} um, at 1.5 m"
     )
     figure.savefig(path, dpi=120)

@@ -174,7 +174,7 @@ def planning_device(profile: DeviceProfile) -> PlanningDevice:
         lenses = tuple((sensor, traced[sensor.assembly]) for sensor in sensors)
     return PlanningDevice(
         tuple(sensor.name for sensor in profile.sensors),
-        row.pixels,
+        row.count,
         np.array([sensor.position_mm for sensor in profile.sensors]),
         lenses,
         mask,

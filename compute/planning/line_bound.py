@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
-from compute.optics.footprints import Footprints
+from compute.optics.footprints import FootprintOptics, Footprints
 from compute.optics.line_optics.line_shape import CELLS, LineShapes
 from compute.signal.noise import LineNoise
 from compute.signal.reference import find_peaks_reference
@@ -24,14 +23,6 @@ error of the central difference is about (SHIFT_PX / s)^2 / 6 of it for a line o
 0.2 % for 0.5 px."""
 
 _ACROSS = np.pi * np.arange(24) / 24.0
-
-
-class FootprintOptics(Protocol):
-    """What forms the light lines: ideal, traced, or a mask."""
-
-    def footprints(self, points_mm: Array) -> Footprints:
-        """Return the footprints of points (N, 3) in the world frame [mm]."""
-        ...
 
 
 @dataclass(frozen=True)

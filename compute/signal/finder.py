@@ -9,6 +9,7 @@ from compute.errors import InvalidParameter
 from compute.signal.noise import LineNoise
 from compute.signal.peaks import PeakBatch
 from compute.signal.settings import MAX_PIXELS, MIN_PIXELS, CentroidSettings
+from compute.warp_host import host_memory, warp_device
 
 
 class CentroidFinder:
@@ -53,7 +54,7 @@ class CentroidFinder:
         self.lines = lines
         self.pixels = pixels
         self.settings = settings
-        self._device = _device(wp, device)
+        self._device = warp_device(wp, device)
         self.device = str(self._device.alias)
         self._cuda = bool(self._device.is_cuda)
         self._lanes = CUDA_LANES if self._cuda else 1
@@ -66,13 +67,13 @@ class CentroidFinder:
             self._input = wp.zeros(lines * pixels, dtype=wp.uint16, device=self._device)
             staged = wp.zeros(lines * pixels, dtype=wp.uint16, device="cpu", pinned=True)
             self._staged_input = staged
-            self._host_input = _numpy(staged)
+            self._host_input = host_memory(staged)
             self._staged_records = wp.zeros(size // 8, dtype=wp.uint64, device="cpu", pinned=True)
         else:
             self._staged_records = self._records
         self._uploaded = 0
         self._words_per_line = record.itemsize // 8
-        self._host_records = _numpy(self._staged_records).view(record)
+        self._host_records = host_memory(self._staged_records).view(record)
 
         # Kept: the recorded launch has their addresses.
         self._noise: list[Any] = [
@@ -182,22 +183,3 @@ class CentroidFinder:
                 f"with L at most {self.lines}",
                 shape=lines.shape,
             )
-
-
-def _device(wp: Any, name: str | None) -> Any:
-    """Return Warp's device of this name; None takes the first CUDA device, or else the CPU."""
-    if name is None:
-        name = "cuda:0" if wp.is_cuda_available() else "cpu"
-    try:
-        return wp.get_device(name)
-    except (ValueError, RuntimeError) as error:
-        there = ", ".join(str(device.alias) for device in wp.get_devices())
-        raise InvalidParameter(
-            f"there is no device {name!r}; there are: {there}", device=name
-        ) from error
-
-
-def _numpy(array: Any) -> NDArray[Any]:
-    """Return the memory of a Warp array on the host, not a copy of it."""
-    view: NDArray[Any] = array.numpy()
-    return view

@@ -5,10 +5,10 @@ from typing import Annotated, Any
 from fastapi import Path, Query
 from pydantic import Field
 
+from compute.optics.pixel_row import PixelRow
 from compute.optics.profiles.parts import (
     DetectorProfile,
     LedMarkers,
-    Pixels,
     PublishedFigure,
     Rates,
     RetroMarkers,
@@ -55,7 +55,7 @@ class DeviceProfileDocument(DeviceProfileSummary):
 
     sources: tuple[str, ...]
     sensors: tuple[SensorProfile, ...]
-    pixels: Pixels
+    pixels: PixelRow
     detector: DetectorProfile
     markers: LedMarkers | RetroMarkers
     rates: Rates

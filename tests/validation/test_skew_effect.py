@@ -70,7 +70,7 @@ def test_the_pure_camera_is_the_calibrations() -> None:
     sensor = device_sensors(assembly)[2]
     known = traced_readings(assembly, sensor.in_sensor_frame(cube_points(4)))
     world = known.points_mm @ sensor.rotation + np.array(sensor.position_mm)
-    found = calibrate(world, known.centroid_px[:, None], [SensorGeometry("one", ROW.pixels)])
+    found = calibrate(world, known.centroid_px[:, None], [SensorGeometry("one", ROW.count)])
     rest = known.centroid_px - CameraStack.of([found.sensors[0].model]).project(world)[:, 0]
     assert rms(rest) == pytest.approx(fitted(assembly, known, CAMERA).rms_px, rel=1e-6)
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from compute.errors import InvalidParameter
 from compute.optics.footprints import Footprints
 from compute.optics.line_optics.line_shape import Blur, LineShapes, line_shapes
-from compute.optics.line_optics.pixel_row import PixelRow
 from compute.optics.line_optics.row_rays import RowAim, Tracer
 from compute.optics.line_optics.sensor import OpticalSensor, in_optics_frame
+from compute.optics.pixel_row import PixelRow
 from compute.optics.tracing.assembly import Assembly
 from compute.optics.tracing.trace import trace_rays
 

@@ -9,8 +9,8 @@ from scipy.fft import fftfreq, irfft, next_fast_len, rfft, rfftfreq
 from scipy.interpolate import CubicSpline
 from scipy.special import j1
 
-from compute.optics.line_optics.pixel_row import PixelRow
 from compute.optics.line_optics.row_rays import RowRays
+from compute.optics.pixel_row import PixelRow
 
 Array = NDArray[np.float64]
 
@@ -107,7 +107,7 @@ def line_shapes(
         Lines of one grid length for all; dark ones where no ray arrives.
     """
     position, light = _tubes(rays, height_weights_mm, row)
-    light[(position < -_BESIDE_PX) | (position > row.pixels + _BESIDE_PX)] = 0.0
+    light[(position < -_BESIDE_PX) | (position > row.count + _BESIDE_PX)] = 0.0
     position[light.sum(axis=1) == 0.0] = row.middle_px
     lit = light > 0.0
     low = np.where(lit, position, np.inf).min(axis=1)

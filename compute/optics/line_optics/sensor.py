@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from compute.camera.model import Vector3
-from compute.optics.line_optics.pixel_row import PixelRow
+from compute.optics.pixel_row import PixelRow
 from compute.optics.placement import sensor_rotation
 from compute.optics.tracing.assembly import Assembly
 

@@ -19,9 +19,9 @@ from compute.errors import InvalidParameter
 from compute.optics.footprints import Footprints
 from compute.optics.line_optics.exact import Fineness, TracedLines
 from compute.optics.line_optics.line_shape import CELLS, Blur, LineShapes
-from compute.optics.line_optics.pixel_row import PixelRow
 from compute.optics.line_optics.row_rays import Tracer
 from compute.optics.line_optics.sensor import OpticalSensor
+from compute.optics.pixel_row import PixelRow
 from compute.optics.tracing.assembly import Assembly
 from compute.optics.tracing.elements import Alignment
 from compute.optics.tracing.trace import trace_rays

@@ -13,13 +13,13 @@ from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroShe
 from compute.optics.light.source import LightSource
 from compute.optics.line_optics.exact import ExactOptics
 from compute.optics.line_optics.line_shape import Blur
-from compute.optics.line_optics.pixel_row import PixelRow
 from compute.optics.line_optics.sensor import OpticalSensor, place_optics
 from compute.optics.line_optics.tabulated import Field, TabulatedOptics
 from compute.optics.masks.gray_plate import GrayPlate
 from compute.optics.masks.mask_optics import MaskOptics
 from compute.optics.masks.plate_optics import TrackOptics
 from compute.optics.masks.window import CodedWindow
+from compute.optics.pixel_row import PixelRow
 from compute.optics.placement import place_sensor
 from compute.optics.profiles.parts import LedMarkers
 from compute.optics.profiles.profile import DeviceProfile, PlateOptics
@@ -39,7 +39,7 @@ def pixel_row(profile: DeviceProfile) -> PixelRow:
     """
     plate = gray_plate(profile)
     if plate is None:
-        return PixelRow(profile.pixels.count, profile.pixels.pitch_um, profile.pixels.height_um)
+        return profile.pixels
     return PixelRow(2**plate.bits, plate.step_mm * 1e3, profile.pixels.height_um)
 
 

@@ -1,7 +1,7 @@
 """The parts of a device's profile: pixels, detector, markers, rates, volume, figures."""
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -9,41 +9,9 @@ from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
 
-_MOST_PIXELS: Final = 1_000_000
-
 Illumination = Literal["strobed", "simultaneous"]
 Quantity = Literal["resolution", "accuracy", "max error"]
 Axis = Literal["x", "y", "z", "lateral", "depth", "3d"]
-
-
-@dataclass(frozen=True)
-class Pixels:
-    """The pixels of each line.
-
-    Args:
-        count: their number.
-        pitch_um: centre to centre [um].
-        height_um: sensitive size across the line [um].
-
-    Raises:
-        InvalidParameter: a value that is not positive, or a count above a million.
-    """
-
-    count: int
-    pitch_um: float
-    height_um: float
-
-    def __post_init__(self) -> None:
-        if self.count > _MOST_PIXELS:
-            raise InvalidParameter(
-                f"count is {self.count}; it must be at most {_MOST_PIXELS}", count=self.count
-            )
-        _check_positive(self, "count", "pitch_um", "height_um")
-
-    @property
-    def length_mm(self) -> float:
-        """Length of the line [mm]."""
-        return self.count * self.pitch_um * 1e-3
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
 from compute.optics.masks.gray_plate import GrayPlate
 from compute.optics.masks.window import CodedWindow
+from compute.optics.pixel_row import PixelRow
 from compute.optics.profiles.parts import (
     DetectorProfile,
     Markers,
-    Pixels,
     PublishedFigure,
     Rates,
     Volume,
@@ -113,7 +113,7 @@ class DeviceProfile:
     sources: tuple[str, ...]
     sensors: tuple[SensorProfile, ...]
     optics: Mapping[str, Optics]
-    pixels: Pixels
+    pixels: PixelRow
     detector: DetectorProfile
     markers: Markers
     rates: Rates

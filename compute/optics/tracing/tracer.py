@@ -3,14 +3,13 @@
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from compute.errors import InvalidParameter
 from compute.optics.tracing.packing import Form, pack
 from compute.optics.tracing.rays import RayStatus, TracedRays
 from compute.optics.tracing.shapes import Array
 from compute.optics.tracing.surfaces import SurfaceStack
 from compute.optics.tracing.trace import checked_rays
+from compute.warp_host import host_memory, warp_device
 
 INPUTS: Final = 6
 """Numbers of a ray: origin and direction."""
@@ -43,7 +42,7 @@ class RayTracer:
 
         self._wp = wp
         self.stack = stack
-        self._device = _device(wp, device)
+        self._device = warp_device(wp, device)
         self.device = str(self._device.alias)
         self._cuda = bool(self._device.is_cuda)
         records = pack(stack)
@@ -144,29 +143,10 @@ class RayTracer:
         if self._cuda:
             self._staged_rays = wp.zeros(rays, dtype=wp.float64, device="cpu", pinned=True)
             self._staged_results = wp.zeros(results, dtype=wp.float64, device="cpu", pinned=True)
-        self._host_rays = _numpy(self._staged_rays)
-        self._host_results = _numpy(self._staged_results)
+        self._host_rays = host_memory(self._staged_rays)
+        self._host_results = host_memory(self._staged_results)
 
 
 def _words(count: int) -> int:
     """Return the float64 words that so many results take."""
     return int(np.ceil(OUTPUTS * count))
-
-
-def _device(wp: Any, name: str | None) -> Any:
-    """Return Warp's device of this name; None takes the first CUDA device, or else the CPU."""
-    if name is None:
-        name = "cuda:0" if wp.is_cuda_available() else "cpu"
-    try:
-        return wp.get_device(name)
-    except (ValueError, RuntimeError) as error:
-        there = ", ".join(str(device.alias) for device in wp.get_devices())
-        raise InvalidParameter(
-            f"there is no device {name!r}; there are: {there}", device=name
-        ) from error
-
-
-def _numpy(array: Any) -> NDArray[Any]:
-    """Return the memory of a Warp array on the host, not a copy of it."""
-    view: NDArray[Any] = array.numpy()
-    return view

@@ -1,0 +1,34 @@
+"""What every owner of a Warp kernel needs on the host: its device, its arrays' memory."""
+
+from typing import Any
+
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+
+
+def warp_device(wp: Any, name: str | None) -> Any:
+    """Return Warp's device of this name; None takes the first CUDA device, or else the CPU.
+
+    Args:
+        wp: the module, which loads too slowly to be imported here.
+        name: "cpu", "cuda:0", ...
+
+    Raises:
+        InvalidParameter: there is no such device.
+    """
+    if name is None:
+        name = "cuda:0" if wp.is_cuda_available() else "cpu"
+    try:
+        return wp.get_device(name)
+    except (ValueError, RuntimeError) as error:
+        there = ", ".join(str(device.alias) for device in wp.get_devices())
+        raise InvalidParameter(
+            f"there is no device {name!r}; there are: {there}", device=name
+        ) from error
+
+
+def host_memory(array: Any) -> NDArray[Any]:
+    """Return the memory of a Warp array on the host, not a copy of it."""
+    view: NDArray[Any] = array.numpy()
+    return view

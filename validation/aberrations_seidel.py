@@ -108,8 +108,8 @@ def work_out() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
             "is of the fifth order."
         ),
         (
-            "Coma all but vanishes for a stop 8 mm in front, distortion for one on the curved face: "
-            "no place does for both."
+            "Coma all but vanishes for a stop 8 mm in front, distortion for one on the curved "
+            "face: no place does for both."
         ),
         (
             "A cylinder has the sphere's coefficients in the plane of its power, and of C and D "

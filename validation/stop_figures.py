@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from compute.optics.aberrations.field_distortion import Term
 from compute.optics.aberrations.paraxial import paraxial_system
 from compute.optics.aberrations.seidel import Conjugates, seidel_sums
 from compute.optics.line_optics.exact import Fineness, TracedLines
 from compute.optics.line_optics.line_shape import CELLS, Blur, LineShapes
-from compute.optics.line_optics.pixel_row import PixelRow
+from compute.optics.pixel_row import PixelRow
 from compute.optics.tracing.assembly import Assembly
 from compute.optics.tracing.elements import Lens, Stop
 from compute.optics.tracing.shapes import Conic, Plane
@@ -51,7 +52,7 @@ SEARCHED_MM: Final = (-12.0, 1.0)
 """Where the best focus is looked for, from the paraxial image."""
 
 # Lines at the row's end are not to be cut by it.
-_LONG_ROW: Final = PixelRow(2 * ROW.pixels, ROW.pitch_um, ROW.height_um)
+_LONG_ROW: Final = PixelRow(2 * ROW.count, ROW.pitch_um, ROW.height_um)
 # A whole lens's lines are hundreds of pixels wide: fewer rays leave gaps that look like edges.
 _RAYS: Final = Fineness(257)
 _EXPOSURES: Final = 32  # simulated at each of the 16 places within a pixel
@@ -106,7 +107,7 @@ def line_figures(assembly: Assembly, width_mm: float, places: Array) -> tuple[Li
         LineFigures(
             float(rms[line]),
             float(quantiles[line, 2] - quantiles[line, 0]),
-            float(np.round(lines.centroid_px[line] - quantiles[line, 1], 9)),
+            float(np.round(lines.centroid_px[line] - quantiles[line, 1], 9) + 0.0),
             float(lines.total_sr[line] * ELECTRONS_PER_SR),
             float(bound[line]),
             float(gravity[line]),
@@ -178,9 +179,9 @@ def root_mean_square(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def distortion_px(assembly: Assembly) -> float:
-    """Return what a camera of seven parameters leaves over the whole field, RMS [px]."""
-    return fitted(assembly, traced_readings(assembly, field_points((11, 5, 3))), ()).rms_px
+def distortion_px(assembly: Assembly, terms: tuple[Term, ...] = ()) -> float:
+    """Return what seven parameters, and distortion's terms, leave over the field, RMS [px]."""
+    return fitted(assembly, traced_readings(assembly, field_points((11, 5, 3))), terms).rms_px
 
 
 def coma_free_stop_mm() -> float:

@@ -1,16 +1,27 @@
 """Renders the frames of a profile's device: scene, light, traced optics, detector; in batches."""
 
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.errors import InvalidParameter
 from compute.optics.detector_array import DetectorArray
 from compute.optics.footprints import FootprintOptics, line_electrons
-from compute.optics.profiles.build import light_source, profile_optics
+from compute.optics.line_optics.sensor import in_optics_frame
+from compute.optics.profiles.build import (
+    lens_sensors,
+    light_source,
+    mask_optics,
+    pixel_row,
+    profile_optics,
+)
 from compute.optics.profiles.profile import DeviceProfile
 from hardware.simulated.batch import Batch, Timing, batch_rng, batch_sequence, finished_batch
 from hardware.simulated.profile_settings import ProfileSettings
+
+_LOOKS: Final = 181  # at a scene's period
 
 
 class ProfileRenderer:
@@ -30,6 +41,7 @@ class ProfileRenderer:
         self._timing = timing
         self._scene = settings.scene_in(profile)
         self._source = light_source(profile)
+        self._check_scene()
         self._lenses_mm = np.array([sensor.position_mm for sensor in profile.sensors])
         detector = profile.detector.detector(profile.rates.exposure_s)
         self._full_scale = detector.full_scale
@@ -39,6 +51,22 @@ class ProfileRenderer:
             profile.pixels.count,
             pattern_seed=settings.pattern_seed,
         )
+
+    def _check_scene(self) -> None:
+        """Refuse a scene that runs through a sensor's lenses."""
+        if mask_optics(self._profile, self._source) is not None:
+            return
+        # A turn of the bar lasts as long as its period; what is still is so at all times.
+        period = getattr(self._scene, "period_s", 1.0)
+        points = self._scene.points(np.linspace(0.0, period, _LOOKS)).reshape(-1, 3)
+        for sensor in lens_sensors(self._profile, pixel_row(self._profile)):
+            try:
+                sensor.assembly.check_source(in_optics_frame(sensor.in_sensor_frame(points)))
+            except InvalidParameter as error:
+                raise InvalidParameter(
+                    f"scene runs through the optics of sensor {sensor.name}: {error.detail}",
+                    scene=self._scene.kind,
+                ) from None
 
     @cached_property
     def _optics(self) -> FootprintOptics:

@@ -71,7 +71,12 @@ class TracedLines:
         self._weights_mm = weights * row.height_mm / 2.0
 
     def shapes(self, seen_mm: Array) -> LineShapes:
-        """Return the lines of points (N, 3) in the sensor's frame [mm]; dark where none is seen."""
+        """Return the lines of points (N, 3) in the sensor's frame [mm]; dark where none is seen.
+
+        Raises:
+            InvalidParameter: a point inside a lens.
+        """
+        self.assembly.check_source(in_optics_frame(seen_mm))
         front = -self.assembly.front_z_mm + NEAREST_MM
         # Points behind the optics are moved in front to be traced, then darkened.
         before = seen_mm[:, 2] >= front

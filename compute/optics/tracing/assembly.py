@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
 from compute.optics.tracing.elements import AIR, Alignment, Element, Lens
-from compute.optics.tracing.shapes import Plane
+from compute.optics.tracing.shapes import Array, Plane
 from compute.optics.tracing.surfaces import Surface, SurfaceStack
 
 
@@ -56,6 +56,22 @@ class Assembly:
     def front_z_mm(self) -> float:
         """Where the first element begins on the axis [mm]."""
         return self.elements[0].z_mm
+
+    def check_source(self, points_mm: Array) -> None:
+        """Refuse points of light (N, 3) in the assembly's frame [mm] that lie inside a lens.
+
+        Raises:
+            InvalidParameter: the first such point, and the lens.
+        """
+        for number, element in enumerate(self.elements):
+            if isinstance(element, Lens) and (inside := element.holds(points_mm)).any():
+                place = tuple(round(float(value), 6) for value in points_mm[inside][0])
+                raise InvalidParameter(
+                    f"points_mm has a source at {place} mm of the optics' frame, inside the glass "
+                    f"of element {number + 1}; it must be in front of the optics, which begin at "
+                    f"z = {self.front_z_mm} mm",
+                    points_mm=place,
+                )
 
     def stack(self) -> SurfaceStack:
         """Return the surfaces, placed."""

@@ -4,10 +4,12 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
-from compute.optics.tracing.shapes import Plane, Shape, sag
+from compute.optics.tracing.shapes import Array, Plane, Shape, sag
 from compute.optics.tracing.surfaces import Aperture
 
 AIR: Final = 1.0
@@ -73,6 +75,21 @@ class Lens:
                 )
         for piece in range(pieces):
             self._check_piece(piece)
+
+    def holds(self, points_mm: Array) -> NDArray[np.bool_]:
+        """Return which points (N, 3) of the system's frame [mm] lie in its glass, shape (N,)."""
+        x, y = self.alignment.decentre_mm
+        turn = Rotation.from_rotvec(self.alignment.tilt_rad)
+        own = turn.apply(points_mm - np.array([x, y, self.z_mm]), inverse=True)
+        wide, high = 2.0 * own[:, 0] / self.aperture.width_mm, 2.0 * own[:, 1]
+        high = high / self.aperture.height_mm
+        if self.aperture.outline == "rectangular":
+            across = np.maximum(np.abs(wide), np.abs(high)) <= 1.0
+        else:
+            across = wide**2 + high**2 <= 1.0
+        front = sag(self.shapes[0], own[:, 0], own[:, 1])
+        back = sum(self.thicknesses_mm) + sag(self.shapes[-1], own[:, 0], own[:, 1])
+        return np.asarray(across & (own[:, 2] >= front) & (own[:, 2] <= back))
 
     def _check_piece(self, piece: int) -> None:
         front, back = self.shapes[piece], self.shapes[piece + 1]

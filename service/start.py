@@ -1,9 +1,14 @@
 """Makes ready what the service needs before it serves: data directory, database, first content."""
 
+import logging
+from pathlib import Path
+
 from service.database.engine import Database
 from service.database.migrate import migrate
 from service.database.seed import seed
 from service.settings import Settings
+
+_log = logging.getLogger(__name__)
 
 
 def prepare(settings: Settings, database: Database) -> tuple[str, ...]:
@@ -13,20 +18,35 @@ def prepare(settings: Settings, database: Database) -> tuple[str, ...]:
         The devices that the settings say to start, beside those that start by themselves.
 
     Raises:
-        OSError: the data directory cannot be made.
-        SQLAlchemyError: the database does not answer or cannot be used.
+        OSError: the data directory cannot be made or written to.
+        SQLAlchemyError, NotReady: the database does not answer or cannot be used.
         CommandError: it is of a revision that is not known here.
-        InvalidParameter: the device profile of the settings cannot be used.
+        LumilineError: the device profile of the settings cannot be used.
     """
     settings.folders.recordings.mkdir(parents=True, exist_ok=True)
     migrate(database, fill=seed)
     if settings.device is None:
         return ()
-    # Only here: profiles bring the whole of the optics with them.
-    from service.devices.profile_device import add_profile_device
-    from service.devices.profiles import take_in
+    return (_stored_device(settings.device, settings.folders.profiles, database),)
 
-    profile = take_in(settings.device, settings.folders.profiles)
+
+def _stored_device(name_or_path: str, folder: Path, database: Database) -> str:
+    """Store the device of a profile unless it is there; return its id."""
+    # Only here: profiles bring the whole of the optics with them.
+    from service.devices import profile_device as devices
+    from service.devices import profiles
+
+    profile = profiles.given_profile(name_or_path, folder)
+    identity = devices.device_id(profile.name)
+    with database.read() as session:
+        stored = devices.is_stored(session, profile)
+    if stored:
+        profiles.check_kept(profile, identity, folder)
+        return identity
+    _log.info("device %s: fitting its calibration to its optics, some seconds", identity)
+    made = devices.profile_device(profile)
+    profiles.keep(name_or_path, profile, folder)
     with database.write() as session:
-        add_profile_device(session, profile)
-    return (profile.name,)
+        if not devices.is_stored(session, profile):  # another server may have been quicker
+            devices.store_profile_device(session, made)
+    return identity

@@ -1,5 +1,6 @@
 """Renders the frames of a profile's device: scene, light, traced optics, detector; in batches."""
 
+import logging
 from functools import cached_property
 from typing import Final
 
@@ -20,6 +21,8 @@ from compute.optics.profiles.build import (
 from compute.optics.profiles.profile import DeviceProfile
 from hardware.simulated.batch import Batch, Timing, batch_rng, batch_sequence, finished_batch
 from hardware.simulated.profile_settings import ProfileSettings
+
+_log = logging.getLogger(__name__)
 
 _LOOKS: Final = 181  # at a scene's period
 
@@ -70,7 +73,11 @@ class ProfileRenderer:
 
     @cached_property
     def _optics(self) -> FootprintOptics:
-        return profile_optics(self._profile, self._settings.optics)
+        name = self._profile.name
+        _log.info("profile %s: tracing its optics, seconds before the first frame", name)
+        optics = profile_optics(self._profile, self._settings.optics)
+        _log.info("profile %s: its optics are traced", name)
+        return optics
 
     def signal_electrons(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the mean electrons of the markers in N exposures, shape (N, sensors, pixels)."""

@@ -1,6 +1,8 @@
 """`lumiline serve`: runs the service under uvicorn."""
 
+import copy
 import gc
+import logging.config
 from typing import Any, Final
 
 import typer
@@ -24,8 +26,10 @@ def run(**given: Any) -> None:
     from service.app import create_app
     from service.cli.start_check import check_start
 
+    options = server_options(settings)
+    logging.config.dictConfig(options["log_config"])
     check_start(settings)
-    uvicorn.run(create_app(settings, started=settle_memory), **server_options(settings))
+    uvicorn.run(create_app(settings, started=settle_memory), **options)
 
 
 def settle_memory() -> None:
@@ -40,7 +44,15 @@ def settle_memory() -> None:
 
 def server_options(settings: Settings) -> dict[str, Any]:
     """Return uvicorn's options for these settings."""
+    from uvicorn.config import LOGGING_CONFIG
+
+    log_config = copy.deepcopy(LOGGING_CONFIG)
+    # Ours in the same form, on standard error.
+    level = settings.log_level.upper()
+    for name in ("service", "hardware"):
+        log_config["loggers"][name] = {"handlers": ["default"], "level": level}
     return {
+        "log_config": log_config,
         "host": settings.host,
         "port": settings.port,
         "log_level": settings.log_level,

@@ -5,8 +5,9 @@ from alembic.util import CommandError
 from sqlalchemy import URL
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
-from compute.errors import InvalidParameter, LumilineError
+from compute.errors import LumilineError
 from service.database.engine import Database
+from service.errors import NotReady
 from service.settings import Settings
 from service.start import prepare
 
@@ -36,14 +37,14 @@ def check_start(settings: Settings) -> None:
             "that wrote it, or a newer one",
             _FAILED,
         ) from None
-    except InvalidParameter as error:
-        raise _end(f"setting device: {error.detail}", _WRONG_SETTING) from None
-    except (SQLAlchemyError, LumilineError) as error:
+    except (SQLAlchemyError, NotReady) as error:
         reason = str(error.orig if isinstance(error, DBAPIError) else error)
         for secret in _secrets(database.engine.url):
             reason = reason.replace(secret, "***")
         reason = "; ".join(line.strip() for line in reason.splitlines() if line.strip())
         raise _end(f"database {name} cannot be used: {reason}", _FAILED) from None
+    except LumilineError as error:
+        raise _end(f"setting device: {error.detail}", _WRONG_SETTING) from None
     finally:
         database.close()
 

@@ -1,12 +1,13 @@
 """Makes the driver that a device's source describes; drivers' libraries load only here."""
 
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
 from compute.errors import InvalidParameter
-from hardware.driver import Driver
+from hardware.driver import Driver, SensorDescription
 from service.devices.schema import ExternalSource, ProfileSource, ReplaySource, Sensor, Source
 from service.errors import DeviceWithoutDriver, UnknownRecording
 from service.settings import DataFolders
@@ -37,9 +38,9 @@ def make_driver(device_id: str, source: Source, folders: DataFolders) -> Driver:
         )
     if isinstance(source, ProfileSource):
         from hardware.simulated.profile_driver import ProfileDriver
-        from service.devices.profiles import source_profile
+        from service.devices.profiles import find_profile
 
-        profile = source_profile(source.profile, folders.profiles)
+        profile = find_profile(source.profile, folders.profiles)
         return ProfileDriver(device_id, profile, source.settings)
     from hardware.simulated.driver import SimulatedDriver
 
@@ -91,6 +92,15 @@ def _sensors_of_driver(device_id: str, source: Source, folders: DataFolders) -> 
         described = driver.description.sensors
     finally:
         driver.close()
+    return usable_sensors(described)
+
+
+def usable_sensors(described: Iterable[SensorDescription]) -> list[Sensor]:
+    """Return a driver's sensors as the service keeps them.
+
+    Raises:
+        InvalidParameter: the service cannot use one of them.
+    """
     try:
         return _SENSORS.validate_python([asdict(sensor) for sensor in described])
     except ValidationError as error:

@@ -1,73 +1,127 @@
-"""Stores the device of a profile, with the calibration that its traced optics give."""
+"""The device of a profile, as the service stores it, with what its traced optics calibrate."""
 
-from dataclasses import asdict
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import ValidationError
 from sqlalchemy.orm import Session
 
 from compute.calibration.result import Calibration
 from compute.calibration.run import calibrate
 from compute.camera.model import SensorGeometry
+from compute.errors import InvalidParameter, LumilineError
 from compute.optics.profiles.build import profile_optics
 from compute.optics.profiles.profile import DeviceProfile
 from compute.planning.line_bound import centroids
-from hardware.simulated.profile_driver import ProfileDriver, readout_of
+from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
 from service.calibrations.run import Outcome, calibration_content
 from service.calibrations.schema import ControlPointErrors
 from service.calibrations.store import activate, add_calibration
 from service.database.models import DeviceRow
+from service.devices.drivers import usable_sensors
 from service.devices.schema import NewDevice, ProfileSource, Sensor
-from service.devices.store import add_device
+from service.devices.store import add_device, source_of
 
 _GRID: Final = 6  # control points along each side of the volume
-_SENSORS: Final = TypeAdapter(list[Sensor])
 
 
-def add_profile_device(session: Session, profile: DeviceProfile) -> bool:
-    """Store the device of a profile under the profile's name, unless there is one.
+@dataclass(frozen=True)
+class ProfileDevice:
+    """A device to store.
 
-    Its calibration is fitted to traced readings without noise of points all over the working
-    volume; what the lenses distort beyond the camera model stays in its residuals. A device
-    whose lines are not images of markers gets none.
+    Args:
+        device: the device.
+        sensors: its sensors.
+        calibration: that of its traced optics; None where lines are not images of markers.
+    """
 
-    Returns:
-        Whether it was stored.
+    device: NewDevice
+    sensors: list[Sensor]
+    calibration: Calibration | None
+
+
+def device_id(profile_name: str) -> str:
+    """Return the id of a profile's device: ids have no dots."""
+    return profile_name.replace(".", "-")
+
+
+def is_stored(session: Session, profile: DeviceProfile) -> bool:
+    """Tell whether the device of a profile is there.
 
     Raises:
-        LumilineError: the sensors do not see their volume well enough.
+        InvalidParameter: its id is taken by a device of another source.
     """
-    if session.get(DeviceRow, profile.name) is not None:
+    identity = device_id(profile.name)
+    row = session.get(DeviceRow, identity)
+    if row is None:
         return False
-    source = ProfileSource(kind="profile", profile=profile.name)
+    source = source_of(row)
+    if not isinstance(source, ProfileSource) or source.profile != profile.name:
+        of = f"profile {source.profile}" if isinstance(source, ProfileSource) else source.kind
+        raise InvalidParameter(
+            f'name is "{profile.name}", and the device "{identity}" is there already with another '
+            f"source ({of}); give the profile another name, or delete that device first",
+            name=profile.name,
+        )
+    return True
+
+
+def profile_device(profile: DeviceProfile) -> ProfileDevice:
+    """Return the device of a profile; takes seconds.
+
+    Its calibration is fitted to traced readings without noise of points all over the working
+    volume; what the lenses distort beyond the camera model stays in its residuals.
+
+    Raises:
+        InvalidParameter: it cannot be a device here, or does not see its volume well enough.
+    """
     described = ProfileDriver(profile.name, profile, ProfileSettings()).description
-    sensors = _SENSORS.validate_python([asdict(sensor) for sensor in described.sensors])
-    device = NewDevice(id=profile.name, title=profile.title[:200], source=source)
-    add_device(session, device, sensors)
-    if readout_of(profile) != "lines":
-        return True
-    result = nominal_calibration(profile)
+    try:
+        device = NewDevice(
+            id=device_id(profile.name),
+            title=profile.title[:200],
+            source=ProfileSource(kind="profile", profile=profile.name),
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise InvalidParameter(
+            f"profile {profile.name}: {where} is {first['input']!r}: {first['msg']}", field=where
+        ) from None
+    sensors = usable_sensors(described.sensors)
+    calibration = nominal_calibration(profile) if described.readout == "lines" else None
+    return ProfileDevice(device, sensors, calibration)
+
+
+def store_profile_device(session: Session, made: ProfileDevice) -> None:
+    """Store a device with its calibration, ``ID-nominal``, as the active one.
+
+    Raises:
+        DeviceExists, CalibrationExists.
+    """
+    identity, result = made.device.id, made.calibration
+    add_device(session, made.device, made.sensors)
+    if result is None:
+        return
     left_over = max(fit.rms_px for fit in result.sensors)
     note = (
         "Cameras fitted to the profile's traced optics over its working volume; nothing was "
         f"measured. The lenses' distortion beyond them is up to {left_over:.2g} px RMS."
     )
-    content = calibration_content(profile.name, "nominal", [], result)
+    content = calibration_content(identity, "nominal", [], result)
     errors = ControlPointErrors(fitted=None, leave_one_out=None)
     outcome = Outcome(result, content, errors.model_dump(mode="json"))
-    identity = f"{profile.name}-nominal"
-    add_calibration(session, profile.name, outcome, note, identity)
-    activate(session, identity)
-    return True
+    add_calibration(session, identity, outcome, note, f"{identity}-nominal")
+    activate(session, f"{identity}-nominal")
 
 
 def nominal_calibration(profile: DeviceProfile) -> Calibration:
     """Return the cameras that fit the profile's traced optics best over its working volume.
 
     Raises:
-        LumilineError: the sensors do not see their volume well enough; see ``calibrate``.
+        InvalidParameter: the sensors do not see their volume well enough.
     """
     pixels = profile.pixels.count
     share = np.linspace(-0.5, 0.5, _GRID)
@@ -76,4 +130,11 @@ def nominal_calibration(profile: DeviceProfile) -> Calibration:
     readings, light = centroids(profile_optics(profile, "exact").footprints(points), pixels)
     on_row = (readings >= -0.5) & (readings <= pixels - 0.5) & (light > 0.0)
     geometry = [SensorGeometry(sensor.name, pixels) for sensor in profile.sensors]
-    return calibrate(points, np.where(on_row, readings, np.nan), geometry)
+    try:
+        return calibrate(points, np.where(on_row, readings, np.nan), geometry)
+    except LumilineError as error:
+        raise InvalidParameter(
+            f"profile {profile.name}: its sensors do not see the volume well enough to be "
+            f"calibrated in it: {error.detail}; change the volume, or where the sensors are aimed",
+            field="volume",
+        ) from None

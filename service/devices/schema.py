@@ -12,6 +12,7 @@ from service.live.session import DeviceStatus
 from service.schema import Document, Given, Moment, Name, Slug, Text200, absent
 
 RECORDING_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
+PROFILE_PATTERN = r"^[a-z0-9]([a-z0-9.-]{0,61}[a-z0-9])?$"
 
 
 @checked_dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
@@ -34,7 +35,11 @@ class ProfileSource(Given):
     """Line scans of a device simulated from its profile: its optics, light and detector."""
 
     kind: Literal["profile"]
-    profile: Annotated[Slug, Field(description="A device profile: see `/api/v1/device-profiles`.")]
+    profile: Annotated[
+        str,
+        StringConstraints(pattern=PROFILE_PATTERN),
+        Field(description="A device profile's name: see `/api/v1/device-profiles`."),
+    ]
     settings: ProfileSettings = Field(default_factory=ProfileSettings)
 
 

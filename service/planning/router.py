@@ -1,13 +1,17 @@
 """REST resource /api/v1/device-profiles."""
 
-from fastapi import APIRouter
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request
 from starlette.responses import Response
 
-from compute.optics.profiles.loader import profile_names
+from compute.errors import InvalidParameter
 from compute.planning.result import Plan
+from service.devices.profiles import all_profiles, find_profile, profile_text
 from service.errors import Busy, UnknownDeviceProfile
 from service.openapi import problems
-from service.planning.run import find_profile, picture_of, plan_of, profile_text
+from service.planning.run import picture_of, plan_of
 from service.planning.schema import (
     DeviceProfileDocument,
     DeviceProfileSummary,
@@ -22,35 +26,43 @@ router = APIRouter(prefix="/api/v1/device-profiles", tags=["device-profiles"])
 _PNG = {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
 
 
+def _profiles_dir(request: Request) -> Path:
+    folder: Path = request.app.state.settings.folders.profiles
+    return folder
+
+
+ProfilesDir = Annotated[Path, Depends(_profiles_dir)]
+
+
 @router.get("", operation_id="list-device-profiles", summary="List device profiles")
-def list_device_profiles() -> list[DeviceProfileSummary]:
-    """The built-in profiles of published devices, by name."""
-    return [summary_of(find_profile(name)) for name in profile_names()]
+def list_device_profiles(profiles_dir: ProfilesDir) -> list[DeviceProfileSummary]:
+    """The built-in profiles of published devices and those in the data directory, by name."""
+    return [summary_of(profile) for profile in all_profiles(profiles_dir)]
 
 
 @router.get(
     "/{name}",
     operation_id="get-device-profile",
     summary="Read a device profile",
-    responses=problems(UnknownDeviceProfile),
+    responses=problems(UnknownDeviceProfile, InvalidParameter),
 )
-def get_device_profile(name: ProfilePath) -> DeviceProfileDocument:
+def get_device_profile(name: ProfilePath, profiles_dir: ProfilesDir) -> DeviceProfileDocument:
     """One device as published: geometry, detector, markers, rates, volume and figures."""
-    return document_of(find_profile(name), profile_text(name))
+    return document_of(find_profile(name, profiles_dir), profile_text(name, profiles_dir))
 
 
 @router.get(
     "/{name}/plan",
     operation_id="get-plan",
     summary="Plan a device",
-    responses=problems(UnknownDeviceProfile, Busy),
+    responses=problems(UnknownDeviceProfile, InvalidParameter, Busy),
 )
-def get_plan(name: ProfilePath, grid: GridQuery = 3) -> Plan:
+def get_plan(name: ProfilePath, profiles_dir: ProfilesDir, grid: GridQuery = 3) -> Plan:
     """What the device reaches over its working volume: precision, coverage, rates, ghosts.
 
     The first answer takes seconds, longer for a finer grid; the same again comes at once.
     """
-    return plan_of(name, grid)
+    return plan_of(name, profiles_dir, grid)
 
 
 @router.get(
@@ -58,8 +70,8 @@ def get_plan(name: ProfilePath, grid: GridQuery = 3) -> Plan:
     operation_id="get-plan-picture",
     summary="Draw a plan",
     response_class=Response,
-    responses=problems(UnknownDeviceProfile, Busy) | {200: _PNG},
+    responses=problems(UnknownDeviceProfile, InvalidParameter, Busy) | {200: _PNG},
 )
-def get_plan_picture(name: ProfilePath, grid: GridQuery = 3) -> Response:
+def get_plan_picture(name: ProfilePath, profiles_dir: ProfilesDir, grid: GridQuery = 3) -> Response:
     """The plan as a picture (PNG): maps of the deviations, error against distance, ghosts."""
-    return Response(picture_of(name, grid), media_type="image/png")
+    return Response(picture_of(name, profiles_dir, grid), media_type="image/png")

@@ -1,15 +1,14 @@
 """Works out plans for requests: a few at once, and each only once."""
 
 from collections.abc import Callable, Hashable
-from importlib import resources
+from pathlib import Path
 from threading import BoundedSemaphore, Lock
 from typing import Final, Generic, TypeVar
 
-from compute.optics.profiles.loader import load_profile, profile_names
-from compute.optics.profiles.profile import DeviceProfile
 from compute.planning.plan import plan
 from compute.planning.result import Plan
-from service.errors import Busy, UnknownDeviceProfile
+from service.devices.profiles import find_profile, profile_text
+from service.errors import Busy
 
 AT_ONCE: Final = 2
 """Plans worked out at the same time: they are work of seconds, and threads are for all."""
@@ -61,44 +60,27 @@ _plans = WorkedOut[Plan](BoundedSemaphore(AT_ONCE), KEPT)
 _pictures = WorkedOut[bytes](BoundedSemaphore(AT_ONCE), KEPT)
 
 
-def find_profile(name: str) -> DeviceProfile:
-    """Return a built-in profile.
+def plan_of(name: str, profiles_dir: Path, grid: int) -> Plan:
+    """Return the plan of a profile.
 
     Raises:
         UnknownDeviceProfile: there is none of this name.
-    """
-    if name not in profile_names():
-        raise UnknownDeviceProfile(
-            f'there is no device profile "{name}"; there are {", ".join(profile_names())}',
-            name=name,
-        )
-    return load_profile(name)
-
-
-def profile_text(name: str) -> str:
-    """Return the file of a built-in profile."""
-    file = resources.files("compute.optics.profiles") / "devices" / f"{name}.toml"
-    return file.read_text("utf-8")
-
-
-def plan_of(name: str, grid: int) -> Plan:
-    """Return the plan of a built-in profile.
-
-    Raises:
-        UnknownDeviceProfile: there is none of this name.
+        InvalidParameter: its file is not a profile, or no plan can be made of it.
         Busy: as many plans as may be are being worked out.
     """
-    profile = find_profile(name)
-    return _plans.get((name, grid), lambda: plan(profile, grid=grid))
+    profile = find_profile(name, profiles_dir)
+    # By what the file says, which may change.
+    key = profile_text(name, profiles_dir), grid
+    return _plans.get(key, lambda: plan(profile, grid=grid))
 
 
-def picture_of(name: str, grid: int) -> bytes:
+def picture_of(name: str, profiles_dir: Path, grid: int) -> bytes:
     """Return the picture of a plan as PNG.
 
     Raises:
-        UnknownDeviceProfile, Busy: as ``plan_of``.
+        UnknownDeviceProfile, InvalidParameter, Busy: as ``plan_of``.
     """
-    found = plan_of(name, grid)
+    found = plan_of(name, profiles_dir, grid)
 
     def draw() -> bytes:
         # Matplotlib is loaded by who wants a picture.
@@ -106,4 +88,4 @@ def picture_of(name: str, grid: int) -> bytes:
 
         return draw_plan(found)
 
-    return _pictures.get((name, grid), draw)
+    return _pictures.get((profile_text(name, profiles_dir), grid), draw)

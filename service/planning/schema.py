@@ -15,9 +15,9 @@ from compute.optics.profiles.parts import (
     Volume,
 )
 from compute.optics.profiles.profile import DeviceProfile, SensorProfile
+from service.devices.schema import PROFILE_PATTERN
 from service.schema import Document
 
-PROFILE_PATTERN = r"^[a-z0-9]([a-z0-9.-]{0,61}[a-z0-9])?$"
 MOST_GRID = 5
 
 ProfilePath = Annotated[

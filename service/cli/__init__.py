@@ -39,7 +39,7 @@ def options(
 def serve(
     host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to listen on; 0: a free one.")] = None,
-    data_dir: Annotated[Path | None, typer.Option(help="Database and recordings.")] = None,
+    data_dir: Annotated[Path | None, typer.Option(help="Database, recordings, profiles.")] = None,
     device: Annotated[
         str | None, typer.Option(help="Start a device profile: optotrak, ..., or a TOML file.")
     ] = None,
@@ -119,11 +119,14 @@ def record(
     settings: Annotated[
         Path | None, typer.Option(help="Simulation settings as JSON, as in a device's source.")
     ] = None,
+    device: Annotated[
+        str | None, typer.Option(help="A device profile: optotrak, ..., or a TOML file.")
+    ] = None,
 ) -> None:
-    """Record line scans of the simulated device to a file."""
+    """Record line scans of the simulated bar, or of a profile's device, to a file."""
     from service.cli.offline import run_record
 
-    run_record(output, seconds, settings)
+    run_record(output, seconds, settings, device)
 
 
 @app.command()
@@ -140,7 +143,9 @@ def replay(
 
 @app.command()
 def plan(
-    profile: Annotated[str, typer.Argument(help="A device profile's name, or its TOML file.")],
+    profile: Annotated[
+        str | None, typer.Argument(help="A device profile's name, or its TOML file.")
+    ] = None,
     grid: Annotated[
         int, typer.Option(min=3, max=21, help="Points of the volume along each axis.")
     ] = 5,
@@ -151,7 +156,7 @@ def plan(
     output: Annotated[Path | None, typer.Option(help="Draw the plan: a PNG to write.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
 ) -> None:
-    """Work out what a device will reach before it is built: precision, coverage, rates, ghosts."""
+    """Work out what a device will reach: precision, coverage, rates, ghosts. No name: list them."""
     from service.cli.plan import run
 
     run(profile, grid=grid, markers=markers, output=output, as_json=as_json)

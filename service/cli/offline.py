@@ -5,9 +5,10 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Final, TextIO, get_args
+from typing import TYPE_CHECKING, Final, TextIO, get_args
 
 import typer
 from pydantic import TypeAdapter, ValidationError
@@ -21,6 +22,9 @@ from compute.errors import LumilineError
 from service.calibrations.schema import LEAVE_ONE_OUT_POINTS
 from service.cli.observations_csv import read_observations
 from service.cli.output import console, error_table, fail, progress, progress_console
+
+if TYPE_CHECKING:
+    from hardware.simulated.driver import RenderedDriver
 
 DOCUMENT = TypeAdapter(Calibration)
 METHODS: Final[tuple[Method, ...]] = get_args(Method)
@@ -69,22 +73,17 @@ def run_calibrate(path: Path, pixels: int, method: str, output: Path | None) -> 
         console.print(f"written: {output}")
 
 
-def run_record(output: Path, seconds: float, settings: Path | None) -> None:
-    """Record the simulated device's line scans to a file."""
+def run_record(output: Path, seconds: float, settings: Path | None, device: str | None) -> None:
+    """Record the line scans of the simulated bar, or of a profile's device, to a file."""
     from hardware.recording import RecordingWriter
-    from hardware.simulated.driver import SimulatedDriver
-    from hardware.simulated.settings import SimulationSettings
 
     if output.exists():
         raise fail(f"{output} exists; choose another name, a recording is never overwritten")
     try:
-        chosen = SimulationSettings()
-        if settings is not None:
-            chosen = TypeAdapter(SimulationSettings).validate_json(settings.read_bytes())
-        values = {**vars(chosen), "realtime": False, "duration_s": seconds}
-        driver = SimulatedDriver("sim", SimulationSettings(**values))
+        given = None if settings is None else settings.read_bytes()
+        driver = _simulated(given, seconds) if device is None else _profile(device, given, seconds)
         driver.open()
-        total = int(seconds * chosen.frame_rate_hz)
+        total = max(1, int(seconds * driver.description.frame_rate_hz))
         with (
             RecordingWriter(output, driver.description) as writer,
             progress("recording", total) as done,
@@ -102,6 +101,24 @@ def run_record(output: Path, seconds: float, settings: Path | None) -> None:
     except LumilineError as error:
         raise fail(error.detail) from error
     console.print(f"written: {output}")
+
+
+def _simulated(given: bytes | None, seconds: float) -> "RenderedDriver":
+    from hardware.simulated.driver import SimulatedDriver
+    from hardware.simulated.settings import SimulationSettings
+
+    chosen = TypeAdapter(SimulationSettings).validate_json(given or b"{}")
+    return SimulatedDriver("sim", replace(chosen, realtime=False, duration_s=seconds))
+
+
+def _profile(device: str, given: bytes | None, seconds: float) -> "RenderedDriver":
+    from compute.optics.profiles.loader import load_profile
+    from hardware.simulated.profile_driver import ProfileDriver
+    from hardware.simulated.profile_settings import ProfileSettings
+
+    profile = load_profile(device)
+    chosen = TypeAdapter(ProfileSettings).validate_json(given or b"{}")
+    return ProfileDriver(profile.name, profile, replace(chosen, realtime=False, duration_s=seconds))
 
 
 def run_replay(path: Path, calibration: Path, output: Path | None) -> None:

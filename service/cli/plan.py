@@ -2,19 +2,28 @@
 
 from pathlib import Path
 
+from rich.markup import escape
 from rich.table import Table
 
 from compute.errors import LumilineError
-from compute.optics.profiles.loader import load_profile
-from compute.planning.plan import plan
+from compute.optics.profiles.loader import load_profile, profile_names
 from compute.planning.result import Plan
 from service.cli.output import console, fail, millimetres, print_json, progress
 
 
 def run(
-    profile: str, *, grid: int, markers: int | None, output: Path | None, as_json: bool
+    profile: str | None, *, grid: int, markers: int | None, output: Path | None, as_json: bool
 ) -> None:
-    """Work out and print a plan; draw it where a file is given."""
+    """Work out and print a plan; draw it where a file is given. No profile: list them."""
+    if profile is None:
+        if output is not None:
+            raise fail("--output wants a profile to draw the plan of")
+        _list(as_json=as_json)
+        return
+    if output is not None and not output.parent.is_dir():
+        raise fail(f"{output} cannot be written: there is no folder {output.parent}")
+    from compute.planning.plan import plan
+
     try:
         with progress("planning", 1.0, quiet=as_json) as done:
             found = plan(load_profile(profile), grid=grid, markers=markers, progress=done)
@@ -33,6 +42,32 @@ def run(
     _print(found)
     if output is not None:
         console.print(f"written: {output}")
+
+
+def _list(*, as_json: bool) -> None:
+    profiles = [load_profile(name) for name in profile_names()]
+    if as_json:
+        print_json(
+            [
+                {
+                    "name": one.name,
+                    "title": one.title,
+                    "year": one.year,
+                    "sensors": len(one.sensors),
+                }
+                for one in profiles
+            ]
+        )
+        return
+    table = Table(title="device profiles: lumiline plan NAME, or FILE.toml", title_justify="left")
+    table.add_column("name", no_wrap=True)
+    for heading in ("year", "sensors"):
+        table.add_column(heading, justify="right")
+    table.add_column("device")
+    for one in profiles:
+        year = "" if one.year is None else str(one.year)
+        table.add_row(one.name, year, str(len(one.sensors)), escape(one.title))
+    console.print(table)
 
 
 def _print(found: Plan) -> None:

@@ -61,7 +61,8 @@ def _list(*, as_json: bool) -> None:
         print_json(rows)
         return
     table = Table(title="cases: lumiline reproduce NAME, or all", title_justify="left")
-    for heading in ("name", "title", "source"):
+    table.add_column("name", no_wrap=True)
+    for heading in ("title", "source"):
         table.add_column(heading)
     for row in rows:
         table.add_row(*row.values())

@@ -30,6 +30,29 @@ def prepare(settings: Settings, database: Database) -> tuple[str, ...]:
     return (_stored_device(settings.device, settings.folders.profiles, database),)
 
 
+def trace_optics(settings: Settings, database: Database, named: tuple[str, ...]) -> None:
+    """Trace the optics of these devices' profiles: beside running devices it takes much longer.
+
+    Raises:
+        LumilineError: a profile cannot be used, or the database not be read.
+    """
+    if not named:
+        return
+    from compute.optics.profiles.build import profile_optics
+    from service.devices.profiles import find_profile
+    from service.devices.schema import ProfileSource
+    from service.devices.store import get_device, source_of
+
+    for identity in named:
+        with database.read() as session:
+            source = source_of(get_device(session, identity))
+        assert isinstance(source, ProfileSource)
+        _log.info("device %s: tracing its optics, some seconds", identity)
+        # Its tables are kept, for the driver to find.
+        profile = find_profile(source.profile, settings.folders.profiles)
+        profile_optics(profile, source.settings.optics)
+
+
 def _stored_device(name_or_path: str, folder: Path, database: Database) -> str:
     """Store the device of a profile unless it is there; return its id."""
     # Only here: profiles bring the whole of the optics with them.

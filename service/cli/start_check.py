@@ -9,7 +9,7 @@ from compute.errors import LumilineError
 from service.database.engine import Database
 from service.errors import NotReady
 from service.settings import Settings
-from service.start import prepare
+from service.start import prepare, trace_optics
 
 _FAILED = 1
 _WRONG_SETTING = 2
@@ -24,7 +24,8 @@ def check_start(settings: Settings) -> None:
     database = _database(settings.effective_database_url)
     name = _without_password(database.engine.url)
     try:
-        prepare(settings, database)
+        named = prepare(settings, database)
+        trace_optics(settings, database, named)
     except OSError as error:
         raise _end(
             f"data directory {settings.data_dir} cannot be used: {error.strerror or error}; "

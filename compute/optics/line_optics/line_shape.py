@@ -17,12 +17,13 @@ Array = NDArray[np.float64]
 CELLS: Final = 16
 """Cells of the fine grid in a pixel."""
 
-_TUBES: Final = 16  # ray tubes between two traced rays
+_TUBES: Final = 8  # ray tubes between two traced rays
 _MARGIN_PX: Final = 24  # room for the blur on both sides of a line
 # The tails of sinc^2 fall with the square of the distance and have no centre of gravity: they
 # fade out here; beyond lie about 0.2 % of the light.
 _TAIL_PX: Final = (12.0, 20.0)
 _BESIDE_PX: Final = 64.0  # light farther beside the row than this is left out
+_LEAST_CELLS: Final = 0.5  # least width of a tube
 _BLOCK: Final = 4_000_000  # grid cells worked on at once
 
 
@@ -106,46 +107,57 @@ def line_shapes(
     Returns:
         Lines of one grid length for all; dark ones where no ray arrives.
     """
-    position, light = _tubes(rays, height_weights_mm, row)
-    light[(position < -_BESIDE_PX) | (position > row.count + _BESIDE_PX)] = 0.0
-    position[light.sum(axis=1) == 0.0] = row.middle_px
-    lit = light > 0.0
-    low = np.where(lit, position, np.inf).min(axis=1)
-    high = np.where(lit, position, -np.inf).max(axis=1)
+    tubes = _tubes(rays, height_weights_mm, row)
+    tubes.light[(tubes.low < -_BESIDE_PX) | (tubes.high > row.count + _BESIDE_PX)] = 0.0
+    lit = tubes.light > 0.0
     dark = ~lit.any(axis=1)
-    low[dark], high[dark] = row.middle_px, row.middle_px
+    low = np.where(dark, row.middle_px, np.where(lit, tubes.low, np.inf).min(axis=1))
+    high = np.where(dark, row.middle_px, np.where(lit, tubes.high, -np.inf).max(axis=1))
     emitter = np.abs(scale_px_per_mm) * blur.emitter_width_mm / 2.0
     margin = _MARGIN_PX + np.ceil(emitter.max(initial=0.0))
     first = np.floor(low + 0.5 - margin).astype(np.int64)
     pixels = int(np.ceil((high - low).max(initial=0.0) + 2.0 * margin + 1.0))
-    cells = np.empty((len(light), CELLS * pixels))
+    cells = np.empty((len(low), CELLS * pixels))
     cutoff = _cutoff(rays, blur.wavelength_nm, row)
     block = max(1, _BLOCK // cells.shape[1])
-    for start in range(0, len(light), block):
+    for start in range(0, len(low), block):
         part = slice(start, start + block)
-        gathered = _gathered(position[part], light[part], first[part], cells.shape[1])
+        gathered = _gathered(tubes, part, first[part], cells.shape[1])
         cells[part] = _blurred(gathered, emitter[part], cutoff[part])
     return LineShapes(first, cells)
 
 
-def _tubes(rays: RowRays, weights: Array, row: PixelRow) -> tuple[Array, Array]:
-    """Return the middles [px] and the light [sr] of fine ray tubes, shape (N, T * tubes)."""
+@dataclass(frozen=True, eq=False)
+class _Tubes:
+    """Fine ray tubes of N lines: their two ends on the row [px] and their light [sr], (N, K)."""
+
+    low: Array
+    high: Array
+    light: Array
+
+
+def _tubes(rays: RowRays, weights: Array, row: PixelRow) -> _Tubes:
     points, _, samples = rays.position_mm.shape
-    fine = np.linspace(0.0, 1.0, _TUBES * (samples - 1) + 1)
-    middle = 0.5 * (fine[1:] + fine[:-1])
+    ends = np.linspace(0.0, 1.0, _TUBES * (samples - 1) + 1)
+    middle = 0.5 * (ends[1:] + ends[:-1])
     traced = np.linspace(0.0, 1.0, samples)
     # The image is upside down: readings grow against x.
     reading = row.middle_px - rays.position_mm / row.pitch_mm
     known = np.isfinite(reading)
     light = rays.solid_angle_sr_per_mm2
     left = np.minimum((middle * (samples - 1)).astype(np.int64), samples - 2)
-    position = _between(traced, np.where(known, reading, 0.0), middle, known)
+    place = _between(traced, np.where(known, reading, 0.0), ends, known)
     density = _between(traced, light, middle, light > 0.0)
     density *= (light[..., left] > 0.0) & (light[..., left + 1] > 0.0)
     width = np.diff(rays.pupil_mm[..., [0, -1]], axis=2) / len(middle)
     light = np.maximum(density, 0.0) * width * weights[:, None]
     light *= rays.lit[..., None]
-    return position.reshape(points, -1), light.reshape(points, -1)
+    one, other = place[..., :-1], place[..., 1:]
+    return _Tubes(
+        np.minimum(one, other).reshape(points, -1),
+        np.maximum(one, other).reshape(points, -1),
+        light.reshape(points, -1),
+    )
 
 
 def _between(places: Array, values: Array, wanted: Array, good: NDArray[np.bool_]) -> Array:
@@ -159,18 +171,29 @@ def _between(places: Array, values: Array, wanted: Array, good: NDArray[np.bool_
     return found
 
 
-def _gathered(position: Array, light: Array, first: NDArray[np.int64], cells: int) -> Array:
-    """Share each tube's light between the two cells beside it, which keeps the centroid."""
-    place = (position - first[:, None] + 0.5) * CELLS - 0.5
-    left = np.floor(place)
-    share = place - left
-    index = np.clip(left.astype(np.int64), 0, cells - 2) + cells * np.arange(len(place))[:, None]
-    total = cells * len(place)
-    gathered: Array = np.bincount(
-        index.ravel(), (light * (1.0 - share)).ravel(), minlength=total
-    ).astype(np.float64)
-    gathered += np.bincount(index.ravel() + 1, (light * share).ravel(), minlength=total)
-    return gathered.reshape(len(place), cells)
+def _gathered(tubes: _Tubes, part: slice, first: NDArray[np.int64], cells: int) -> Array:
+    """Spread each tube's light evenly between its ends.
+
+    The light of the cells is the running sum of what each tube adds at its low end and takes
+    away at its high end, shared between the two cells there.
+    """
+    low = (tubes.low[part] - first[:, None] + 0.5) * CELLS
+    high = (tubes.high[part] - first[:, None] + 0.5) * CELLS
+    # At a focus a tube has no width; half a cell keeps its place.
+    missing = 0.5 * np.maximum(_LEAST_CELLS - (high - low), 0.0)
+    low, high = low - missing, high + missing
+    density = tubes.light[part] / (high - low)
+    line = (cells + 2) * np.arange(len(low))[:, None]
+    steps = np.zeros(len(low) * (cells + 2))
+    for end, sign in ((low, 1.0), (high, -1.0)):
+        cell = np.floor(end)
+        share = end - cell
+        index = (np.clip(cell.astype(np.int64), 0, cells) + line).ravel()
+        for offset, part_of in ((0, 1.0 - share), (1, share)):
+            added = (sign * density * part_of).ravel()
+            steps += np.bincount(index + offset, added, minlength=len(steps))
+    gathered = np.cumsum(steps.reshape(len(low), -1), axis=1)[:, :cells]
+    return np.asarray(np.maximum(gathered, 0.0))
 
 
 def _cutoff(rays: RowRays, wavelength_nm: float | None, row: PixelRow) -> Array:

@@ -25,6 +25,7 @@ Tracer = Callable[[SurfaceStack, Array, Array], TracedRays]
 
 _COARSE: Final = 33  # places in the pupil looked at to find the fan's ends
 _GUIDES: Final = 9  # aimed rays that all others start from
+_FEW_TERMS: Final = 4  # of a guide where rays are lost
 _NODES: Final = np.cos(np.pi * (np.arange(_GUIDES) + 0.5) / _GUIDES)
 _AIM_TURNS: Final = 8
 _AIMED_MM: Final = 1e-9
@@ -135,11 +136,13 @@ class RowAim:
         y, slope = self._aimed(aim)
         found = np.isfinite(self._through(aim, y, self._open).position_mm[:, 0])
         found &= np.isfinite(y) & np.isfinite(slope) & (slope != 0.0)
+        by_fan = found.reshape(pupil.shape)
         return _Guide(
             self._centre_mm,
             self._reach_mm,
-            _series(y.reshape(pupil.shape), found.reshape(pupil.shape), 0.0),
-            _series(slope.reshape(pupil.shape), found.reshape(pupil.shape), 1.0),
+            _series(y.reshape(pupil.shape), by_fan, 0.0),
+            _series(slope.reshape(pupil.shape), by_fan, 1.0),
+            ~np.asarray(by_fan.all(axis=1)),
         )
 
     def _ends(
@@ -148,9 +151,12 @@ class RowAim:
         """Find the ends of each fan in the pupil, shape (R,), and whether there is one."""
 
         def passes(pupil: Array) -> NDArray[np.bool_]:
-            y, _ = guide.at(pupil)
+            y, slope = (values.ravel() for values in guide.at(pupil))
             aim = _Aim.of(source_mm, height_mm, pupil)
-            status = self._through(aim, y.ravel(), self._stack).status
+            if guide.rough.any():
+                rough = np.repeat(guide.rough, pupil.shape[1])
+                y[rough], _ = self._aimed(aim.part(rough), y[rough], slope[rough])
+            status = self._through(aim, y, self._stack).status
             return np.asarray(status == RayStatus.ARRIVED).reshape(pupil.shape)
 
         coarse = self._centre_mm + self._reach_mm * np.linspace(-1.0, 1.0, _COARSE)
@@ -257,6 +263,10 @@ class _Aim:
             np.repeat(source_mm, samples, axis=0), np.repeat(height_mm, samples), pupil_mm.ravel()
         )
 
+    def part(self, which: NDArray[np.bool_]) -> "_Aim":
+        """Return some of the rays."""
+        return _Aim(self.source_mm[which], self.height_mm[which], self.pupil_mm[which])
+
 
 @dataclass(frozen=True, eq=False)
 class _Guide:
@@ -267,12 +277,14 @@ class _Guide:
         reach_mm: half its width [mm].
         y_mm: coefficients, shape (K, N, 1).
         slope: coefficients, shape (K, N, 1).
+        rough: fans of which rays are lost, so that the series is not to be relied on, shape (N,).
     """
 
     centre_mm: float
     reach_mm: float
     y_mm: Array
     slope: Array
+    rough: NDArray[np.bool_]
 
     def at(self, pupil_mm: Array) -> tuple[Array, Array]:
         """Return y and slope at places (N, M) in the pupil, both (N, M)."""
@@ -286,12 +298,17 @@ class _Guide:
 def _series(values: Array, found: NDArray[np.bool_], otherwise: float) -> Array:
     """Return Chebyshev coefficients (K, N, 1) of values (N, K) at the nodes.
 
-    A value that was not found is taken from its nearest neighbour: rays are lost there.
+    Where rays are lost the series is a low one, fitted to those that are found.
     """
-    places = np.arange(values.shape[1])
-    distance = np.abs(places[:, None] - places)
-    nearest = np.where(found[:, None, :], distance, len(places)).argmin(axis=2)
-    any_found = np.any(found, axis=1, keepdims=True)
-    filled = np.where(any_found, np.take_along_axis(values, nearest, axis=1), otherwise)
-    series = np.linalg.solve(chebvander(_NODES, _GUIDES - 1), filled.T)
+    basis = chebvander(_NODES, _GUIDES - 1)
+    series = np.linalg.solve(basis, np.where(found, values, 0.0).T)
+    for row in np.flatnonzero(~found.all(axis=1)):
+        series[:, row] = 0.0
+        known = found[row]
+        terms = min(_FEW_TERMS, int(known.sum()))
+        if terms == 0:
+            series[0, row] = otherwise
+            continue
+        fitted, *_ = np.linalg.lstsq(basis[known, :terms], values[row, known], rcond=None)
+        series[:terms, row] = fitted
     return np.asarray(series[:, :, None], dtype=np.float64)

@@ -1,5 +1,8 @@
 """All cases by their names on the command line."""
 
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
 from typing import Final
 
 from validation.aberrations_polynomials import CASE as TABLES_3_1_3_2
@@ -13,14 +16,27 @@ from validation.table_1_1 import CASE as TABLE_1_1
 from validation.table_5_5 import CASE as TABLE_5_5
 from validation.tables import TablesCase
 
+
+def _drawn(case: TablesCase, module: str) -> TablesCase:
+    """Return a case with its picture, by the ``draw`` of a module of this package.
+
+    Matplotlib, which the module brings, is loaded by who wants the picture.
+    """
+
+    def draw(path: Path) -> None:
+        import_module(f"validation.{module}").draw(path)
+
+    return replace(case, picture=draw)
+
+
 _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_1_1,
     TABLE_5_5,
     TABLE_A1,
     TABLE_A2,
     SEIDEL,
-    SKEW_EFFECT,
-    STOP_AND_FOCUS,
+    _drawn(SKEW_EFFECT, "skew_picture"),
+    _drawn(STOP_AND_FOCUS, "stop_picture"),
     ATTENUATION,
     TABLES_3_1_3_2,
 )

@@ -1,7 +1,6 @@
 """Case skew-effect: what a camera, a polynomial in u, and terms in u and v leave of distortion."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -281,17 +280,9 @@ def _in_space(u: Array, v: Array, z: Array) -> Array:
     return np.stack([u * z, v * z, z], axis=1)
 
 
-def _draw(path: Path) -> None:
-    # Here and not above: matplotlib is wanted by nobody who runs a case without its picture.
-    from validation.skew_picture import draw
-
-    draw(path)
-
-
 CASE: Final = TablesCase(
     "skew-effect",
     "distortion over both field angles: what models of it leave",
     "sections 3.3, 3.4 and 5.2, Appendices E and F; figures of the design",
     work_out,
-    _draw,
 )

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -219,17 +218,9 @@ def _figure(value: float | None) -> str:
     return "no fit" if value is None else f"{value:.1f}"
 
 
-def _draw(path: Path) -> None:
-    # Here and not above: matplotlib is wanted by nobody who runs a case without its picture.
-    from validation.stop_picture import draw
-
-    draw(path)
-
-
 CASE: Final = TablesCase(
     "stop-and-focus",
     "width, lopsidedness, light, bound and distortion by stop and focus",
     "sections 3.3.2 (aperture stop, Figure 3.12) and 3.4; a builder's question",
     work_out,
-    _draw,
 )

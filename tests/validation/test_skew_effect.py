@@ -11,8 +11,8 @@ from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack
 from service.cli.reproduce import run
 from validation.aberrations_lens import ROW, stopped_lens
+from validation.all_cases import ALL_CASES
 from validation.skew_effect import (
-    CASE,
     MODELS,
     Readings,
     _axis_table,
@@ -25,6 +25,7 @@ from validation.skew_effect import (
     other_field_points,
     traced_readings,
 )
+from validation.tables import TablesCase
 
 CAMERA, POWERS, _, BOTH, _ = MODELS.values()
 
@@ -89,8 +90,10 @@ def test_the_effective_index_is_the_tracers() -> None:
 
 
 def test_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert CASE.picture is not None
-    CASE.picture(tmp_path / "skew.png")
+    case = ALL_CASES["skew-effect"]
+    assert isinstance(case, TablesCase)
+    assert case.picture is not None
+    case.picture(tmp_path / "skew.png")
     assert (tmp_path / "skew.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -19,6 +19,7 @@ from validation.stop_figures import (
     line_bound,
     line_figures,
 )
+from validation.tables import TablesCase
 
 
 def gaussian_line(sigma_px: float, place_px: float, electrons: float) -> LineShapes:
@@ -99,4 +100,6 @@ def test_the_lens_without_a_stop_has_a_line_of_hundreds_of_pixels() -> None:
 
 def test_the_case_is_there_with_its_picture() -> None:
     assert ALL_CASES["stop-and-focus"] is CASE
-    assert CASE.picture is not None
+    case = ALL_CASES["stop-and-focus"]
+    assert isinstance(case, TablesCase)
+    assert case.picture is not None

@@ -210,12 +210,19 @@ def _measured_case() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
         ),
         "At an LED's 950 nm BK7 has n = 1.508, not 1.52; the fit cannot tell the two apart.",
         (
-            "The straight line's 0.0 in the last row of either side is a misprint: it stands at "
-            f"{table.predicted_px[before[0]]:g} and {table.predicted_px[before[1]]:g} px a step "
-            "before, and falls by 37 px a step."
+            "The straight line's 0.0 in the last row of either side is no point of the line, which "
+            f"stands at {table.predicted_px[before[0]]:g} and {table.predicted_px[before[1]]:g} px "
+            "a step before and falls by 37 px a step. The thesis's 125.2 px on the right rest on "
+            f"it: on the line they are {_end_of_right(table):.0f} px. Case tables-3.1-3.2 has more."
         ),
     )
     return (summary, positions), findings
+
+
+def _end_of_right(table: Side) -> float:
+    """Return the distortion at 130 mm on the right, with the straight line continued [px]."""
+    right = table.predicted_px[~table.left]
+    return float(table.measured_px[-1] - (2.0 * right[-2] - right[-3]))
 
 
 def _simulated_case() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:

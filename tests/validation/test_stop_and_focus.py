@@ -10,7 +10,7 @@ from compute.optics.line_optics.line_shape import CELLS, LineShapes
 from validation.aberrations_lens import WIDTH_MM, StopPlace, stopped_lens
 from validation.all_cases import ALL_CASES
 from validation.skew_effect import FIELD_U
-from validation.stop_and_focus import CASE, FIELD
+from validation.stop_and_focus import FIELD
 from validation.stop_figures import (
     ELECTRONS_PER_SR,
     best_focus_mm,
@@ -99,7 +99,6 @@ def test_the_lens_without_a_stop_has_a_line_of_hundreds_of_pixels() -> None:
 
 
 def test_the_case_is_there_with_its_picture() -> None:
-    assert ALL_CASES["stop-and-focus"] is CASE
     case = ALL_CASES["stop-and-focus"]
     assert isinstance(case, TablesCase)
     assert case.picture is not None

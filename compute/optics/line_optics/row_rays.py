@@ -13,23 +13,29 @@ from typing import Final
 import numpy as np
 from numpy.polynomial.chebyshev import chebval, chebvander
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from compute.errors import InvalidParameter
 from compute.optics.tracing.assembly import Assembly
+from compute.optics.tracing.elements import Lens
 from compute.optics.tracing.rays import RayStatus, TracedRays
+from compute.optics.tracing.shapes import sag
 from compute.optics.tracing.surfaces import SurfaceStack
 from compute.optics.tracing.trace import trace_rays
 
 Array = NDArray[np.float64]
 Tracer = Callable[[SurfaceStack, Array, Array], TracedRays]
 
-_COARSE: Final = 33  # places in the pupil looked at to find the fan's ends
+_COARSE: Final = 33  # places in the pupil looked at to find the fan's ends, at least
+_MOST_COARSE: Final = 1025
 _GUIDES: Final = 9  # aimed rays that all others start from
 _FEW_TERMS: Final = 4  # of a guide where rays are lost
 _NODES: Final = np.cos(np.pi * (np.arange(_GUIDES) + 0.5) / _GUIDES)
 _AIM_TURNS: Final = 8
 _AIMED_MM: Final = 1e-9
 _BISECTIONS: Final = 22  # of a 33rd of the pupil: to 1e-8 of its width
+_STEEPEST: Final = 1.0  # tangent of the most slanting light along x
+_CORNERS: Final = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
 _CHUNK: Final = 400_000  # rays traced at once, to bound the memory
 
 
@@ -82,9 +88,13 @@ class RowAim:
         self._sensor_z_mm = assembly.sensor_z_mm
         self._plane_z_mm = assembly.front_z_mm
         self._centre_mm = first.alignment.decentre_mm[0]
-        # A tilted first element reaches a little beyond its width in the plane of its vertex.
-        tilted = bool(np.any(first.alignment.tilt_rad))
-        self._reach_mm = first.aperture.width_mm * (0.6 if tilted else 0.5)
+        self._reach_mm = _reach(assembly)
+        # Fine enough to meet the narrowest opening, wherever it is.
+        narrowest = min(element.aperture.width_mm for element in assembly.elements)
+        steps = np.ceil(
+            (_COARSE - 1) * self._reach_mm / min(first.aperture.width_mm, narrowest * 4)
+        )
+        self._coarse = int(np.clip(2 * steps + 1, _COARSE, _MOST_COARSE))
 
     def fans(self, points_mm: Array, heights_mm: Array, samples: int) -> RowRays:
         """Return the fans of points (N, 3) [mm] in the optics' frame to heights (T,) [mm]."""
@@ -159,15 +169,16 @@ class RowAim:
             status = self._through(aim, y, self._stack).status
             return np.asarray(status == RayStatus.ARRIVED).reshape(pupil.shape)
 
-        coarse = self._centre_mm + self._reach_mm * np.linspace(-1.0, 1.0, _COARSE)
-        seen = passes(np.broadcast_to(coarse, (len(source_mm), _COARSE)))
+        count = self._coarse
+        coarse = self._centre_mm + self._reach_mm * np.linspace(-1.0, 1.0, count)
+        seen = passes(np.broadcast_to(coarse, (len(source_mm), count)))
         lit = np.asarray(seen.any(axis=1))
         low = seen.argmax(axis=1)
-        high = _COARSE - 1 - seen[:, ::-1].argmax(axis=1)
+        high = count - 1 - seen[:, ::-1].argmax(axis=1)
         # Inside and outside of the two ends; at the ends of the pupil both are the end.
         inside = np.stack([coarse[low], coarse[high]], axis=1)
         beyond = np.stack(
-            [coarse[np.maximum(low - 1, 0)], coarse[np.minimum(high + 1, _COARSE - 1)]], axis=1
+            [coarse[np.maximum(low - 1, 0)], coarse[np.minimum(high + 1, count - 1)]], axis=1
         )
         for _ in range(_BISECTIONS):
             middle = 0.5 * (inside + beyond)
@@ -245,6 +256,25 @@ class RowAim:
                 )
             )
         )  # fmt: skip
+
+
+def _reach(assembly: Assembly) -> float:
+    """Return how far from its middle the plane of the first vertex lets light in along x [mm].
+
+    A turned opening reaches farther than half its width, and one that lies before or behind the
+    plane, being tilted or the edge of a curved face, is passed by slanting light elsewhere in it.
+    """
+    first = assembly.elements[0]
+    heights = [element.aperture.height_mm for element in assembly.elements]
+    finite = [height for height in heights if np.isfinite(height)]
+    half = 0.5 * np.array([first.aperture.width_mm, min(heights[0], max(finite, default=100.0))])
+    x, y = (signs.ravel() * size for signs, size in zip(_CORNERS, half, strict=True))
+    depth = np.zeros_like(x)
+    if isinstance(first, Lens):
+        # Only the corners of a round lens may lie beyond where its face ends.
+        depth = np.nan_to_num(sag(first.shapes[0], x, y))
+    corners = Rotation.from_rotvec(first.alignment.tilt_rad).apply(np.stack([x, y, depth], axis=1))
+    return float((np.abs(corners[:, 0]) + _STEEPEST * np.abs(corners[:, 2])).max())
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,22 @@ NEW_DEVICES: Final[dict[str, Any]] = {
             },
         },
     },
+    "profile": {
+        "summary": "The thesis's four cameras, simulated: their optics, light and detector",
+        "value": {
+            "id": "thesis-cameras",
+            "title": "The thesis's cameras at 1 m",
+            "source": {
+                "kind": "profile",
+                "profile": "thesis-5.9",
+                "settings": {
+                    "scene": {"kind": "still-points", "points_mm": [[0, -97, 1133]]},
+                    "optics": "exact",
+                    "frame_rate_hz": 10,
+                },
+            },
+        },
+    },
     "external": {
         "summary": "Four sensors that a program of yours reads",
         "value": {

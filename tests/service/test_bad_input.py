@@ -17,6 +17,7 @@ from service.database.models import Base
 from service.problems import PROBLEM_TYPES
 from service.reconstructions.examples import NEW_RECONSTRUCTIONS
 from service.settings import Settings
+from tests.service.own_profiles import text_as
 from tests.service.recorded_live import RecordedLive, TestClient
 
 TABLE = Path(__file__).parents[2] / "docs" / "bad-input.md"
@@ -311,6 +312,30 @@ def replay(name: str) -> Sent:
 
 builds("unknown recording")(lambda: replay("none.h5"))
 builds("recording outside the folder")(lambda: replay("../lumiline.sqlite3"))
+
+
+def of_profile(profile: str, **settings: Json) -> Json:
+    return {"kind": "profile", "profile": profile, "settings": settings}
+
+
+builds("unknown profile of a device")(lambda: post_device(external(source=of_profile("nothing"))))
+builds("profile outside the folder")(lambda: post_device(external(source=of_profile("../broken"))))
+builds("device of a broken profile")(lambda: post_device(external(source=of_profile("broken"))))
+builds("faster than the profile's device")(
+    lambda: post_device(external(source=of_profile("thesis-5.9", frame_rate_hz=31)))
+)
+builds("unknown optics of a profile's device")(
+    lambda: post_device(external(source=of_profile("bar", optics="perfect")))
+)
+builds("unknown field of a profile's device")(
+    lambda: post_device(external(source=of_profile("bar", bits=12)))
+)
+builds("changed to an unknown profile")(
+    lambda: Sent("PATCH", "/api/v1/devices/bar", {"source": of_profile("nothing")})
+)
+builds("changed to be faster than its profile's device")(
+    lambda: Sent("PATCH", "/api/v1/devices/bar", {"source": of_profile("bar", frame_rate_hz=9999)})
+)
 builds("title emptied")(lambda: Sent("PATCH", "/api/v1/devices/sim", {"title": ""}))
 builds("other sensors under calibrations")(
     lambda: Sent("PATCH", "/api/v1/devices/sim", {"source": external()["source"]})
@@ -338,6 +363,10 @@ builds("page size out of bounds")(lambda: Sent("GET", "/api/v1/calibrations?limi
 builds("unknown state")(lambda: Sent("GET", "/api/v1/calibrations?state=broken"))
 builds("unknown reconstruction")(lambda: Sent("GET", "/api/v1/reconstructions/nothing"))
 builds("unknown device profile")(lambda: Sent("GET", "/api/v1/device-profiles/nothing"))
+builds("broken device profile")(lambda: Sent("GET", "/api/v1/device-profiles/broken"))
+builds("plan of a broken device profile")(
+    lambda: Sent("GET", "/api/v1/device-profiles/broken/plan")
+)
 builds("plan of an unknown device profile")(
     lambda: Sent("GET", "/api/v1/device-profiles/nothing/plan")
 )
@@ -354,10 +383,17 @@ builds("unknown problem type")(lambda: Sent("GET", "/problems/nothing"))
 
 @pytest.fixture(scope="module")
 def bad_input_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A server with an external device "bar", a running one, a retired calibration of "sim"."""
+    """A server with an external device "bar", a running one, a retired calibration of "sim".
+
+    In its folder of profiles is one with a mistake, "broken".
+    """
     data_dir = tmp_path_factory.mktemp("bad-input")
     settings = Settings(data_dir=data_dir, body_limit_bytes=BODY_LIMIT_BYTES)
     app = create_app(settings, RecordedLive())
+    settings.folders.profiles.mkdir()
+    (settings.folders.profiles / "broken.toml").write_text(
+        text_as("broken").replace('pitch = "14 um"', 'pitch = "14"'), "utf-8"
+    )
     with TestClient(app, raise_server_exceptions=False) as client:
         for sent in (
             post_device(external(id="bar")),

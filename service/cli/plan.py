@@ -25,8 +25,9 @@ def run(
     from compute.planning.plan import plan
 
     try:
+        device = load_profile(profile)
         with progress("planning", 1.0, quiet=as_json) as done:
-            found = plan(load_profile(profile), grid=grid, markers=markers, progress=done)
+            found = plan(device, grid=grid, markers=markers, progress=done)
     except LumilineError as error:
         raise fail(error.detail) from error
     if output is not None:

@@ -3,6 +3,8 @@
 import copy
 import gc
 import logging.config
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Final
 
 import typer
@@ -27,9 +29,20 @@ def run(**given: Any) -> None:
     from service.cli.start_check import check_start
 
     options = server_options(settings)
-    logging.config.dictConfig(options["log_config"])
-    check_start(settings)
+    with logged(options["log_config"]):
+        check_start(settings)
     uvicorn.run(create_app(settings, started=settle_memory), **options)
+
+
+@contextmanager
+def logged(log_config: dict[str, Any]) -> Iterator[None]:
+    """Log before uvicorn runs, which then sets up its loggers itself."""
+    logging.config.dictConfig(log_config)
+    try:
+        yield
+    finally:
+        for name in log_config["loggers"]:
+            logging.getLogger(name).handlers.clear()
 
 
 def settle_memory() -> None:

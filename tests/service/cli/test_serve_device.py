@@ -1,8 +1,6 @@
 """`lumiline serve --device`: what is prepared, logged and refused, each in one line."""
 
-import logging
 import sqlite3
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -15,15 +13,11 @@ from tests.service.own_profiles import LENS, WINDOW, text_as
 
 
 @pytest.fixture(autouse=True)
-def nothing_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+def nothing_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("CONFIG", "DATABASE_URL", "DEVICE"):
         monkeypatch.delenv(f"LUMILINE_{name}", raising=False)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("uvicorn.run", lambda *_, **__: None)
-    yield
-    # The command sets up its loggers, whose stream ends with this test.
-    for name in ("service", "hardware", "uvicorn", "uvicorn.access"):
-        logging.getLogger(name).handlers.clear()
 
 
 def serve(tmp_path: Path, *arguments: str | Path, code: int = 0) -> Any:

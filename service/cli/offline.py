@@ -81,12 +81,15 @@ def run_record(output: Path, seconds: float, settings: Path | None, device: str 
         raise fail(f"{output} exists; choose another name, a recording is never overwritten")
     try:
         given = None if settings is None else settings.read_bytes()
-        driver = _simulated(given, seconds) if device is None else _profile(device, given, seconds)
+        if device is None:
+            driver, doing = _simulated(given, seconds), "recording"
+        else:
+            driver, doing = _profile(device, given, seconds), "tracing the optics, recording"
         driver.open()
         total = max(1, int(seconds * driver.description.frame_rate_hz))
         with (
             RecordingWriter(output, driver.description) as writer,
-            progress("recording", total) as done,
+            progress(doing, total) as done,
         ):
             # Ctrl-C ends the frames, so that the file is closed whole and can be read.
             interrupted = signal.signal(signal.SIGINT, lambda *_: driver.close())
@@ -96,8 +99,11 @@ def run_record(output: Path, seconds: float, settings: Path | None, device: str 
                     done(count)
             finally:
                 signal.signal(signal.SIGINT, interrupted)
-    except (OSError, ValidationError) as error:
-        raise fail(str(error)) from error
+    except OSError as error:
+        raise fail(f"{error.filename or output}: {error.strerror or error}") from error
+    except ValidationError as error:
+        wrong = (f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+        raise fail(f"{settings}: {'; '.join(wrong)}") from error
     except LumilineError as error:
         raise fail(error.detail) from error
     console.print(f"written: {output}")

@@ -109,7 +109,7 @@ def _precision(found: Plan) -> Table:
     ):
         columns = (summary.middle, summary.best, summary.median, summary.worst)
         for axis, name in enumerate("XYZ"):
-            cells = ["-" if values is None else millimetres(values[axis]) for values in columns]
+            cells = [_length(values, axis) for values in columns]
             table.add_row(label if axis == 0 else "", name, *cells, end_section=axis == 2)
     return table
 
@@ -170,6 +170,13 @@ def _ghosts(found: Plan) -> Table:
             _number(ghost.standard_error),
         )
     return table
+
+
+def _length(values: tuple[float, ...] | None, axis: int) -> str:
+    if values is None:
+        return "-"
+    # Less than a millionth of a millimetre is what rounding leaves of a symmetric device's zero.
+    return "0" if values[axis] < 1e-6 else millimetres(values[axis])
 
 
 def _share(value: float) -> str:

@@ -102,6 +102,28 @@ def test_lines_that_are_no_images_have_neither_peaks_nor_points(
     assert [frame["marker"] for frame in frames[:2]] in ([0, 1], [1, 0])
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ('{"bits": 3}', "settings.json: bits: "),
+        ("{", "settings.json: "),
+        (None, "settings.json: No such file"),
+        ('{"frame_rate_hz": 9000}', "frame_rate_hz is 9000.0; thesis-5.9 reads at most 30"),
+    ],
+)
+def test_settings_that_a_recording_cannot_have(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: str | None, words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if given is not None:
+        Path("settings.json").write_text(given, "utf-8")
+    record = ["record", "device.h5", "--device", LENS, "--settings", "settings.json"]
+    refused = CliRunner().invoke(app, record)
+    assert refused.exit_code == 2, refused.output
+    assert words in " ".join(refused.output.split())
+    assert not Path("device.h5").exists()
+
+
 @pytest.mark.parametrize("name", [LENS, WINDOW])
 def test_a_recording_has_the_devices_bits(tmp_path: Path, name: str) -> None:
     recording, given = tmp_path / "device.h5", tmp_path / "settings.json"

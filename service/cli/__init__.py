@@ -88,9 +88,13 @@ def reproduce(
 
 @app.command()
 def bench(
-    name: Annotated[str | None, typer.Argument(help="live, centroids, points.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(help="live, centroids, points, rays, simulation.")
+    ] = None,
     seconds: Annotated[float, typer.Option(min=1.0, help="Duration of live.")] = 60.0,
-    device: Annotated[str | None, typer.Option(help="cpu, cuda:0, ... for centroids.")] = None,
+    device: Annotated[
+        str | None, typer.Option(help="cpu, cuda:0, ... for centroids, rays.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
 ) -> None:
     """Measure speed beside the peers a user would pick instead. No name: list them."""

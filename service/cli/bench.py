@@ -14,8 +14,9 @@ BENCHMARKS = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
     "centroids": "raw lines to peak positions, beside NumPy and SciPy",
     "points": "readings to points, beside SciPy",
+    "rays": "exact rays through a lens, beside optiland",
+    "simulation": "simulated frames of a profile's device on one core, beside ideal lenses",
 }
-
 
 BARE_SECONDS = 10.0
 
@@ -40,6 +41,14 @@ def run(name: str | None, *, seconds: float, device: str | None, as_json: bool) 
         from benchmarks import points
 
         points.main(["--json"] if as_json else [])
+    elif name == "rays":
+        from benchmarks import rays
+
+        rays.main([*(["--json"] if as_json else []), *(["--device", device] if device else [])])
+    elif name == "simulation":
+        from benchmarks import simulation
+
+        simulation.main(["--json"] if as_json else [])
     else:
         raise fail(f'there is no benchmark "{name}"; there are {", ".join(BENCHMARKS)}')
 

@@ -138,8 +138,12 @@ def light_source(profile: DeviceProfile) -> LightSource:
         markers.wavelength_nm,
         markers.spectral_width_nm,
     )
+    # The profile's half angle holds the cosine, the sheet's is beside it:
+    # 2^-(h/s)^2 cos(h) = 1/2.
+    half = markers.half_angle_rad
+    beside_cosine = half / np.sqrt(np.log2(2.0 * np.cos(half)))
     sheet = RetroSheet(
-        markers.retroreflection_per_sr, markers.observation_half_angle_rad, markers.half_angle_rad
+        markers.retroreflection_per_sr, markers.observation_half_angle_rad, float(beside_cosine)
     )
     return RetroDisc(markers.diameter_mm, sheet, lamp)
 

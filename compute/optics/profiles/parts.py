@@ -121,7 +121,8 @@ class RetroMarkers:
             cd per lx and m2 [1/sr].
         observation_half_angle_rad: angle between illuminator and sensor, seen from the marker,
             at which R_A has fallen to half [rad].
-        half_angle_rad: angle off the marker's axis at which R_A is half [rad].
+        half_angle_rad: angle off the marker's axis at which R_A is half of that on the axis, the
+            cosine of the area included: below pi/3, where the cosine alone halves it [rad].
         diameter_mm: of the marker [mm].
         most: how many may be seen at once.
 
@@ -145,6 +146,12 @@ class RetroMarkers:
         _check_not_negative(self, "spectral_width_nm")
         _check_acute(self, "observation_half_angle_rad")
         _check_acute(self, "half_angle_rad")
+        if not self.half_angle_rad < np.pi / 3.0:
+            raise InvalidParameter(
+                f"half_angle_rad is {self.half_angle_rad}; it must be below pi/3 (60 deg), where "
+                "the cosine of a flat marker's area alone halves what it sends back",
+                half_angle_rad=self.half_angle_rad,
+            )
 
     @property
     def illumination(self) -> Illumination:

@@ -212,8 +212,9 @@ def test_passive_markers_are_lit_from_the_device() -> None:
     near, far = device.electrons_per_sr(points)
     angle = np.arctan2(np.linalg.norm(device.positions_mm, axis=1), np.array([[1500.0], [3000.0]]))
     left = np.exp2(-((angle / np.radians(10.0)) ** 2))
-    # Facing a sensor, the disc is oblique to the lamp.
-    left *= np.exp2(-((angle / np.radians(30.0)) ** 2)) * np.cos(angle)
+    # Facing a sensor, the disc is oblique to the lamp: at 30 deg half is left, cosine and all.
+    rest = 0.5 / np.cos(np.radians(30.0))
+    left *= rest ** ((angle / np.radians(30.0)) ** 2) * np.cos(angle)
     np.testing.assert_allclose(near / far, 4.0 * left[0] / left[1], rtol=1e-6)
 
 

@@ -1,13 +1,18 @@
 """The built-in profiles work as optics: they see their volume, are in focus, and get light."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from compute.optics.light.retroreflector import RetroDisc
 from compute.optics.masks.window import CodedWindow
+from compute.optics.profiles.build import light_source
 from compute.optics.profiles.loader import load_profile, profile_names
-from compute.optics.profiles.parts import LedMarkers
+from compute.optics.profiles.parts import LedMarkers, RetroMarkers
 from compute.optics.profiles.profile import DeviceProfile, PlateOptics
 from tests.compute.optics.profiles.fans import fan, stop_of
 from tests.compute.optics.profiles.views import (
@@ -169,3 +174,20 @@ def test_a_coda_pixel_gets_thousands_of_electrons() -> None:
     )
     electrons = photons * solid_angle * profile.detector.quantum_efficiency
     assert 1e3 < electrons < 0.5 * profile.detector.full_well_electrons
+
+
+@settings(max_examples=50, deadline=None)
+@given(half_angle_rad=st.floats(1e-3, np.pi / 3.0, exclude_max=True))
+def test_a_retroreflector_sends_half_back_at_its_half_angle(half_angle_rad: float) -> None:
+    """By the light of a disc turned away from lamp and sensor, which are in one place."""
+    markers = RetroMarkers(
+        2.0, (0.0, 0.0, 0.0), 880.0, 50.0, 500.0, 0.01, half_angle_rad, 12.0, 8
+    )  # fmt: skip
+    source = light_source(replace(load_profile("bar"), markers=markers))
+    assert isinstance(source, RetroDisc)
+    point = np.array([[0.0, 0.0, 1500.0]])
+    turned = np.array([[np.sin(half_angle_rad), 0.0, -np.cos(half_angle_rad)]])
+    here = np.zeros((1, 3))
+    ahead = source.photons_per_sr(point, np.array([[0.0, 0.0, -1.0]]), here, 1e-4)
+    aside = source.photons_per_sr(point, turned, here, 1e-4)
+    assert aside[0, 0] / ahead[0, 0] == pytest.approx(0.5, rel=1e-6)

@@ -166,6 +166,17 @@ def test_refusals(old: str, new: str, field: str, why: str) -> None:
     assert why in error.detail
 
 
+@pytest.mark.parametrize(
+    ("half_angle", "why"), [("60.1 deg", "below pi/3 (60 deg)"), ("95 deg", "90 deg")]
+)
+def test_a_flat_marker_is_halved_below_60_degrees(half_angle: str, why: str) -> None:
+    """Its cosine alone does that at 60 deg; no sheet has a half angle beyond."""
+    text = RETRO.replace('half_angle = "30 deg"', f'half_angle = "{half_angle}"')
+    error = refused(with_section("markers", text))
+    assert error.context["field"] == "markers.half_angle"
+    assert why in error.detail
+
+
 def test_everything_that_is_wrong_is_named_at_once() -> None:
     text = BAR.replace('pitch = "12 um"', "pitch = 12").replace("bits = 12", 'bits = "x"')
     error = refused(text.replace('line_rate = "1 kHz"', 'rate = "1 kHz"'))

@@ -9,8 +9,14 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.optics.footprints import Footprints
-from compute.optics.line_optics.line_shape import Blur, LineShapes, line_shapes
-from compute.optics.line_optics.row_rays import RowAim, Tracer
+from compute.optics.line_optics.line_shape import (
+    Blur,
+    LineShapes,
+    line_shapes,
+    merged_lines,
+    unsettled_px,
+)
+from compute.optics.line_optics.row_rays import RowAim, RowRays, Tracer
 from compute.optics.line_optics.sensor import OpticalSensor, in_optics_frame
 from compute.optics.pixel_row import PixelRow
 from compute.optics.tracing.assembly import Assembly
@@ -30,14 +36,31 @@ class Fineness:
     """How finely a line is traced.
 
     Args:
-        rays: rays of a fan, at least 5.
+        rays: rays of a fan to begin with, odd and at least 9; more are traced, four times as
+            many at a time, until the line has settled.
+        most: rays of a fan at most.
+        settled_px: how far a spline through the rays may be off [px].
     """
 
-    rays: int = 33
+    rays: int = 17
+    most: int = 1025
+    settled_px: float = 1e-3
 
     def __post_init__(self) -> None:
-        if self.rays < 5:
-            raise InvalidParameter(f"rays is {self.rays}; it must be at least 5", rays=self.rays)
+        if self.rays < 9 or self.rays % 2 == 0:
+            raise InvalidParameter(
+                f"rays is {self.rays}; it must be odd, and at least 9", rays=self.rays
+            )
+        if self.most < self.rays or self.most % 2 == 0:
+            raise InvalidParameter(
+                f"most is {self.most}; it must be odd, and at least {self.rays}, the rays to "
+                "begin with",
+                most=self.most,
+            )
+        if not self.settled_px > 0.0:
+            raise InvalidParameter(
+                f"settled_px is {self.settled_px}; it must be positive", settled_px=self.settled_px
+            )
 
 
 class TracedLines:
@@ -81,13 +104,23 @@ class TracedLines:
         # Points behind the optics are moved in front to be traced, then darkened.
         before = seen_mm[:, 2] >= front
         points = np.where(before[:, None], seen_mm, [0.0, 0.0, front + 1000.0])
-        rays = self._aim.fans(in_optics_frame(points), self._heights_mm, self._fineness.rays)
-        middle = rays.pupil_mm[:, len(self._heights_mm) // 2].mean(axis=1)
-        lines = line_shapes(
-            rays, self._weights_mm, self.row, self.blur, self._scale(points, middle)
-        )
+        parts, left, samples = [], np.arange(len(points)), self._fineness.rays
+        while len(left):
+            rays = self._aim.fans(in_optics_frame(points[left]), self._heights_mm, samples)
+            settled = unsettled_px(rays, self.row) <= self._fineness.settled_px
+            if samples >= self._fineness.most:
+                settled[:] = True
+            if settled.any():
+                part = left[settled]
+                parts.append((part, self._gather(rays.of_points(settled), points[part])))
+            left, samples = left[~settled], min(4 * samples - 3, self._fineness.most)
+        lines = merged_lines(parts, len(points))
         lines.cell_sr[~before] = 0.0
         return lines
+
+    def _gather(self, rays: RowRays, points: Array) -> LineShapes:
+        middle = rays.pupil_mm[:, len(self._heights_mm) // 2].mean(axis=1)
+        return line_shapes(rays, self._weights_mm, self.row, self.blur, self._scale(points, middle))
 
     def chief_px(self, seen_mm: Array) -> Array:
         """Return the readings of the rays through the middle of each fan, shape (N,) [px].
@@ -96,7 +129,8 @@ class TracedLines:
         """
         rays = self._aim.fans(in_optics_frame(seen_mm), np.zeros(1), 3)
         reading = self.row.middle_px - rays.position_mm[:, 0, 1] / self.row.pitch_mm
-        return np.where(rays.lit[:, 0] & (seen_mm[:, 2] > 0.0), reading, np.nan)
+        front = -self.assembly.front_z_mm + NEAREST_MM
+        return np.where(rays.lit[:, 0] & (seen_mm[:, 2] >= front), reading, np.nan)
 
     def _scale(self, points: Array, pupil_mm: Array) -> Array:
         """Return by how much a line moves with its point along x, shape (N,) [px/mm]."""

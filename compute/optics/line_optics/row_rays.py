@@ -59,6 +59,16 @@ class RowRays:
     sine: Array
     lit: NDArray[np.bool_]
 
+    def of_points(self, which: NDArray[np.bool_]) -> "RowRays":
+        """Return the fans of some of the points."""
+        return RowRays(
+            self.pupil_mm[which],
+            self.position_mm[which],
+            self.solid_angle_sr_per_mm2[which],
+            self.sine[which],
+            self.lit[which],
+        )
+
 
 class RowAim:
     """Aims rays of points at a row behind an assembly.

@@ -31,6 +31,7 @@ from compute.planning.line_bound import (
     displaced_lines,
     shifted_lines,
 )
+from compute.planning.pattern import PixelPattern
 
 Array = NDArray[np.float64]
 
@@ -71,9 +72,10 @@ class PlanningDevice:
         exposure_s: of a line [s].
         quantum_efficiency: filter included.
         noise: of a pixel.
+        pattern: how pixels differ.
         quantisation_px: standard deviation of the rounding of readings, where they are numbers
             from the start (a Gray plate); None: readings come from lines of pixels.
-        full_electrons: at which a pixel saturates.
+        full_electrons: at which a pixel saturates, ambient light and dark signal included.
     """
 
     names: tuple[str, ...]
@@ -85,6 +87,7 @@ class PlanningDevice:
     exposure_s: float
     quantum_efficiency: float
     noise: PixelNoise
+    pattern: PixelPattern
     quantisation_px: float | None
     full_electrons: float
 
@@ -182,6 +185,7 @@ def planning_device(profile: DeviceProfile) -> PlanningDevice:
         profile.rates.exposure_s,
         profile.detector.quantum_efficiency,
         PixelNoise.of(detector),
+        PixelPattern.of(detector),
         None if gray_plate(profile) is None else 12.0**-0.5,
         min(
             detector.full_well_electrons,

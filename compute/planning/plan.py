@@ -1,17 +1,14 @@
 """Plan: what a device will reach over its working volume, before it is built."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.model import Vector3, vector3
-from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.optics.profiles.profile import DeviceProfile
-from compute.planning.coverage import Box, Coverage, coverage, lattice, seen
+from compute.planning.coverage import Box, Coverage, coverage, lattice
 from compute.planning.device import PlanningDevice, planning_device
 from compute.planning.ghosts import (
     MOST_SENSORS,
@@ -19,18 +16,13 @@ from compute.planning.ghosts import (
     ghost_chances,
     intersecting_points,
 )
-from compute.planning.line_bound import (
-    centre_of_gravity_sigma,
-    position_bound,
-)
-from compute.planning.precision import precision_of_slopes
+from compute.planning.precision import precision_of_slopes, spread_of_errors
 from compute.planning.rates import Rates, rates
+from compute.planning.readings import Progress, Readings, read_points
 from compute.planning.result import AxisSummary, Plan, PlannedPoint, PlannedSensor
 from compute.reconstruction.points import reconstruct
-from compute.signal.settings import CentroidSettings
 
 Array = NDArray[np.float64]
-Progress = Callable[[float], None]
 
 MOST_MARKERS: Final = 64
 """Markers up to which ghosts are listed."""
@@ -38,8 +30,6 @@ MOST_MARKERS: Final = 64
 _SHOWN: Final = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 28, 32, 40, 50, 64)
 _SEEN_TOGETHER: Final = 0.1
 """Least share of the volume that all sensors see, for ghosts to be counted."""
-
-_BLOCK: Final = 128  # points traced at once; between them progress is told
 
 
 def plan(
@@ -83,12 +73,13 @@ def plan(
     places = lattice(box, shape)
     device = planning_device(profile)
     tell = progress or (lambda _: None)
-    lines = _lines(device, places.points_mm, tell)
+    lines = read_points(device, places.points_mm, tell)
 
-    slopes = np.where(lines.sees[..., None], lines.slope_px_per_mm, np.nan)
+    slopes = lines.slope_px_per_mm
     noise = precision_of_slopes(slopes, lines.bound_px)
     centroid = precision_of_slopes(slopes, lines.centroid_px)
     dilution = precision_of_slopes(slopes, np.ones(len(device.names)))
+    pattern_mm = spread_of_errors(slopes, lines.bound_px, lines.pattern_px)
     distortion = _distortion(lines, places.points_mm)
     middle = int(np.linalg.norm(places.points_mm - box.centre_mm, axis=1).argmin())
     seen_by = coverage(lines.sees, places.weights)
@@ -103,91 +94,39 @@ def plan(
         _summary(noise.sd_mm, middle),
         _summary(centroid.sd_mm, middle),
         _summary(dilution.sd_mm, middle),
+        _summary(pattern_mm, middle),
         _summary(np.abs(distortion), middle),
         seen_by,
         _rates(profile, most),
         tuple(intersecting_points(count) for count in _listed(most)),
         ghosts,
         tuple(
-            PlannedPoint(vector3(point), int(count), *map(_vector, figures))
-            for point, count, *figures in zip(
+            PlannedPoint(vector3(point), int(count), int(full), *map(_vector, figures))
+            for point, count, full, *figures in zip(
                 places.points_mm,
                 lines.sees.sum(axis=1),
+                lines.saturated.sum(axis=1),
                 noise.sd_mm,
                 centroid.sd_mm,
                 dilution.sd_mm,
+                pattern_mm,
                 distortion,
                 strict=True,
             )
         ),
-        (_ASSUMED, *notes),
+        (_ASSUMED, *_cut(lines), *notes),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Lines:
-    """Arrays of the N points and S sensors; NaN where a sensor does not see a point."""
-
-    cameras: CameraStack
-    misfit_px: Array
-    readings_px: Array
-    slope_px_per_mm: Array
-    sees: NDArray[np.bool_]
-    line_electrons: Array
-    peak_electrons: Array
-    bound_px: Array
-    centroid_px: Array
-
-
-def _lines(device: PlanningDevice, points: Array, tell: Progress) -> _Lines:
-    blocks = [slice(start, start + _BLOCK) for start in range(0, len(points), _BLOCK)]
-    looks = []
-    for done, block in enumerate(blocks):
-        looks.append(device.look(points[block]))
-        tell(0.5 * (done + 1) / len(blocks))
-    readings = np.concatenate([look.readings_px for look in looks])
-    light = np.concatenate([look.light_sr for look in looks])
-    sees = seen(readings, device.pixels, light)
-    cameras, misfit = device.cameras(points, readings, sees)
-
-    shape = readings.shape
-    electrons, peak, bound, centroid = (np.full(shape, np.nan) for _ in range(4))
-    for done, (block, look) in enumerate(zip(blocks, looks, strict=True)):
-        lines = device.lines(look, cameras)
-        per_sr = device.electrons_per_sr(points[block])[..., None]
-        mean, slope = lines.mean_sr * per_sr, lines.slope_sr_per_px * per_sr
-        electrons[block], peak[block] = mean.sum(axis=2), mean.max(axis=2)
-        if device.quantisation_px is None:
-            bound[block] = position_bound(mean, slope, device.noise)
-            if device.mask is None:
-                centroid[block] = _by_centre_of_gravity(device, mean, sees[block])
-        else:
-            bound[block] = device.quantisation_px
-        tell(0.5 + 0.4 * (done + 1) / len(blocks))
-    for values in (electrons, peak, bound, centroid):
-        values[~sees] = np.nan
-    bound[~np.isfinite(bound)] = np.nan
-    slopes = cameras.linearised(points)[1]
-    return _Lines(cameras, misfit, readings, slopes, sees, electrons, peak, bound, centroid)
-
-
-def _by_centre_of_gravity(device: PlanningDevice, mean: Array, sees: NDArray[np.bool_]) -> Array:
-    sigma = np.full(sees.shape, np.nan)
-    if sees.any():
-        sigma[sees] = centre_of_gravity_sigma(mean[sees], device.noise, CentroidSettings())
-    return sigma
-
-
-def _distortion(lines: _Lines, points: Array) -> Array:
+def _distortion(lines: Readings, points: Array) -> Array:
     """Return the errors of points that perspective cameras make of exact readings, (N, 3)."""
-    readings = np.where(lines.sees, lines.readings_px, np.nan)
     sigma = np.maximum(lines.misfit_px, 1e-9)
-    return reconstruct(lines.cameras, readings, sigma).position_mm - points
+    return reconstruct(lines.cameras, lines.readings_px, sigma).position_mm - points
 
 
 def _ghosts(
     device: PlanningDevice,
-    lines: _Lines,
+    lines: Readings,
     box: Box,
     seen_by: Coverage,
     most: int,
@@ -237,15 +176,15 @@ def _rates(profile: DeviceProfile, most: int) -> tuple[Rates, ...]:
     )
 
 
-def _sensors(device: PlanningDevice, lines: _Lines) -> tuple[PlannedSensor, ...]:
-    full = np.where(lines.sees, lines.peak_electrons >= device.full_electrons, False)
+def _sensors(device: PlanningDevice, lines: Readings) -> tuple[PlannedSensor, ...]:
     columns = [
         _median(values).tolist()
         for values in (
             lines.line_electrons, lines.peak_electrons, lines.bound_px, lines.centroid_px,
+            lines.pattern_px,
         )
     ]  # fmt: skip
-    share = full.sum(axis=0) / np.maximum(lines.sees.sum(axis=0), 1)
+    share = lines.saturated.sum(axis=0) / np.maximum(lines.sees.sum(axis=0), 1)
     return tuple(
         PlannedSensor(
             name,
@@ -255,19 +194,34 @@ def _sensors(device: PlanningDevice, lines: _Lines) -> tuple[PlannedSensor, ...]
             float(saturated),
             _number(bound),
             _number(centroid),
+            _number(pattern),
             float(misfit),
             float(distance),
         )
-        for name, position, line, peak, bound, centroid, saturated, misfit, distance in zip(
+        for (
+            name, position, saturated, line, peak, bound, centroid, pattern, misfit, distance
+        ) in zip(
             device.names,
             device.positions_mm,
-            *columns,
             share,
+            *columns,
             lines.misfit_px,
             lines.cameras.principal_distance_px,
             strict=True,
         )
+    )  # fmt: skip
+
+
+def _cut(lines: Readings) -> tuple[str, ...]:
+    """Say that lines are saturated, where they are."""
+    if not lines.saturated.any():
+        return ()
+    share = 100 * lines.saturated.sum() / lines.sees.sum()
+    note = (
+        f"{share:.2g} % of the lines are saturated, with ambient light and dark signal: their "
+        "noise and fixed pattern are given as if they were not cut, which is too good."
     )
+    return (note,)
 
 
 def _median(values: Array) -> Array:
@@ -299,6 +253,7 @@ def _number(value: float) -> float | None:
 
 
 _ASSUMED: Final = (
-    "Standard deviations are of the noise in one exposure: of a device calibrated without error, "
-    "its distortion corrected. Markers face every sensor."
+    "Standard deviations of the noise are of one exposure of a device calibrated without error, "
+    "its distortion corrected. The fixed pattern is that of pixels that are not flat-fielded; it "
+    "comes on top, the same in every exposure. Markers face every sensor."
 )

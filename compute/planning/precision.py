@@ -67,6 +67,62 @@ def precision_of_slopes(slope_px_per_mm: Array, sigma_px: Array) -> Precision:
     Raises:
         InvalidParameter: a shape that does not fit, or a deviation that is not positive.
     """
+    rows, used = _weighted(slope_px_per_mm, sigma_px)
+    normal = rows.transpose(0, 2, 1) @ rows
+
+    sensors = used.sum(axis=1)
+    flags = np.zeros(len(normal), dtype=np.int32)
+    flags[sensors < 3] = PointFlag.TOO_FEW_SENSORS
+    spectrum = np.linalg.eigvalsh(normal)
+    flat = spectrum[:, 0] <= DEGENERATE_RATIO * spectrum[:, 2]
+    flags[(sensors >= 3) & flat] = PointFlag.DEGENERATE
+    missing = flags != 0
+    normal[missing] = np.eye(3)
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    covariance[missing] = np.nan
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    return Precision(covariance, sd, sensors.astype(np.int32), flags)
+
+
+def spread_of_errors(slope_px_per_mm: Array, sigma_px: Array, error_px: Array) -> Array:
+    """Return the standard deviations of points by errors of readings that the weights ignore.
+
+    The points are those of ``precision_of_slopes``, weighted by the noise; what moves them are
+    errors that differ from sensor to sensor independently, such as the pixels' fixed pattern:
+    ``K = C g / sigma^2``, with the covariance C, gives ``var = sum_s (K_s error_s)^2``.
+
+    Args:
+        slope_px_per_mm: d reading / d point, shape (N, S, 3) [px/mm].
+        sigma_px: standard deviations of the readings' noise, shape (N, S) or (S,) [px].
+        error_px: standard deviations of the readings' errors, shape (N, S) [px].
+
+    Returns:
+        Shape (N, 3) [mm]; NaN where there is no position, or a reading's error is not known.
+
+    Raises:
+        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
+    """
+    found = precision_of_slopes(slope_px_per_mm, sigma_px)
+    rows, used = _weighted(slope_px_per_mm, sigma_px)
+    if np.shape(error_px) != used.shape:
+        raise InvalidParameter(
+            f"error_px has the shape {np.shape(error_px)}; it must be {used.shape}",
+            error_px=np.shape(error_px),
+        )
+    # One factor 1 / sigma is in the rows already.
+    sigma = np.where(used, np.broadcast_to(sigma_px, used.shape), 1.0)
+    relative = np.where(used, error_px, 0.0) / sigma
+    moved = np.einsum("nij,nsj,ns->nsi", found.covariance_mm2, rows, relative)
+    spread: Array = np.sqrt(np.square(moved).sum(axis=1))
+    return spread
+
+
+def _weighted(slope_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the slopes over their deviations, 0 for readings without use, and which have one.
+
+    Raises:
+        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
+    """
     shape = slope_px_per_mm.shape[:2]
     given = np.asarray(sigma_px, dtype=np.float64)
     if given.shape not in (shape, shape[1:]):
@@ -84,20 +140,7 @@ def precision_of_slopes(slope_px_per_mm: Array, sigma_px: Array) -> Precision:
     sigma = np.where(seen, np.broadcast_to(given, shape), np.nan)
     used = _informative(sigma)
     rows = np.where(used[..., None], slope_px_per_mm / np.where(used, sigma, 1.0)[..., None], 0.0)
-    normal = rows.transpose(0, 2, 1) @ rows
-
-    sensors = used.sum(axis=1)
-    flags = np.zeros(len(normal), dtype=np.int32)
-    flags[sensors < 3] = PointFlag.TOO_FEW_SENSORS
-    spectrum = np.linalg.eigvalsh(normal)
-    flat = spectrum[:, 0] <= DEGENERATE_RATIO * spectrum[:, 2]
-    flags[(sensors >= 3) & flat] = PointFlag.DEGENERATE
-    missing = flags != 0
-    normal[missing] = np.eye(3)
-    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    covariance[missing] = np.nan
-    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    return Precision(covariance, sd, sensors.astype(np.int32), flags)
+    return rows, used
 
 
 def _informative(sigma: Array) -> NDArray[np.bool_]:

@@ -30,18 +30,24 @@ class PlannedPoint:
     Args:
         position_mm: X, Y, Z [mm].
         sensors: how many see it.
+        saturated: how many of their lines are full; the noise given here is that of lines that
+            are not cut.
         sd_mm: standard deviations of X, Y, Z at the Cramer-Rao bound of the readings; None
             where there is no position.
         centroid_sd_mm: the same with the readings of threshold and centre of gravity.
         dilution_mm: the same with readings of 1 px: what the geometry alone does.
+        fixed_pattern_mm: standard deviations of the error by the pixels' differences; None
+            without a position, and for readings that are numbers from the start.
         distortion_mm: what perspective cameras leave of the distortion, as an error of X, Y, Z.
     """
 
     position_mm: Vector3
     sensors: int
+    saturated: int
     sd_mm: Vector3 | None
     centroid_sd_mm: Vector3 | None
     dilution_mm: Vector3 | None
+    fixed_pattern_mm: Vector3 | None
     distortion_mm: Vector3 | None
 
 
@@ -53,10 +59,13 @@ class PlannedSensor:
         name: the sensor's name.
         position_mm: where its optics are [mm].
         line_electrons: of a whole line.
-        peak_electrons: of its brightest pixel.
-        saturated: share of the lines whose brightest pixel is full.
+        peak_electrons: of its brightest pixel, the signal alone.
+        saturated: share of the lines whose brightest pixel is full, ambient light and dark
+            signal included.
         bound_px: Cramer-Rao bound of the reading, noise only [px].
         centroid_px: what threshold and centre of gravity reach [px]; None: they do not apply.
+        fixed_pattern_px: error by the pixels' differences, the same in every exposure [px];
+            None: readings are numbers from the start.
         misfit_px: what a perspective camera leaves of the distortion, RMS [px].
         principal_distance_px: of that camera [px].
     """
@@ -68,6 +77,7 @@ class PlannedSensor:
     saturated: float
     bound_px: float | None
     centroid_px: float | None
+    fixed_pattern_px: float | None
     misfit_px: float
     principal_distance_px: float
 
@@ -76,8 +86,9 @@ class PlannedSensor:
 class Plan:
     """What a device will reach, from its profile alone.
 
-    ``noise`` and ``centroid`` are of the noise: an exactly calibrated device. ``distortion`` is
-    what comes on top where readings are not corrected for it.
+    ``noise`` and ``centroid`` are of the noise: an exactly calibrated device. ``fixed_pattern``
+    comes on top until pixels are flat-fielded, and ``distortion`` where readings are not
+    corrected for it: neither changes from exposure to exposure.
 
     Args:
         profile: its name.
@@ -88,6 +99,7 @@ class Plan:
         noise: standard deviations at the readings' Cramer-Rao bound.
         centroid: standard deviations with threshold and centre of gravity.
         dilution: standard deviations for readings of 1 px, the geometry's share [mm/px].
+        fixed_pattern: standard deviations of the error by the pixels' differences.
         distortion: absolute errors by the distortion that perspective cameras leave.
         coverage: how much of the volume is seen.
         rates: with 1 marker, and with as many as the device drives.
@@ -106,6 +118,7 @@ class Plan:
     noise: AxisSummary
     centroid: AxisSummary
     dilution: AxisSummary
+    fixed_pattern: AxisSummary
     distortion: AxisSummary
     coverage: Coverage
     rates: tuple[Rates, ...]

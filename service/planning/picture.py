@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 _COLOURS: Final = ("#0072B2", "#E69F00", "#009E73")
 _MARKERS: Final = ("o", "s", "^")
 _SENSOR_COLOUR: Final = "#D55E00"
+_PATTERN_COLOUR: Final = "#CC79A7"
 _MAP: Final = "cividis"
 _DPI: Final = 110
 
@@ -152,23 +153,27 @@ def _medians(values: Array) -> list[Array]:
 
 
 def _readings(panel: Axes, plan: Plan) -> None:
-    """Draw each sensor's bound, centre of gravity and distortion."""
+    """Draw each sensor's bound, centre of gravity, fixed pattern and distortion."""
     rows = np.arange(len(plan.sensors))
     for label, marker, colour, values in (
         ("bound, noise", "o", _COLOURS[0], [sensor.bound_px for sensor in plan.sensors]),
         ("centre of gravity", "s", _COLOURS[1], [s.centroid_px for s in plan.sensors]),
+        ("fixed pattern", "D", _PATTERN_COLOUR, [s.fixed_pattern_px for s in plan.sensors]),
         ("distortion, uncorrected", "^", _COLOURS[2], [s.misfit_px for s in plan.sensors]),
     ):
         known = np.array([np.nan if value is None else value for value in values])
         if np.isfinite(known).any():
             panel.plot(known, rows, marker, color=colour, label=label)
     panel.set(
-        xscale="log", xlabel="[px]", title="readings: median noise and RMS distortion",
-        ylim=(len(rows) - 0.4, -1.35),
+        xscale="log", xlabel="[px]", title="readings: median noise and pattern, RMS distortion",
+        ylim=(len(rows) - 0.4, -1.75),
     )  # fmt: skip
-    panel.set_yticks(rows, [sensor.name for sensor in plan.sensors])
+    names = [
+        f"{s.name}\n{100 * s.saturated:.2g} % full" if s.saturated else s.name for s in plan.sensors
+    ]
+    panel.set_yticks(rows, names)
     panel.grid(axis="x", color="0.9")
-    panel.legend(fontsize=8, ncols=3, loc="upper center", columnspacing=0.8, handletextpad=0.2)
+    panel.legend(fontsize=8, ncols=2, loc="upper center", columnspacing=0.8, handletextpad=0.2)
 
 
 def _ghosts(panel: Axes, plan: Plan) -> None:

@@ -123,11 +123,42 @@ def test_depth_error_goes_with_distance_squared_over_baseline() -> None:
         assert exponent([0.3, 1.0], [short[figure], far[figure]]) == pytest.approx(-1.0, abs=0.1)
 
 
+def test_a_well_that_ambient_light_fills_is_saturated() -> None:
+    """The signal of the brightest pixels has room, but not beside the ambient light."""
+    device = planning_device(BAR)
+    peaks = [sensor.peak_electrons for sensor in PLAN.sensors]
+    assert all(peak is not None and peak < 0.5 * device.full_electrons for peak in peaks)
+    assert not any(point.saturated for point in PLAN.points)
+    light = 0.9 * device.full_electrons / BAR.rates.exposure_s
+    bright = replace(BAR, detector=replace(BAR.detector, ambient_electrons_per_s=light))
+    found = plan(bright, grid=3, markers=1)
+    assert [sensor.peak_electrons for sensor in found.sensors] == peaks
+    assert all(sensor.saturated > 0.5 for sensor in found.sensors)
+    assert any(point.saturated == 4 for point in found.points)
+    mean = np.mean([point.saturated for point in found.points])
+    assert mean == pytest.approx(sum(sensor.saturated for sensor in found.sensors))
+    assert any("lines are saturated" in note for note in found.notes)
+    assert not any("saturated" in note for note in PLAN.notes)
+    # The detector counts no more from there on.
+    detector = replace(
+        bright.detector.detector(bright.rates.exposure_s),
+        response_nonuniformity=0.0,
+        dark_nonuniformity=0.0,
+    )
+    room = device.full_electrons - detector.ambient_electrons - detector.dark_electrons
+    signal = np.repeat(room + np.array([[-1e4], [-5e3], [5e3], [1e4]]), 2000, axis=1)
+    counts = detector.expose(signal, np.random.default_rng(1)).mean(axis=1)
+    gained = np.diff(counts) * detector.electrons_per_count
+    assert gained[0] == pytest.approx(5e3, abs=100.0)
+    assert gained[2] == pytest.approx(0.0, abs=100.0)
+
+
 def test_coded_windows_and_plates_are_planned_too() -> None:
     coda = plan(load_profile("coda-mpx30"), grid=3, markers=1)
     assert coda.coverage.all_sensors > 0.9
     assert coda.centroid == AxisSummary(None, None, None, None)
     assert all(sensor.centroid_px is None for sensor in coda.sensors)
+    assert all(sensor.fixed_pattern_px for sensor in coda.sensors)
     # A window of plane faces: next to no distortion.
     assert all(sensor.misfit_px < 0.01 for sensor in coda.sensors)
     plate = load_profile("mitchelson-1971")
@@ -135,6 +166,8 @@ def test_coded_windows_and_plates_are_planned_too() -> None:
     [optics] = plate.optics.values()
     assert isinstance(optics, PlateOptics)
     assert all(sensor.bound_px == pytest.approx(12.0**-0.5) for sensor in found.sensors)
+    assert all(sensor.fixed_pattern_px is None for sensor in found.sensors)
+    assert found.fixed_pattern == AxisSummary(None, None, None, None)
     # 12 bits over 10 mm.
     assert planning_device(plate).pixels == 4096
 
@@ -147,6 +180,7 @@ def test_what_no_three_sensors_see_has_no_position() -> None:
     dark = [point for point in wide.points if point.sensors < 3]
     assert dark
     assert all(point.sd_mm is None and point.distortion_mm is None for point in dark)
+    assert all(point.fixed_pattern_mm is None for point in dark)
     assert all(point.sd_mm is not None for point in wide.points if point.sensors >= 3)
     # What a sensor does not see is not in its medians.
     device = planning_device(BAR)

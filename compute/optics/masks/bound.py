@@ -16,6 +16,11 @@ def shift_bound_px(
     ``I = sum (d mu / d x)^2 / (mu + read^2)`` over the pixels, with the pattern and its
     brightness known; the Gaussian limit of photon noise. Infinite where nothing changes.
 
+    This is for ``mu`` known altogether, as beside a correlation, whose peak does not depend on
+    the brightness. ``compute.planning.line_bound.position_bound`` takes the brightness as
+    unknown too, which a reading of a marker must, and is never below this one; they agree where
+    the derivatives by position and brightness are orthogonal, as for a symmetric line.
+
     Args:
         electrons: mean electrons mu of the pixels, ambient light included, shape (..., P).
         slope_electrons_per_px: their change with the shift, from the optics (two points a

@@ -10,6 +10,7 @@ from scipy.special import ndtr
 from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
 from compute.optics.line_optics.line_shape import CELLS, LineShapes
+from compute.optics.masks.bound import shift_bound_px
 from compute.planning.line_bound import (
     SHIFT_PX,
     Lines,
@@ -35,6 +36,11 @@ def gaussian(position: float, sigma: float) -> np.ndarray:
 def gaussian_slope(position: float, sigma: float) -> np.ndarray:
     density = np.exp(-0.5 * ((EDGES - position) / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
     return -np.diff(density)
+
+
+def known_brightness(mean: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    rest = NOISE.variance_electrons2 - NOISE.background_electrons
+    return shift_bound_px(mean + NOISE.background_electrons, slope, np.sqrt(rest))
 
 
 def displaced(sigma: float, points: np.ndarray) -> tuple[GaussianOptics, Lines]:
@@ -131,7 +137,7 @@ def test_an_unknown_brightness_costs_little_and_never_helps(
     position: float, sigma: float, electrons: float
 ) -> None:
     mean, slope = electrons * gaussian(position, sigma), electrons * gaussian_slope(position, sigma)
-    known = ((slope**2) / (mean + NOISE.variance_electrons2)).sum() ** -0.5
+    known = float(known_brightness(mean, slope))
     bound = float(position_bound(mean, slope, NOISE))
     assert known * (1 - 1e-12) <= bound
     # A Gaussian is symmetric: what is mixed comes from the sampling alone.
@@ -142,7 +148,7 @@ def test_a_lopsided_line_pays_for_its_brightness() -> None:
     """A line cut by the sensor's end: fainter and moved out look alike."""
     mean, slope = 1e4 * gaussian(0.0, 2.0), 1e4 * gaussian_slope(0.0, 2.0)
     half = np.arange(41) >= 20
-    known = ((slope[half] ** 2) / (mean[half] + NOISE.variance_electrons2)).sum() ** -0.5
+    known = float(known_brightness(mean[half], slope[half]))
     assert position_bound(mean[half], slope[half], NOISE) > 1.2 * known
 
 

@@ -12,17 +12,41 @@ from compute.optics.profiles.parts import Axis, PublishedFigure
 from compute.optics.profiles.profile import DeviceProfile
 from compute.planning.coverage import Box
 from compute.planning.plan import plan
-from compute.planning.result import Plan
+from compute.planning.result import AxisSummary, Plan
+from validation.table_1_1_remarks import remark
 from validation.tables import Cell, ResultTable, TablesCase
 
 GRID: Final = 3
 LIKE: Final = 1.25
-"""Figures that differ by a smaller factor are called the same."""
+"""Figures that differ by a smaller factor are called of one size."""
 
 HEADINGS: Final = (
-    "device", "figure", "axis", "at, mm", "published", "bound", "c.o.g.", "half px",
+    "device", "figure", "axis", "at, mm", "published", "bound", "c.o.g.", "pattern", "half px",
     "distortion", "worst",
 )  # fmt: skip
+
+COMPARED: Final[Mapping[str, tuple[str, ...]]] = {
+    "resolution": ("bound", "c.o.g.", "half px"),
+    "accuracy": ("bound", "c.o.g.", "pattern", "half px", "distortion"),
+    "max error": ("bound", "c.o.g.", "pattern", "half px", "worst"),
+}
+"""What a published figure is compared with: a resolution not with errors that stand still, a
+mean error with the median distortion, a largest one with the largest."""
+
+ABSENT: Final[Mapping[str, tuple[str, ...]]] = {
+    "thesis-5.1": ("bound", "c.o.g.", "pattern"),
+    "thesis-5.2": ("bound", "c.o.g.", "pattern", "distortion", "worst"),
+}
+"""What simulated readings do not have, and are not compared with."""
+
+WORDS: Final[Mapping[str, str]] = {
+    "bound": "the noise at its bound",
+    "c.o.g.": "the noise by centre of gravity",
+    "pattern": "the fixed pattern",
+    "half px": "half a pixel in every reading",
+    "distortion": "the median distortion",
+    "worst": "the worst distortion",
+}
 
 
 @cache
@@ -35,33 +59,42 @@ def planned(name: str, distance_mm: float) -> Plan:
 
 
 def along(values: Vector3 | None, axis: Axis) -> float | None:
-    """Return a figure along a published axis [mm].
+    """Return a figure along a published axis [mm]; "lateral" is the larger of X and Y.
 
-    "lateral" is the larger of X and Y; "3d" the root of the sum of the three squares.
+    Raises:
+        ValueError: "3d", which is no one axis.
     """
+    if axis == "3d":
+        raise ValueError("3d is not one axis; compare lateral and depth")
     if values is None:
         return None
     x, y, z = values
-    of_axis = {"x": x, "y": y, "z": z, "depth": z, "lateral": max(x, y)}
-    return of_axis[axis] if axis in of_axis else float(np.linalg.norm(values))
+    return {"x": x, "y": y, "z": z, "depth": z, "lateral": max(x, y)}[axis]
 
 
-def row(profile: DeviceProfile, figure: PublishedFigure | None) -> tuple[Cell, ...]:
+def row(profile: DeviceProfile, figure: PublishedFigure | None, axis: Axis) -> tuple[Cell, ...]:
     """Return a row of the table: a published figure (or none) and what is predicted there."""
     distance = profile.volume.centre_mm[2]
     if figure is not None and figure.distance_mm is not None:
         distance = figure.distance_mm
     found = planned(profile.name, distance)
-    axis: Axis = "3d" if figure is None else figure.axis
-    pixel = along(found.dilution.middle, axis)
+    # The largest error is that of the worst place.
+    largest = figure is not None and figure.quantity == "max error"
+
+    def at(summary: AxisSummary) -> float | None:
+        middle = summary.middle or summary.median
+        return along(summary.worst if largest else middle, axis)
+
+    pixel = at(found.dilution)
     return (
         profile.name,
         "none" if figure is None else figure.quantity,
         axis,
         distance,
         None if figure is None else figure.value_mm,
-        along(found.noise.middle, axis),
-        along(found.centroid.middle or found.centroid.median, axis),
+        at(found.noise),
+        at(found.centroid),
+        at(found.fixed_pattern),
         None if pixel is None else 0.5 * pixel,
         along(found.distortion.median, axis),
         along(found.distortion.worst, axis),
@@ -69,93 +102,77 @@ def row(profile: DeviceProfile, figure: PublishedFigure | None) -> tuple[Cell, .
 
 
 def rows(name: str) -> list[tuple[Cell, ...]]:
-    """Return the rows of a profile, one for each published figure; one if there is none."""
+    """Return the rows of a profile: of each published figure, or of none.
+
+    A figure without an axis, or for all, has two: it stands beside what is predicted laterally
+    and in depth.
+    """
     profile = load_profile(name)
     figures: Sequence[PublishedFigure | None] = profile.published or (None,)
-    return [row(profile, figure) for figure in figures]
+    return [
+        row(profile, figure, axis)
+        for figure in figures
+        for axis in (_BOTH if figure is None or figure.axis == "3d" else (figure.axis,))
+    ]
 
 
-def finding(name: str, found: Sequence[tuple[Cell, ...]]) -> str:
-    """Say how the published figures of a device lie to the predicted ones, and why."""
+_BOTH: Final[tuple[Axis, ...]] = ("lateral", "depth")
+
+
+def finding(name: str, found: Sequence[tuple[Cell, ...]], more: str = "") -> str:
+    """Say how the published figures of a device lie to the predicted ones.
+
+    Args:
+        name: of the device.
+        found: its rows.
+        more: what else belongs to them.
+    """
     parts = []
     for cells in found:
-        _, quantity, axis, _, published, *predicted = cells
+        known = dict(zip(HEADINGS, cells, strict=True))
+        published, quantity = known["published"], str(known["figure"])
         if isinstance(published, float):
-            parts.append(f"{quantity} {axis} {published:g} mm {_place(published, predicted)}")
-    why = REASONS.get(name, "")
-    return f"{name}: {'; '.join(parts) or 'no figure was published'}. {why}".strip()
+            compared = [one for one in COMPARED[quantity] if one not in ABSENT.get(name, ())]
+            place = _place(published, known, compared)
+            parts.append(f"{quantity} {known['axis']} {published:g} mm {place}")
+    return f"{name}: {'; '.join(parts) or 'no figure was published'}. {more}".strip()
 
 
-def _place(published: float, predicted: Sequence[Cell]) -> str:
-    """Say where a published figure lies among bound, c.o.g., half px, distortion and worst."""
-    noise, _, half, _, worst = (value if isinstance(value, float) else None for value in predicted)
-    if noise is None or half is None or worst is None:
+def _place(published: float, row: Mapping[str, Cell], compared: Sequence[str]) -> str:
+    """Say between which predicted figures a published one lies, and of whose size it is."""
+    known = sorted((value, name) for name in compared if isinstance(value := row[name], float))
+    if not known:
         return "beside no prediction"
-    for known, what in ((noise, "is the noise"), (half, "is half a pixel in every reading")):
-        if abs(np.log(published / known)) < np.log(LIKE):
-            return what
-    if published < noise:
-        return f"is {noise / published:.3g} times below the noise"
-    if published > worst:
-        return f"is {published / worst:.3g} times above the worst distortion"
-    return "lies between noise and uncorrected distortion"
+    told = [f"{WORDS[name]} ({value:.2g})" for value, name in known]
+    like = [abs(np.log(published / value)) < np.log(LIKE) for value, _ in known]
+    if any(like):
+        same = [words for words, is_like in zip(told, like, strict=True) if is_like]
+        return f"is of the size of {' and of '.join(same)}"
+    above = sum(value < published for value, _ in known)
+    if above == 0:
+        return f"is {published / known[0][0]:.2g} times the least compared, {told[0]}"
+    if above == len(known):
+        return f"is {published / known[-1][0]:.2g} times the largest compared, {told[-1]}"
+    return f"lies between {told[above - 1]} and {told[above]}"
 
-
-REASONS: Final[Mapping[str, str]] = {
-    "mitchelson-1971": (
-        "The rounding to 12 bits, 1/sqrt(12) of a step of the plate, explains the figure alone."
-    ),
-    "leo-macellari-1981": (
-        "A pixel is 1 mm at 5 m, so the resolution is that of whole pixels, read by a threshold. "
-        "The error at the sides is larger than our lens distorts: the real lens and its focus "
-        "are not known."
-    ),
-    "macellari-1983": (
-        "Half a pixel, from which the source takes its 0.6 mm, makes 4.4 mm in depth by the "
-        "geometry alone: the figure that Table 1.1 prints as the resolution and section 2.3 as "
-        "the largest depth error. The lateral errors are of the size of uncorrected distortion."
-    ),
-    "optotrak": (
-        "The published accuracy needs the distortion corrected to a few per cent of itself: hence "
-        "the 19 parameters of the factory's calibration. The resolution is a centroid's noise."
-    ),
-    "coda-mpx30": (
-        "A window hardly distorts, and its light is plenty. The three published errors are one "
-        "error of 0.03 to 0.04 px in every reading, spread by the geometry: of the correlation "
-        "and the calibration, not of noise."
-    ),
-    "flashpoint": "Reached with the distortion corrected; noise would allow far more.",
-    "owen-1995": (
-        "The source takes distortion for the cause: 20 and 6 px on its sensors, more than our "
-        "stopped lens has. That depth is worse than width by 5 to 9 times is predicted."
-    ),
-    "thesis-5.1": (
-        "Simulated with rays, so without noise: what is left is distortion, less what the cubic "
-        "term of [5.2] removed. The stop, which the source has not, is ours."
-    ),
-    "thesis-5.2": (
-        "Readings from perspective itself: neither noise nor distortion are in the published "
-        "figures, but rounding and the method's arithmetic."
-    ),
-    "thesis-5.9": (
-        "Neither noise nor distortion explains it: the same readings, calibrated with the seven "
-        "parameters, leave a fifth to two fifths (case test-5.4). Wrong labels (test-5.3) and a "
-        "DLT without weights do."
-    ),
-}
-"""What explains a device's figures, as far as is known."""
 
 _NOTES: Final = (
     (
         "Predicted from the profiles, whose lenses, stops and markers are mostly assumed: orders "
-        "of magnitude, not digits. bound, c.o.g.: standard deviation of one exposure in the "
-        "middle of the volume, readings at the Cramer-Rao bound or by centre of gravity. half px: "
-        "an error of half a pixel (or of half a step of a Gray plate) in every reading."
+        "of magnitude, not digits. A figure that is of the size of another is not explained by "
+        "it. bound, c.o.g.: standard deviation of one exposure, readings at the Cramer-Rao bound "
+        "or by centre of gravity. pattern: standard deviation of the error by pixels that are not "
+        "flat-fielded. half px: an error of half a pixel (or of half a step of a Gray plate) in "
+        "every reading. All four are of the middle of the volume, beside largest errors of its "
+        f"worst of {GRID**3} points."
     ),
     (
         "distortion, worst: what perspective cameras calibrated in the volume leave of the lenses' "
-        f"distortion, median and largest of {GRID**3} points, without correction. Lateral is the "
-        "larger of X and Y; 3d all three."
+        "distortion, median and largest of the points, without correction. Lateral is the "
+        "larger of X and Y. A figure whose axis is not said, or that is for all, stands beside "
+        "lateral and depth. A resolution is compared with noise and half a pixel, a mean error "
+        "with the median of the distortion too, a largest one with its largest; figures of "
+        "simulated readings with nothing that they do not have."
     ),
 )
 
@@ -170,7 +187,11 @@ def work_out(
         HEADINGS,
         tuple(cells for found in by_name.values() for cells in found),
     )
-    findings = tuple(finding(name, found) for name, found in by_name.items())
+    findings = []
+    for name, found in by_name.items():
+        profile = load_profile(name)
+        more = remark(profile, planned(name, profile.volume.centre_mm[2]))
+        findings.append(finding(name, found, more))
     return (table,), (*_NOTES, *findings)
 
 

@@ -1,0 +1,192 @@
+"""What is true of all lines: symmetry, distance, continuity, blur, ends of the row."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from compute.errors import InvalidParameter
+from compute.optics.footprints import line_electrons
+from compute.optics.line_optics.exact import ExactOptics, Fineness, TracedLines
+from compute.optics.line_optics.line_shape import Blur
+from compute.optics.line_optics.sensor import place_optics
+from compute.optics.tracing.assembly import Assembly
+from tests.compute.optics.line_optics.systems import (
+    BAR,
+    ROW,
+    SYSTEMS,
+    TILTED,
+    TOROID,
+    cylinder,
+    slit,
+)
+
+BLUR = Blur(880.0, 0.3)
+NO_BLUR = Blur(None, 0.0)
+FEW = settings(max_examples=12, deadline=None)
+
+u_angle = st.floats(-0.28, 0.28)
+v_angle = st.floats(-0.35, 0.35)
+distances = st.floats(800.0, 4000.0)
+
+
+def points_at(u, v, z):
+    return np.array([[u * z, v * z, z]])
+
+
+def sigma_px(line):
+    variance = (line.cell_sr * (line.centres_px - line.centroid_px[:, None]) ** 2).sum(axis=1)
+    return np.sqrt(variance / line.total_sr)
+
+
+@FEW
+@given(st.sampled_from([BAR, TOROID]), u_angle, v_angle, distances)
+def test_mirror_images(assembly, u, v, z):
+    lines = TracedLines(assembly, ROW, BLUR)
+    signs = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]])
+    # The toroid's pixels end at a tangent of 0.2; where lines are cut off depends on the side.
+    found = lines.shapes(points_at(u / (2.0 if assembly is TOROID else 1.0), v, z) * signs)
+    # The toroid's light fades out in steps of v; there the last rays are found by a coarse grid.
+    axis = lines.shapes(np.array([[0.0, 0.0, z]])).total_sr[0]
+    assert np.ptp(found.total_sr) < (1e-9 if assembly is BAR else 0.02) * axis
+    if found.total_sr.min() > 0.05 * axis:
+        np.testing.assert_allclose(found.total_sr, found.total_sr[0], rtol=1e-4)
+        offset = (found.centroid_px - ROW.middle_px) * [1, -1, 1, -1]
+        np.testing.assert_allclose(offset, offset[0], rtol=0, atol=2e-3)
+        np.testing.assert_allclose(sigma_px(found), sigma_px(found)[0], rtol=1e-3)
+
+
+@FEW
+@given(st.sampled_from(list(SYSTEMS)), u_angle, v_angle, distances)
+def test_readings_grow_with_the_object(name, u, v, z):
+    assembly, row = SYSTEMS[name]
+    step = 1.0
+    seen = points_at(u, v, z) + np.array([[0, 0, 0], [step, 0, 0]])
+    read = TracedLines(assembly, row, NO_BLUR).chief_px(seen)
+    if np.isfinite(read).all():
+        # About a principal distance by a distance; the aberrations change it by less than half.
+        slope = np.diff(read)[0] * row.pitch_mm / step * z / assembly.sensor_z_mm
+        assert 0.5 < slope < 1.6
+
+
+@FEW
+@given(u_angle, v_angle, st.floats(2e4, 2e6))
+def test_light_falls_with_the_square_of_the_distance(u, v, z):
+    found = TracedLines(BAR, ROW, NO_BLUR).shapes(
+        np.concatenate([points_at(u, v, z), points_at(u, v, 2.0 * z)])
+    )
+    assert found.total_sr[0] > 0.0
+    # The entrance pupil lies some 10 mm from the origin of the distance.
+    assert found.total_sr[0] / found.total_sr[1] == pytest.approx(4.0, rel=100.0 / z)
+
+
+@FEW
+@given(st.sampled_from(["bar", "toroid", "tilted"]), u_angle, v_angle, distances)
+def test_lines_are_continuous(name, u, v, z):
+    assembly, row = SYSTEMS[name]
+    step = 1e-4
+    found = TracedLines(assembly, row, BLUR).shapes(
+        points_at(u, v, z) + step * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    )
+    lit = found.total_sr > 0.0
+    assert lit.all() or not lit.any()
+    if lit.all():
+        np.testing.assert_allclose(found.total_sr, found.total_sr[0], rtol=1e-4)
+        np.testing.assert_allclose(found.centroid_px, found.centroid_px[0], rtol=0, atol=2e-3)
+
+
+def test_pixels_add_up_to_the_line():
+    found = TracedLines(TILTED, ROW, BLUR).shapes(points_at(0.1, -0.2, 1500.0))
+    np.testing.assert_allclose(found.pixels_sr.sum(axis=1), found.total_sr, rtol=1e-12)
+
+
+@FEW
+@given(st.floats(0.32, 0.36), st.sampled_from([-1.0, 1.0]), v_angle)
+def test_windows_beyond_the_ends_of_the_row(u, side, v):
+    sensor = place_optics(
+        "one",
+        position_mm=(0.0, 0.0, 0.0),
+        aim_mm=(0.0, 0.0, 1000.0),
+        measured_direction=(1.0, 0.0, 0.0),
+        assembly=BAR,
+        row=ROW,
+    )
+    found = ExactOptics([sensor], BLUR).footprints(points_at(side * u, v, 1500.0))
+    window = found.solid_angle_sr[0, 0]
+    assert np.isfinite(window).all()
+    image = line_electrons(found, np.ones((1, 1)), 1, ROW.count)[0, 0]
+    pixel = found.first_px[0, 0] + np.arange(len(window))
+    on_row = (pixel >= 0) & (pixel < ROW.count)
+    assert image.sum() == pytest.approx(window[on_row].sum(), rel=1e-12)
+    if window.sum() > 0.0:
+        np.testing.assert_array_equal(image[pixel[on_row]], window[on_row])
+
+
+def test_far_beside_the_row_is_dark_without_nan():
+    """Some points are not seen at all, some at the ends: none may spoil the others."""
+    u = np.linspace(-2.0, 2.0, 41)
+    found = TracedLines(BAR, ROW, BLUR).shapes(
+        np.stack([1500.0 * u, np.zeros(41), np.full(41, 1500.0)], axis=1)
+    )
+    assert np.isfinite(found.cell_sr).all()
+    dark = np.abs(u) > 1.0
+    assert not found.cell_sr[dark].any()
+    assert (found.total_sr[np.abs(u) < 0.3] > 0.0).all()
+    assert np.isnan(found.centroid_px[dark]).all()
+
+
+@FEW
+@given(u_angle, v_angle, st.floats(1.0, 6.0))
+def test_emitter_widens_the_line_by_its_image(u, v, width):
+    """The variance of a disc's projection onto a line is its radius squared by 4.
+
+    A disc without diffraction has a sharp edge, which cells of 1/16 px show within 0.01 px^2.
+    """
+    point = points_at(u, v, 1500.0)
+    narrow = TracedLines(BAR, ROW, NO_BLUR).shapes(point)
+    wide = TracedLines(BAR, ROW, Blur(None, width)).shapes(point)
+    shifted = TracedLines(BAR, ROW, NO_BLUR).shapes(
+        point + np.array([[-width / 2.0, 0, 0], [width / 2.0, 0, 0]])
+    )
+    scale = np.diff(shifted.centroid_px)[0] / width
+    added = sigma_px(wide)[0] ** 2 - sigma_px(narrow)[0] ** 2
+    assert added == pytest.approx((width / 2.0 * scale) ** 2 / 4.0, rel=0.02, abs=0.012)
+    assert wide.total_sr[0] == pytest.approx(narrow.total_sr[0], rel=1e-9)
+    assert wide.centroid_px[0] == pytest.approx(narrow.centroid_px[0], abs=1e-4)
+
+
+@FEW
+@given(st.sampled_from(["bar", "tilted", "sensor tilt"]), u_angle, v_angle)
+def test_blur_keeps_light_and_centroid(name, u, v):
+    assembly, row = SYSTEMS[name]
+    point = points_at(u, v, 1500.0)
+    bare = TracedLines(assembly, row, NO_BLUR).shapes(point)
+    found = TracedLines(assembly, row, BLUR).shapes(point)
+    np.testing.assert_allclose(found.total_sr, bare.total_sr, rtol=1e-9)
+    np.testing.assert_allclose(found.centroid_px, bare.centroid_px, rtol=0, atol=2e-4)
+    if bare.total_sr[0] > 0.0:
+        assert sigma_px(found)[0] > sigma_px(bare)[0]
+
+
+@pytest.mark.parametrize("width_mm", [0.4, 0.6])
+def test_diffraction_of_a_slit_in_the_focus(width_mm):
+    """sinc^2 with its first zeros at wavelength x focal distance / width, on both sides."""
+    focal_mm, wavelength_nm = 16.54 / (1.52 - 1.0), 880.0
+    assembly = Assembly((slit(width_mm), cylinder(flipped=True)), 4.0 + focal_mm)
+    found = TracedLines(assembly, ROW, Blur(wavelength_nm, 0.0)).shapes(np.array([[0.0, 0.0, 1e8]]))
+    zero_px = wavelength_nm * 1e-6 * focal_mm / width_mm / ROW.pitch_mm
+    assert 3.0 < zero_px < 9.0
+    place = found.centres_px[0] - ROW.middle_px
+    relative = found.cell_sr[0] / found.cell_sr[0].max()
+    inside = np.abs(place) < 11.5  # the tails are faded out from 12 px on
+    expected = np.sinc(place[inside] / zero_px) ** 2
+    np.testing.assert_allclose(relative[inside], expected, rtol=0, atol=0.005)
+    for side in (-1.0, 1.0):
+        near = np.abs(place - side * zero_px) < 0.5 * zero_px
+        dark = place[near][found.cell_sr[0][near].argmin()]
+        assert dark == pytest.approx(side * zero_px, abs=0.1)
+
+
+def test_too_few_rays_are_refused():
+    with pytest.raises(InvalidParameter, match="rays is 4; it must be odd"):
+        Fineness(4)

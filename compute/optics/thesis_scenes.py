@@ -12,11 +12,12 @@ Assumed, as the thesis does not say it, or only in a figure that is lost:
   targets stand one over the other, as many in each as divides evenly;
 - which peak of Test 4.1 is the active one: the third;
 - the line: 512 pixels (Figures 4.2 and 4.6) of 12.5 um and as high, the lens 25 mm before it
-  and 4 mm wide, light lines with a standard deviation of 1.8 pixels;
+  and 4 mm wide, which draws a point out into a line with a standard deviation of 1 pixel;
 - the LED: 950 nm, 20 mW/sr on its axis, half of it at 18 degrees, as is usual for its kind;
-- the targets: discs of 10 mm and spheres of 12 mm with 500 cd/(lx m^2), half of it at an
-  observation angle of 0.5 degrees; the source 30 mm beside the lens;
-- an exposure of 1 ms, a quantum efficiency of 0.15, a full well of 60 000 electrons at full
+- the targets: discs of 6 mm and spheres of 7 mm, 6 and 7 pixels wide on the line (of 10 mm the
+  two peaks of Test 4.2 that are 5 pixels apart would be one), with 1000 cd/(lx m^2), half of it
+  at an observation angle of 0.5 degrees; the source 30 mm beside the lens;
+- an exposure of 0.8 ms, a quantum efficiency of 0.15, a full well of 60 000 electrons at full
   scale, and the shape and level of the backgrounds.
 """
 
@@ -63,7 +64,7 @@ _PITCH_MM = 0.0125
 _PRINCIPAL_DISTANCE_MM = 25.0
 _LENS_WIDTH_MM = 4.0
 _DISTANCE_MM = 2000.0
-_EXPOSURE_S = 1e-3
+_EXPOSURE_S = 0.8e-3
 _EFFICIENCY = QuantumEfficiency((900.0, 1000.0), (0.15, 0.15))
 _LED = Led(0.020, 950.0, CosinePower(np.deg2rad(18.0)), 55.0, 0.4)
 _LAMP = Illuminator(
@@ -74,9 +75,9 @@ _LAMP = Illuminator(
     _LED.wavelength_nm,
     _LED.spectral_width_nm,
 )
-_SHEET = RetroSheet(500.0, np.deg2rad(0.5), np.deg2rad(40.0))
-_FLAT = RetroDisc(10.0, _SHEET, _LAMP)
-_SPHERE = RetroSphere(12.0, _SHEET, _LAMP)
+_SHEET = RetroSheet(1000.0, np.deg2rad(0.5), np.deg2rad(40.0))
+_FLAT = RetroDisc(6.0, _SHEET, _LAMP)
+_SPHERE = RetroSphere(7.0, _SHEET, _LAMP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +105,7 @@ class TargetScene:
         background: ambient light along the line.
         detector: its pixels.
         exposure_s: length of an exposure [s].
-        spot_sigma_px: standard deviation of the light lines [px].
+        blur_sigma_px: standard deviation of the line that the lens makes of a point [px].
     """
 
     sensor: PlacedSensor
@@ -112,7 +113,7 @@ class TargetScene:
     background: Background
     detector: Detector
     exposure_s: float
-    spot_sigma_px: float
+    blur_sigma_px: float
 
     def photoelectrons_per_sr(self) -> tuple[Array, Array]:
         """Return the points of all markers (N, 3) [mm], and their light (N, 1) [1/sr].
@@ -128,6 +129,17 @@ class TargetScene:
         ]
         return np.concatenate([kind.points_mm for kind in self.markers]), np.concatenate(light)
 
+    def spot_sigma_px(self) -> Array:
+        """Return the standard deviations of the light lines of all markers, shape (N,) [px].
+
+        That of the lens with that of the marker's image: a round one, evenly bright and as wide
+        as its source says, has a quarter of its width.
+        """
+        widths = [kind.source.width_mm / self._depth_mm(kind.points_mm) for kind in self.markers]
+        per_tangent = _PRINCIPAL_DISTANCE_MM / _PITCH_MM
+        image_px = per_tangent * np.concatenate(widths)
+        return np.asarray(np.hypot(self.blur_sigma_px, image_px / 4.0))
+
     def solid_angle_sr(self, points_mm: Array) -> Array:
         """Return the solid angle through which the line collects light of points, shape (N,) [sr].
 
@@ -136,9 +148,12 @@ class TargetScene:
         from the row's distance: ``(width / d) (pitch / (d + c))``, losses left out. This is the
         loss beside a spherical lens that section 3.6 measures.
         """
-        depth = points_mm[:, 2] - self.sensor.lens_position_mm[2]
+        depth = self._depth_mm(points_mm)
         angle = _LENS_WIDTH_MM * _PITCH_MM / (depth * (depth + _PRINCIPAL_DISTANCE_MM))
         return np.asarray(angle)
+
+    def _depth_mm(self, points_mm: Array) -> Array:
+        return np.asarray(points_mm[:, 2] - self.sensor.lens_position_mm[2])
 
 
 def scene_of_test_4_1() -> TargetScene:
@@ -178,7 +193,7 @@ def _scene(background: Background, *markers: SceneMarkers) -> TargetScene:
         full_well_electrons=60_000.0,
         ambient_electrons=0.0,
     )
-    return TargetScene(_sensor(), markers, background, detector, _EXPOSURE_S, 1.8)
+    return TargetScene(_sensor(), markers, background, detector, _EXPOSURE_S, 1.0)
 
 
 def _sensor() -> PlacedSensor:

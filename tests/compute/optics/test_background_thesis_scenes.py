@@ -29,13 +29,13 @@ def rendered(scene: TargetScene, seed: int = 1) -> tuple[Array, Array]:
     points, per_sr = scene.photoelectrons_per_sr()
     optics = IdealOptics(
         [scene.sensor],
-        spot_sigma_px=scene.spot_sigma_px,
+        spot_sigma_px=scene.blur_sigma_px,
         signal_electrons=1.0,
         reference_distance_mm=None,
     )
     spots = optics.spots(points)
     electrons = per_sr[:, 0] * scene.solid_angle_sr(points)
-    signal = line_images(spots.position_px.T, spots.sigma_px.T, electrons[None], PIXELS)
+    signal = line_images(spots.position_px.T, scene.spot_sigma_px()[None], electrons[None], PIXELS)
     background = background_lines([scene.background], PIXELS)
     array = DetectorArray(scene.detector, 1, PIXELS, background_electrons=background)
     counts = array.expose(
@@ -45,6 +45,24 @@ def rendered(scene: TargetScene, seed: int = 1) -> tuple[Array, Array]:
     level = background[0] / scene.detector.electrons_per_count + scene.detector.offset_counts
     lines = counts[:, 0] - level
     return lines[0], lines.mean(axis=0)
+
+
+def test_a_target_is_as_wide_on_the_line_as_its_image() -> None:
+    """A disc of 6 mm at 2 m, 25 mm behind the lens: 6 px of 12.5 um; its deviation is a quarter.
+
+    Against the disc itself, its chords on a fine grid.
+    """
+    scene = scene_of_test_4_1()
+    flat, spheres, active = (kind.source.width_mm for kind in scene.markers)
+    assert (flat, spheres, active) == (6.0, 7.0, 0.4)
+    x = (np.arange(10_000) + 0.5) / 5_000.0 - 1.0
+    chord = np.sqrt(1.0 - x**2)
+    deviation = np.sqrt((chord * x**2).sum() / chord.sum())
+    sigma = scene.spot_sigma_px()
+    for number, width_mm in ((0, flat), (22, spheres), (24, active)):
+        image_px = width_mm * 25.0 / 2000.0 / 0.0125
+        expected = np.hypot(scene.blur_sigma_px, deviation * image_px / 2.0)
+        assert sigma[number] == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,11 @@ Array = NDArray[np.float64]
 _CAMERA: Final = 7
 _PENALTY_PX: Final = 1e6  # a point behind a trial camera: the search turns back
 _DETERMINED: Final = 1e-11  # ratio of singular values below which a fit has no single solution
-_TURNS: Final = 100
-_HALVINGS: Final = 30
+_TURNS: Final = 1000
+# Marquardt's damping, of unit columns: terms that all but do the same must not send the step off.
+_DAMPINGS: Final = 30
+_DAMPED: Final = 10.0  # by how much it grows and falls
+_LEAST_DAMPING: Final = 1e-8
 _SETTLED: Final = 1e-12  # step, of the readings, at which the fit ends
 
 
@@ -117,6 +120,9 @@ def fit_field_model(
 ) -> FieldFit:
     """Fit seven camera parameters and the coefficients of distortion terms to readings.
 
+    By least squares, after Levenberg and Marquardt (J. J. More, Lecture Notes in Mathematics 630,
+    1978, doi:10.1007/BFb0067700).
+
     Args:
         points_mm: control points, shape (N, 3) [mm].
         readings_px: their readings, shape (N,) [px].
@@ -140,9 +146,11 @@ def fit_field_model(
     model = replace(start, terms=tuple(terms), coefficients=(0.0,) * len(terms))
     fitted, slopes = model.linearised(points_mm)
     rest = _residuals(readings_px, fitted)
+    damping = 0.0
     for _ in range(_TURNS):
         scale = np.linalg.norm(slopes, axis=0)
-        step, _, rank, singular = np.linalg.lstsq(slopes / scale, rest, rcond=_DETERMINED)
+        left, singular, right = np.linalg.svd(slopes / scale, full_matrices=False)
+        rank = int((singular > _DETERMINED * singular[0]).sum())
         if rank < count:
             raise DegeneratePoints(
                 f"{len(points_mm)} points leave {count - rank} of {count} parameters open (ratio "
@@ -150,18 +158,20 @@ def fit_field_model(
                 "distances too, or take fewer terms",
                 points=len(points_mm),
             )
-        gained = float(np.linalg.norm(slopes / scale @ step))
-        if gained <= _SETTLED * float(np.linalg.norm(readings_px)):
+        explained = left.T @ rest
+        if float(np.linalg.norm(explained)) <= _SETTLED * float(np.linalg.norm(readings_px)):
             return FieldFit(model, rest)
-        for _ in range(_HALVINGS):
+        for _ in range(_DAMPINGS):
+            step = right.T @ (singular / (singular**2 + damping) * explained)
             trial = _moved(model, step / scale)
             fitted, trial_slopes = trial.linearised(points_mm)
             trial_rest = _residuals(readings_px, fitted)
             if (trial_rest**2).sum() < (rest**2).sum():
                 break
-            step = step / 2.0
+            damping = max(_DAMPED * damping, _LEAST_DAMPING)
         else:
             return FieldFit(model, rest)  # only rounding is left to gain
+        damping = damping / _DAMPED if damping > _LEAST_DAMPING else 0.0
         model, slopes, rest = trial, trial_slopes, trial_rest
     raise NoConvergence(
         f"the fit of {count} parameters did not settle in {_TURNS} turns; start it nearer"

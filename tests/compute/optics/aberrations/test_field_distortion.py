@@ -159,6 +159,21 @@ def test_a_known_model_is_found_again() -> None:
     assert fit.model.rotation_vector_rad == pytest.approx(MODEL.rotation_vector_rad, abs=1e-9)
 
 
+def test_a_fit_settles_where_no_term_follows_the_readings() -> None:
+    """Readings with kinks, as of lines that an edge cuts: it ends in a minimum all the same."""
+    axes = np.linspace(0.0, 500.0, 5), np.linspace(-400.0, 100.0, 5), np.linspace(1500, 2000, 5)
+    seen = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
+    u, v = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2]
+    kinks = np.maximum(u + 0.5 * v**2 - 0.2, 0.0) - np.abs(u + v - 0.1)
+    readings = FieldModel(3000.0, 1023.5, row_behind_mm=36.0).readings_px(seen) + 100.0 * kinks
+    start = FieldModel(2900.0, 1023.5, row_behind_mm=36.0)
+    fit = fit_field_model(seen, readings, start, all_terms(5))
+    slopes = fit.model.linearised(seen)[1]
+    explained = fit.residuals_px @ slopes / np.linalg.norm(slopes, axis=0)
+    assert np.abs(explained).max() < 1e-4 * np.linalg.norm(fit.residuals_px)
+    assert 0.5 < fit.rms_px < 1.0
+
+
 def test_what_a_fit_refuses() -> None:
     seen = points(300)
     readings = MODEL.readings_px(seen)

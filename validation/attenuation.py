@@ -36,7 +36,9 @@ TILTS_DEG: Final = (1.0, 2.0)
 def work_out() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     """Return the ratios by what the text leaves open, and where the measured one lies."""
     focus = {target: best_focus_mm(target) for target in TARGETS_MM}
-    same, perfect, levels = _same_lens(focus), _camera_lens(focus), _levels()
+    (same, others), perfect, levels = _same_lens(focus), _camera_lens(focus), _levels()
+    ratios = _figures(same, "both brightest")
+    smallest, largest = min(ratios), max(ratios)
     size = target_for_measured_mm()
     background_s, background_c = backgrounds()
     findings = (
@@ -44,21 +46,23 @@ def work_out() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
             "The ratio is not one of lenses. In focus a pixel sees a target through the whole "
             "sphere, but through a strip of the cylinder only, as high as the target looks from "
             "there: (pi / 4) (A/f)^2 f d / (W D), that is inversely as the target's size D and "
-            "with the square of the sphere's focal ratio. Neither is in section 3.6."
+            "as the square of the sphere's f-number f/A. Neither is in section 3.6."
         ),
         (
             f"{MEASURED} is plausible. A sphere of the cylinder's own profile, each where its "
             f"target is brightest, gives it for targets of {size:.1f} mm, and from "
-            f"{_least(same, 'both brightest'):.0f} to {_most(same, 'both brightest'):.0f} over 5 "
+            f"{smallest:.0f} to {largest:.0f} over 5 "
             "to 50 mm. Behind a corrected camera lens of the same focal length it comes out for "
             f"targets of 10 to 30 mm at f/{focal_ratio_for_measured(10.0, focus[10.0][1]):.1f} to "
             f"f/{focal_ratio_for_measured(30.0, focus[30.0][1]):.1f}."
         ),
         (
-            "Focus changes it by two, target size by four, and a line turned against the columns "
-            "by 2 degrees, over the 300 rows averaged, by up to two for small targets. Automatic "
-            "gain between the two pictures, had it been on, would make it meaningless; the text "
-            "does not say."
+            f"Focus changes it by up to {_largest_change(others, 'cylinder at paraxial'):.1f} "
+            f"(the cylinder's alone), target size by {largest / smallest:.1f}, "
+            "and a line turned against the columns by 2 degrees, over the 300 rows averaged, by up "
+            f"to {_largest_change(others, 'line turned 2 deg'):.1f}, that of the smallest target. "
+            "Automatic gain between the two pictures, had it been on, would make it meaningless; "
+            "the text does not say."
         ),
         (
             f"[3.28] and [3.29] together give backgrounds of {background_s:.0f} and "
@@ -76,7 +80,7 @@ def work_out() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
             f"10 x 10 um (6.4 x 4.8 mm, 640 x 480), no diffraction, a response that is linear."
         ),
     )
-    return (same, perfect, levels), findings
+    return (same, others, perfect, levels), findings
 
 
 def backgrounds() -> tuple[float, float]:
@@ -103,32 +107,35 @@ def focal_ratio_for_measured(target_mm: float, cylinder_focus_mm: float) -> floa
     return float(brentq(excess, 0.5, 50.0))
 
 
-def _same_lens(focus: dict[float, tuple[float, float]]) -> ResultTable:
+def _same_lens(focus: dict[float, tuple[float, float]]) -> tuple[ResultTable, ResultTable]:
     own = focal_length_mm() / WIDTH_MM
-    rows: list[tuple[Cell, ...]] = []
+    best: list[tuple[Cell, ...]] = []
+    others: list[tuple[Cell, ...]] = []
     for target, (sphere, cylinder) in focus.items():
-        rows.append(
+        brightest = ratio(Setting(target, sphere, cylinder))
+        best.append((target, sphere, cylinder, brightest, thin_ratio(target, own), MEASURED))
+        turned = (
+            ratio(Setting(target, sphere, cylinder, float(np.radians(tilt)))) for tilt in TILTS_DEG
+        )
+        unfocused = (ratio(Setting(target, place, 0.0)) for place in (sphere, 0.0))
+        others.append((target, brightest, *turned, *unfocused))
+    return (
+        ResultTable(
+            "attenuation, a sphere of the cylinder's profile and width, by target and focus [mm]",
             (
-                target, sphere, cylinder,
-                ratio(Setting(target, sphere, cylinder)),
-                *(
-                    ratio(Setting(target, sphere, cylinder, float(np.radians(tilt))))
-                    for tilt in TILTS_DEG
-                ),
-                ratio(Setting(target, sphere, 0.0)),
-                ratio(Setting(target, 0.0, 0.0)),
-                thin_ratio(target, own),
-                MEASURED,
-            )
-        )  # fmt: skip
-    return ResultTable(
-        "attenuation, a sphere of the cylinder's profile and width, by target and focus [mm]",
-        (
-            "target", "sphere's focus", "cylinder's focus", "both brightest", "line turned 1 deg",
-            "line turned 2 deg", "cylinder at paraxial", "both at paraxial", "thin lenses",
-            "thesis",
+                "target", "sphere's focus", "cylinder's focus", "both brightest", "thin lenses",
+                "thesis",
+            ),
+            tuple(best),
         ),
-        tuple(rows),
+        ResultTable(
+            "the same, the line turned against the columns, or at the paraxial focus [mm]",
+            (
+                "target", "both brightest", "line turned 1 deg", "line turned 2 deg",
+                "cylinder at paraxial", "both at paraxial",
+            ),
+            tuple(others),
+        ),
     )  # fmt: skip
 
 
@@ -168,12 +175,10 @@ def _figures(table: ResultTable, heading: str) -> list[float]:
     return [float(str(cell)) for cell in table.column(heading)]
 
 
-def _least(table: ResultTable, heading: str) -> float:
-    return min(_figures(table, heading))
-
-
-def _most(table: ResultTable, heading: str) -> float:
-    return max(_figures(table, heading))
+def _largest_change(table: ResultTable, heading: str) -> float:
+    """Return the largest ratio to the column of both lenses where the target is brightest."""
+    pairs = zip(_figures(table, heading), _figures(table, "both brightest"), strict=True)
+    return max(max(one / other, other / one) for one, other in pairs)
 
 
 CASE: Final = TablesCase(

@@ -8,17 +8,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from validation.aberrations_lens import ROW, stopped_lens
-from validation.skew_effect import (
+from validation.skew_effect import MODELS
+from validation.skew_readings import (
     FIELD_U,
     FIELD_V,
-    MODELS,
     field_points,
     fitted,
     left_out_px,
     traced_readings,
 )
 
-_SHOWN = ("7 parameters", "+ u^3 u^5 u^7", "+ u, v, order 5")
+_SHOWN = ("7 parameters", "u^3 u^5 u^7", "u,v order 5")
 _DISTANCE_MM = 1500.0
 
 

@@ -29,6 +29,14 @@ NO_STOP: Final = "none"
 
 FIELD: Final = np.array(list(PLACES_OF_FIELD.values()))
 _NAMES: Final = tuple(PLACES_OF_FIELD)
+_SHORT: Final = {
+    "8 mm in front": "8 mm before",
+    "on the plane face": "plane face",
+    "on the curved face": "curved face",
+    "4 mm behind": "4 mm behind",
+    NO_STOP: NO_STOP,
+}
+_ALIKE: Final = 1.05  # ratio of errors below which two stops are not told apart
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,8 @@ def work_out() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     narrow, wide = by[RECOMMENDED, 2.0], by[RECOMMENDED, 6.0]
     plane, curved = by["on the plane face", 2.0], by["on the curved face", 2.0]
     whole = by[NO_STOP, WIDTH_MM]
-    gravity = min(stops, key=lambda stop: stop.gravity_px)
+    least = min(stop.gravity_px for stop in stops)
+    good = [stop for stop in stops if stop.gravity_px < _ALIKE * least]
     bound = min(stops, key=lambda stop: stop.bound_px)
     focused = _focus_lines(RECOMMENDED, best_focus_mm(4.0, RECOMMENDED, FIELD[:1]))
     balanced = by[RECOMMENDED, 4.0].lines
@@ -103,8 +112,8 @@ def work_out() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
             f"the field (gravity less median at most {_largest_lopsided(narrow):.2f} px with 2 mm; "
             f"on the plane face {_largest_lopsided(plane):.2f}, on the curved face "
             f"{_largest_lopsided(curved):.2f}) and narrowest. Of all stops here "
-            f"{gravity.width_mm:g} mm, {gravity.place}, has the least error of the thesis's centre "
-            f"of gravity over the field, {gravity.gravity_px:.3f} px RMS."
+            "the thesis's centre of gravity has the least error over the field behind "
+            f"{_listed(good)}, which are alike within 5 %."
         ),
         (
             f"It costs light: 2 mm pass {_share(narrow, whole):.0f} % of what the whole lens does "
@@ -142,59 +151,76 @@ def work_out() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
             "saturation. The RMS width has diffraction's tails to 20 px in it."
         ),
     )
-    return (_stop_table(stops), _focus_table()), findings
+    return (_stop_table(stops), _line_table(stops), *_focus_tables()), findings
 
 
 def _stop_table(stops: tuple[StopFigures, ...]) -> ResultTable:
-    rows: list[tuple[Cell, ...]] = []
-    for stop in stops:
-        for name, line in zip(_NAMES, stop.lines, strict=True):
-            first = name == _NAMES[0]
-            rows.append(
-                (
-                    stop.place, stop.width_mm, stop.focus_mm, name, line.rms_px,
-                    line.middle_50_px, line.lopsided_px, line.electrons, line.bound_px,
-                    line.gravity_px,
-                    stop.distortion_px if first else None,
-                )
-            )  # fmt: skip
     return ResultTable(
-        "stops, the sensor where the lines of the field are narrowest [mm, px, electrons]",
-        (
-            "stop", "width", "focus", "field", "RMS", "50 %", "gravity - median", "light",
-            "bound", "gravity", "distortion",
+        "stops, the sensor where the lines of the field are narrowest; light in the middle, bound "
+        "and gravity RMS over the field [mm, electrons, px]",
+        ("stop", "width", "focus", "light", "bound", "gravity", "distortion"),
+        tuple(
+            (
+                _SHORT[stop.place], stop.width_mm, stop.focus_mm,
+                *_digits(stop.lines[0].electrons, stop.bound_px, stop.gravity_px),
+                None if stop.distortion_px is None else _digits(stop.distortion_px)[0],
+            )
+            for stop in stops
         ),
-        tuple(rows),
     )  # fmt: skip
 
 
-def _focus_table() -> ResultTable:
-    rows: list[tuple[Cell, ...]] = []
+def _line_table(stops: tuple[StopFigures, ...]) -> ResultTable:
+    return ResultTable(
+        "their lines by place in the field: widths, gravity less median (g - m), bound, error of "
+        "gravity [px]",
+        ("stop", "width", "field", "RMS", "50 %", "g - m", "bound", "gravity"),
+        tuple(
+            (
+                _SHORT[stop.place], stop.width_mm, name,
+                *_digits(
+                    line.rms_px, line.middle_50_px, line.lopsided_px, line.bound_px,
+                    line.gravity_px,
+                ),
+            )
+            for stop in stops
+            for name, line in zip(_NAMES, stop.lines, strict=True)
+        ),
+    )  # fmt: skip
+
+
+def _focus_tables() -> tuple[ResultTable, ResultTable]:
+    widths: list[tuple[Cell, ...]] = []
+    bounds: list[tuple[Cell, ...]] = []
     places: tuple[StopPlace, ...] = (RECOMMENDED, "on the plane face")
     for place in places:
         best = stop_figures(4.0, place).focus_mm
         middle = best_focus_mm(4.0, place, FIELD[:1])
         shifts = [(f"{shift:+.1f}", best + shift) for shift in SHIFTS_MM]
-        for label, focus in (*shifts, ("middle's focus", middle)):
+        for label, focus in (*shifts, ("middle", middle)):
             lines = _focus_lines(place, focus)
-            rows.append(
-                (
-                    place, label, focus,
-                    *(line.middle_50_px for line in lines),
-                    *(line.lopsided_px for line in lines[1:]),
-                    *(line.bound_px for line in lines),
-                    distortion_px(stopped_lens(4.0, place, focus)),
-                )
-            )  # fmt: skip
-    return ResultTable(
-        "focus of a stop of 4 mm: 50 % width, gravity - median and bound in the middle, at the "
-        "row's end and in the corner [mm, px]",
-        (
-            "stop", "shift", "from paraxial", "50 % m", "50 % e", "50 % c", "g-m e", "g-m c",
-            "bound m", "bound e", "bound c", "distortion",
+            distortion = distortion_px(stopped_lens(4.0, place, focus))
+            first = (_SHORT[place], label, focus)
+            widths.append((*first, *_digits(*(line.middle_50_px for line in lines), distortion)))
+            lopsided = _digits(*(line.lopsided_px for line in lines[1:]))
+            bounds.append((*first[:2], *lopsided, *_digits(*(line.bound_px for line in lines))))
+    return (
+        ResultTable(
+            "focus of a stop of 4 mm, shifted from the field's best, or the middle's best: 50 % "
+            "widths in the middle (m), at the row's end (e), in the corner (c) [mm, px]",
+            ("stop", "shift", "focus", "50 % m", "50 % e", "50 % c", "distortion"),
+            tuple(widths),
         ),
-        tuple(rows),
-    )  # fmt: skip
+        ResultTable(
+            "the same: gravity less median (g - m), and bound [px]",
+            ("stop", "shift", "g - m e", "g - m c", "bound m", "bound e", "bound c"),
+            tuple(bounds),
+        ),
+    )
+
+
+def _digits(*values: float) -> tuple[float, ...]:
+    return tuple(round(float(f"{value:.3g}"), 4) for value in values)
 
 
 def _focus_lines(place: StopPlace, focus_mm: float) -> tuple[LineFigures, ...]:
@@ -204,6 +230,12 @@ def _focus_lines(place: StopPlace, focus_mm: float) -> tuple[LineFigures, ...]:
 def _modelled(place: StopPlace) -> float:
     stop = stop_figures(2.0, place)
     return distortion_px(stopped_lens(2.0, place, stop.focus_mm), all_terms(5))
+
+
+def _listed(stops: list[StopFigures]) -> str:
+    return " and ".join(
+        f"{stop.width_mm:g} mm, {stop.place} ({stop.gravity_px:.3f} px RMS)" for stop in stops
+    )
 
 
 def _largest_lopsided(stop: StopFigures) -> float:

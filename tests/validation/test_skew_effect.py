@@ -9,14 +9,18 @@ import typer
 from compute.calibration.run import calibrate
 from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack
+from compute.optics.line_optics.exact import TracedLines
+from compute.optics.line_optics.line_shape import Blur
+from compute.optics.pixel_row import PixelRow
 from service.cli.reproduce import run
-from validation.aberrations_lens import ROW, stopped_lens
+from validation.aberrations_lens import ROW, WIDTH_MM, StopPlace, stopped_lens
 from validation.all_cases import ALL_CASES
-from validation.skew_effect import (
-    MODELS,
+from validation.skew_effect import MODELS, _axis_table, _index_table
+from validation.skew_readings import (
+    FIELD_U,
+    FIELD_V,
+    LONG_ROW,
     Readings,
-    _axis_table,
-    _index_table,
     cube_points,
     device_sensors,
     field_points,
@@ -74,6 +78,31 @@ def test_the_pure_camera_is_the_calibrations() -> None:
     found = calibrate(world, known.centroid_px[:, None], [SensorGeometry("one", ROW.count)])
     rest = known.centroid_px - CameraStack.of([found.sensors[0].model]).project(world)[:, 0]
     assert rms(rest) == pytest.approx(fitted(assembly, known, CAMERA).rms_px, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("width", "place"), [(WIDTH_MM, "on the plane face"), (4.0, "4 mm behind")]
+)
+def test_no_light_falls_beside_the_long_row(width: float, place: StopPlace) -> None:
+    """The line that reaches farthest, in a corner: a row four times as long has no more."""
+    corners = np.array([[FIELD_U, FIELD_V, 1.0]]) * 1000.0
+    longer = PixelRow(4 * LONG_ROW.count, LONG_ROW.pitch_um, LONG_ROW.height_um)
+    light, centroid = [], []
+    for row in (ROW, LONG_ROW, longer):
+        lines = TracedLines(stopped_lens(width, place), row, Blur(None, 0.0)).shapes(corners)
+        light.append(lines.total_sr)
+        centroid.append(lines.centroid_px - row.middle_px)
+    assert light[1] == pytest.approx(light[2], rel=1e-12)
+    assert centroid[1] == pytest.approx(centroid[2], abs=1e-6)
+    # The row itself does cut them.
+    assert (light[0] < 0.99 * light[1]).all()
+
+
+def test_without_a_stop_no_polynomial_follows_the_centroid() -> None:
+    whole = stopped_lens(WIDTH_MM)
+    known = traced_readings(whole, field_points((11, 7, 2)))
+    left = [fitted(whole, known, terms).rms_px for terms in (CAMERA, POWERS, BOTH)]
+    assert left[0] > left[1] > left[2] > 1.0
 
 
 def test_v_is_measured_to_the_row() -> None:

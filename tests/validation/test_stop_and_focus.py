@@ -9,15 +9,17 @@ from scipy.special import ndtr
 from compute.optics.line_optics.line_shape import CELLS, LineShapes
 from validation.aberrations_lens import WIDTH_MM, StopPlace, stopped_lens
 from validation.all_cases import ALL_CASES
-from validation.skew_effect import FIELD_U
+from validation.skew_readings import FIELD_U
 from validation.stop_and_focus import FIELD
 from validation.stop_figures import (
     ELECTRONS_PER_SR,
+    NEAREST_MM,
     best_focus_mm,
     coma_free_stop_mm,
     gravity_error,
     line_bound,
     line_figures,
+    root_mean_square,
 )
 from validation.tables import TablesCase
 
@@ -91,6 +93,26 @@ def test_the_field_is_focused_nearer_than_the_middle() -> None:
     middle = best_focus_mm(4.0, "8 mm in front", FIELD[:1])
     assert whole < middle - 1.0
     assert abs(middle) < 0.5
+
+
+def test_the_best_focus_is_within_what_is_searched() -> None:
+    """Behind the lens it lies farthest from the paraxial image; to either side lines are wider."""
+    best = best_focus_mm(2.0, "4 mm behind", FIELD)
+    assert NEAREST_MM + 2.0 < best < -2.0
+
+    def width(focus_mm: float) -> float:
+        lines = line_figures(stopped_lens(2.0, "4 mm behind", focus_mm), 2.0, FIELD)
+        return root_mean_square([line.middle_50_px for line in lines])
+
+    assert width(best) < min(width(best - 0.5), width(best + 0.5))
+
+
+def test_the_error_of_gravity_is_known_to_a_percent() -> None:
+    """So well that 2 mm and 3 mm can be told apart or not: by lines of one shape, other noise."""
+    lines = gaussian_line(2.0, 0.3, 20_000.0)
+    many = LineShapes(np.zeros(8, np.int64), np.repeat(lines.cell_sr, 8, axis=0))
+    errors = gravity_error(many, 700.0)
+    assert 0.0 < np.std(errors, ddof=1) < 0.015 * errors.mean()
 
 
 def test_the_lens_without_a_stop_has_a_line_of_hundreds_of_pixels() -> None:

@@ -163,7 +163,8 @@ def run(seconds: float = 2.0) -> list[Row]:
 def _measured(name: str, render: Callable[[int], object], seconds: float) -> Row:
     """Render batches for so many seconds, three at least."""
     render(0)
-    process, wall = [], []
+    process: list[int] = []
+    wall: list[int] = []
     end = time.perf_counter() + seconds
     while len(process) < 3 or time.perf_counter() < end:
         wall_ns, process_ns = time.perf_counter_ns(), time.process_time_ns()

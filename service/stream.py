@@ -90,7 +90,12 @@ def _greeting(live: LiveManager, subscription: Subscription) -> dict[str, Any]:
     """Return the first message: what will come, and how things stand."""
     description = live.describe(subscription.device_id)
     status = live.status(subscription.device_id)
-    unknown: dict[str, Any] = {"sensors": [], "frame_rate_hz": None, "markers": None}
+    unknown: dict[str, Any] = {
+        "sensors": [],
+        "frame_rate_hz": None,
+        "markers": None,
+        "readout": None,
+    }
     return {
         "type": "hello",
         "version": 1,

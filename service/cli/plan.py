@@ -105,6 +105,7 @@ def _precision(found: Plan) -> Table:
         ("noise, bound", found.noise),
         ("noise, centre of gravity", found.centroid),
         ("for readings of 1 px", found.dilution),
+        ("pixels' fixed pattern", found.fixed_pattern),
         ("distortion, uncorrected", found.distortion),
     ):
         columns = (summary.middle, summary.best, summary.median, summary.worst)
@@ -118,22 +119,27 @@ def _sensors(found: Plan) -> Table:
     table = Table(title="readings: medians over the volume", title_justify="left")
     table.add_column("sensor", no_wrap=True)
     for heading in (
-        "sees", "line,\ne-", "pixel,\ne-", "full", "bound,\npx", "c.o.g.,\npx",
-        "dist.,\npx",
+        "sees", "line,\nke-", "pixel,\nke-", "full", "bound,\npx", "c.o.g.,\npx",
+        "fixed,\npx", "dist.,\npx",
     ):  # fmt: skip
         table.add_column(heading, justify="right")
     for sensor, share in zip(found.sensors, found.coverage.by_sensor, strict=True):
         table.add_row(
             sensor.name,
             _share(share),
-            _number(sensor.line_electrons),
-            _number(sensor.peak_electrons),
+            _thousands(sensor.line_electrons),
+            _thousands(sensor.peak_electrons),
             _share(sensor.saturated),
             _number(sensor.bound_px, digits=2),
             _number(sensor.centroid_px, digits=2),
+            _number(sensor.fixed_pattern_px, digits=2),
             _number(sensor.misfit_px, digits=2),
         )
     return table
+
+
+def _thousands(value: float | None) -> str:
+    return _number(None if value is None else value / 1000.0, digits=3)
 
 
 def _rates(found: Plan) -> Table:

@@ -1,5 +1,6 @@
 """`lumiline reproduce`: published tests, the reference figures and ours side by side."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from rich.markup import escape
@@ -104,24 +105,56 @@ def _print_tables(result: TablesResult) -> None:
     console.print(f"{result.name}: {result.title}", style="bold")
     console.print(result.source, style="italic")
     for table in result.tables:
-        console.print()
-        console.print(_table(table))
+        for part in _fitting(table, console.width):
+            console.print()
+            console.print(part)
     for finding in result.findings:
         console.print(f"- {escape(finding)}")
 
 
-def _table(table: ResultTable) -> Table:
+def _fitting(table: ResultTable, width: int) -> Iterator[Table]:
+    """Yield a table as it is, or, where its numbers do not fit, in parts with the same labels."""
+    columns = list(zip(table.headings, *table.rows, strict=True))
+    numeric = [any(isinstance(cell, float | int) for cell in cells) for _, *cells in columns]
+    # The columns of text before the first number, or the first number itself, name the rows.
+    labels = max(1, numeric.index(True) if True in numeric else len(columns))
+    needed = [
+        max(len(word) for word in (*str(heading).split(), *map(_cell, cells))) + 3
+        for heading, *cells in columns
+    ]
+    head = list(range(labels))
+    part: list[int] = []
+    for index in range(labels, len(columns)):
+        if part and 1 + sum(needed[k] for k in (*head, *part, index)) > width:
+            yield _table(table, columns, [*head, *part], numeric, needed)
+            part = []
+        part.append(index)
+    if part or labels == len(columns):
+        yield _table(table, columns, [*head, *part], numeric, needed)
+
+
+def _table(
+    table: ResultTable,
+    columns: list[tuple[Cell, ...]],
+    shown: list[int],
+    numeric: list[bool],
+    needed: list[int],
+) -> Table:
     # A unit in brackets is no markup.
-    shown = Table(title=escape(table.title), title_justify="left")
-    for heading, *cells in zip(table.headings, *table.rows, strict=True):
-        numbers = any(isinstance(cell, float | int) for cell in cells)
-        shown.add_column(escape(heading), justify="right" if numbers else "left")
+    part = Table(title=escape(table.title), title_justify="left")
+    for index in shown:
+        part.add_column(
+            escape(str(columns[index][0])),
+            justify="right" if numeric[index] else "left",
+            min_width=needed[index] - 3 if numeric[index] else None,
+            overflow="fold",
+        )
     for row in table.rows:
-        shown.add_row(*(_cell(cell) for cell in row))
-    return shown
+        part.add_row(*(escape(_cell(row[index])) for index in shown))
+    return part
 
 
 def _cell(cell: Cell) -> str:
     if cell is None:
         return "-"
-    return escape(cell) if isinstance(cell, str) else f"{cell:.4g}"
+    return cell if isinstance(cell, str) else f"{cell:.4g}"

@@ -95,7 +95,7 @@ class Nodes:
 
     u: int = 49
     v: int = 85
-    distance: int = 7
+    distance: int = 9
 
     def __post_init__(self) -> None:
         for name in ("u", "v", "distance"):

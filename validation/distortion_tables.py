@@ -243,8 +243,8 @@ def _measured_case() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
             "Thesis: 112.7 and 125.2 px of distortion at 130 mm. The lens as stated, with the "
             "sensor's distance, an offset and two tilts fitted to both sides at once, leaves "
             f"{min(sensible, default=np.nan):.1f} to {max(sensible, default=np.nan):.1f} px RMS "
-            "by where in the line its position is taken; Table 3.2 leaves 4.0 and 7.4 px to a cubic of either "
-            "side alone, which has as many parameters for each."
+            "by where in the line its position is taken; Table 3.2 leaves 4.0 and 7.4 px to a "
+            "cubic of either side alone, which has as many parameters for each."
         ),
         (
             "At its full width the lens draws a line hundreds of pixels wide and lopsided: where "

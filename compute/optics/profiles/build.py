@@ -12,9 +12,10 @@ from compute.optics.light.led import Led
 from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroSheet
 from compute.optics.light.source import LightSource
 from compute.optics.line_optics.exact import ExactOptics
+from compute.optics.line_optics.field import Field
 from compute.optics.line_optics.line_shape import Blur
 from compute.optics.line_optics.sensor import OpticalSensor, place_optics
-from compute.optics.line_optics.tabulated import Field, TabulatedOptics
+from compute.optics.line_optics.tabulated import TabulatedOptics
 from compute.optics.masks.gray_plate import GrayPlate
 from compute.optics.masks.mask_optics import MaskOptics
 from compute.optics.masks.plate_optics import TrackOptics

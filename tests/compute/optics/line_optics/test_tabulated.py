@@ -5,9 +5,10 @@ import pytest
 
 from compute.errors import InvalidParameter
 from compute.optics.line_optics.exact import ExactOptics
+from compute.optics.line_optics.field import Field, Nodes
 from compute.optics.line_optics.line_shape import Blur
 from compute.optics.line_optics.sensor import place_optics
-from compute.optics.line_optics.tabulated import Field, Nodes, TabulatedOptics
+from compute.optics.line_optics.tabulated import TabulatedOptics
 from compute.optics.profiles.build import lens_sensors, light_source, pixel_row, profile_field
 from compute.optics.profiles.loader import load_profile
 from tests.compute.optics.line_optics.systems import ROW, TILTED

@@ -14,7 +14,7 @@ class FrameFlag(IntFlag):
     OVERFLOW = 1
     """Exposures were lost in the device before this one (the sequence number jumps)."""
     SATURATED = 2
-    """At least one pixel is at full scale."""
+    """At least one pixel is at full scale, or holds all that it can."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -16,7 +16,7 @@ class Batch:
 
     Args:
         lines: counts, uint16, shape (BATCH, sensors, pixels), read-only.
-        saturated: whether an exposure has a pixel at full scale, shape (BATCH,).
+        saturated: whether an exposure has a saturated pixel, shape (BATCH,).
     """
 
     lines: NDArray[np.uint16]
@@ -91,7 +91,12 @@ def batch_sequence(number: int) -> NDArray[np.int64]:
     return np.arange(BATCH * number, BATCH * (number + 1), dtype=np.int64)
 
 
-def finished_batch(lines: NDArray[np.uint16], full_scale: int) -> Batch:
-    """Return the batch of these lines, which nobody writes to any more."""
+def finished_batch(lines: NDArray[np.uint16], full_counts: int) -> Batch:
+    """Return the batch of these lines, which nobody writes to any more.
+
+    Args:
+        lines: counts, shape (BATCH, sensors, pixels).
+        full_counts: the count from which on a pixel is saturated.
+    """
     lines.setflags(write=False)
-    return Batch(lines, lines.max(axis=(1, 2)) == full_scale)
+    return Batch(lines, lines.max(axis=(1, 2)) >= full_counts)

@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar, Final, Literal, get_args
 from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
+from compute.optics.masks.window import CodedWindow
 from compute.optics.profiles.build import OpticsMode
 from compute.optics.profiles.profile import DeviceProfile
 from hardware.simulated.bounds import check_bounds
@@ -13,6 +14,9 @@ from hardware.simulated.scenes import RotatingBar, Scene
 
 FASTEST_HZ: Final = 1000.0
 """Frame rate of a profile's device unless another is asked for: what a host follows easily."""
+
+FASTEST_SHADOWS_HZ: Final = 100.0
+"""The same for a device with coded windows, whose shadows take milliseconds to work out."""
 
 _BAR_SHARE: Final = 0.5  # length of the bar in the default scene, of the volume's least side
 
@@ -27,7 +31,8 @@ class ProfileSettings:
         scene: the markers and their motion; None: a bar that turns in the middle of the volume.
         optics: "tabulated" interpolates between exact traces, for live use; "exact" traces every
             ray of every frame, too slowly for live use.
-        frame_rate_hz: exposures per second; None: the profile's line rate, at most 1000.
+        frame_rate_hz: exposures per second; None: the profile's line rate, at most 1000, or 100
+            with coded windows.
         illumination: "strobed" or "simultaneous"; None: as the profile says.
         seed: seed of the noise.
         pattern_seed: seed of the pixels' differences: another device of the kind.
@@ -78,7 +83,8 @@ class ProfileSettings:
         """
         fastest = profile.rates.line_rate_hz
         if self.frame_rate_hz is None:
-            return min(fastest, FASTEST_HZ)
+            shadows = any(isinstance(one, CodedWindow) for one in profile.optics.values())
+            return min(fastest, FASTEST_SHADOWS_HZ if shadows else FASTEST_HZ)
         if self.frame_rate_hz > fastest:
             raise InvalidParameter(
                 f"frame_rate_hz is {self.frame_rate_hz}; {profile.name} reads at most "

@@ -7,6 +7,7 @@ import pytest
 
 from compute.errors import InvalidParameter
 from compute.optics.profiles.loader import load_profile, parse_profile, profile_names
+from compute.optics.profiles.parts import LedMarkers
 from hardware.frame import FrameFlag
 from hardware.simulated.batch import BATCH, Timing
 from hardware.simulated.profile_driver import ProfileDriver, readout_of
@@ -198,3 +199,27 @@ def test_tables_show_what_exact_rays_show():
     moment -= ((frames.mean(axis=0) - other[0]) * lit).sum(axis=1) * place.mean()
     spread = np.sqrt((variance * lit * (place - place.mean()) ** 2).sum(axis=1) / BATCH)
     assert (np.abs(moment) < 5.0 * spread).all()
+
+
+def test_the_rate_is_one_that_a_host_follows() -> None:
+    rates = {
+        name: ProfileSettings().rate_of(load_profile(name))
+        for name in ("optotrak", "coda-mpx30", "thesis-5.9")
+    }
+    assert rates == {"optotrak": 1000.0, "coda-mpx30": 100.0, "thesis-5.9": 30.0}
+
+
+def test_a_full_well_below_full_scale_is_saturated() -> None:
+    """The bar's wells hold 4040 of 4095 counts: light that fills them is flagged."""
+    bar = load_profile("bar")
+    assert isinstance(bar.markers, LedMarkers)
+    bright = replace(bar, markers=replace(bar.markers, radiant_intensity_w_per_sr=1.0))
+    still = ProfileSettings(
+        scene=StillPoints(((0.0, 0.0, 1500.0),)), optics="exact", realtime=False, duration_s=0.003
+    )
+    for profile, flags in ((bar, FrameFlag.NONE), (bright, FrameFlag.SATURATED)):
+        driver = ProfileDriver("bar", profile, still)
+        driver.open()
+        frame = next(driver.frames())
+        assert frame.lines.max() < 4095
+        assert frame.flags == flags

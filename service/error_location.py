@@ -26,16 +26,17 @@ def location_in_body(location: Sequence[str | int], body: Any, *, missing: bool)
 def _path(parts: Location, value: Any) -> Location | None:
     """Return the parts that lead through the value, None where a needed one does not.
 
-    A part that is a key is taken as one first: a member's name may be the same as a key's.
+    A member's name may be the same as a key's: of the two readings of a part, as a key and as a
+    member, the one counts that more parts lead on from; as a key where both are as long.
     """
     if not parts:
         return []
     part, rest = parts[0], parts[1:]
-    if _has(value, part):
-        below = _path(rest, value[part])
-        if below is not None:
-            return [part, *below]
-    return None if isinstance(part, int) else _path(rest, value)
+    below = _path(rest, value[part]) if _has(value, part) else None
+    beside = None if isinstance(part, int) else _path(rest, value)
+    if below is None or (beside is not None and len(beside) > len(below) + 1):
+        return beside
+    return [part, *below]
 
 
 def _has(value: Any, part: str | int) -> bool:

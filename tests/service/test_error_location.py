@@ -73,3 +73,13 @@ def test_a_query_keeps_its_location(sqlite_client: Any):
 @pytest.mark.parametrize("parts", [["a", 3, "b"], ["a", 0]])
 def test_what_does_not_lead_through_the_body_stays(parts: list[str | int]):
     assert location_in_body(parts, {"a": []}, missing=False) == parts
+
+
+def test_a_member_with_the_name_of_a_key_does_not_hide_what_lies_beside_it() -> None:
+    """The source of kind "profile" has a field "profile", which is a text."""
+    body = {"source": {"kind": "profile", "profile": "bar", "settings": {"frame_rate_hz": -1}}}
+    location = ("source", "profile", "settings", "frame_rate_hz")
+    found = location_in_body(location, body, missing=False)
+    assert found == ["source", "settings", "frame_rate_hz"]
+    named = location_in_body(("source", "profile", "profile"), body, missing=False)
+    assert named == ["source", "profile"]

@@ -1,7 +1,7 @@
 """Tables A.1 and A.2: the distortion of the lens of section 3.4, simulated and measured."""
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import Final, Literal
 
@@ -14,19 +14,13 @@ from compute.optics.line_optics.exact import Fineness, TracedLines
 from compute.optics.line_optics.line_shape import CELLS, Blur, LineShapes
 from compute.optics.pixel_row import PixelRow
 from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Alignment, Lens
-from compute.optics.tracing.shapes import Cylinder, Plane
-from compute.optics.tracing.surfaces import Aperture
+from compute.optics.tracing.elements import Alignment
+from validation.aberrations_lens import INDEX, LENS, RADIUS_MM, THICKNESS_MM
 from validation.tables import ResultTable, TablesCase
 
 Array = NDArray[np.float64]
 Estimator = Literal["whole line", "third of the peak", "maximum", "chief ray"]
 
-RADIUS_MM: Final = 16.54
-THICKNESS_MM: Final = 4.0
-WIDTH_MM: Final = 19.0
-HEIGHT_MM: Final = 42.25
-INDEX: Final = 1.52
 PITCH_UM: Final = 14.0
 
 # Eight times the pitch, for lines of hundreds of pixels, and far longer than the sensor, so that
@@ -93,13 +87,8 @@ def traced_px(
 
     The lens of section 3.4, flat side towards the source, at its full width.
     """
-    lens = Lens(
-        (Plane(), Cylinder(-RADIUS_MM)),
-        (THICKNESS_MM,),
-        (index,),
-        Aperture(WIDTH_MM, HEIGHT_MM),
-        alignment=Alignment(tilt_rad=(0.0, set_up.lens_tilt_rad, 0.0)),
-    )
+    tilted = Alignment(tilt_rad=(0.0, set_up.lens_tilt_rad, 0.0))
+    lens = replace(LENS, indices=(index,), alignment=tilted)
     sensor = Alignment((set_up.offset_mm, 0.0), (0.0, set_up.sensor_tilt_rad, 0.0))
     assembly = Assembly((lens,), THICKNESS_MM + set_up.sensor_mm, sensor)
     # An emitter's size and diffraction are nothing beside this lens's own blur.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
+from compute.optics.checks import check_not_negative, check_positive
 from compute.optics.dark import CountDistribution, count_distribution
 
 MOST_ELECTRONS: Final = 1e15
@@ -58,19 +59,15 @@ class Detector:
     def __post_init__(self) -> None:
         if not 8 <= self.bits <= 16:
             raise InvalidParameter(f"bits is {self.bits}; it must be 8 to 16", bits=self.bits)
-        for name, positive in (
-            ("electrons_per_count", True),
-            ("offset_counts", False),
-            ("read_noise_electrons", False),
-            ("full_well_electrons", True),
-            ("ambient_electrons", False),
-            ("dark_electrons", False),
-            ("offset_nonuniformity_counts", False),
-        ):
-            value = getattr(self, name)
-            if not (0.0 <= value < np.inf) or (positive and value == 0.0):
-                right = "positive" if positive else "zero or positive"
-                raise InvalidParameter(f"{name} is {value}; it must be {right}", **{name: value})
+        check_positive(self, "electrons_per_count", "full_well_electrons")
+        check_not_negative(
+            self,
+            "offset_counts",
+            "read_noise_electrons",
+            "ambient_electrons",
+            "dark_electrons",
+            "offset_nonuniformity_counts",
+        )
         for name, most in (
             ("response_nonuniformity", 0.2),  # five deviations below, a pixel sees nothing
             ("dark_nonuniformity", 10.0),

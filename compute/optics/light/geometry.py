@@ -65,29 +65,3 @@ def check_exposure(exposure_s: float) -> None:
         raise InvalidParameter(
             f"exposure_s is {exposure_s}; it must be zero or positive", exposure_s=exposure_s
         )
-
-
-def check_positive(holder: object, *names: str) -> None:
-    """Refuse fields that are not positive and finite.
-
-    Raises:
-        InvalidParameter: with the first such field.
-    """
-    for name in names:
-        value = getattr(holder, name)
-        if not 0.0 < value < np.inf:
-            raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
-
-
-def check_not_negative(holder: object, *names: str) -> None:
-    """Refuse fields that are negative or not finite.
-
-    Raises:
-        InvalidParameter: with the first such field.
-    """
-    for name in names:
-        value = getattr(holder, name)
-        if not 0.0 <= value < np.inf:
-            raise InvalidParameter(
-                f"{name} is {value}; it must be zero or positive", **{name: value}
-            )

@@ -6,11 +6,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.optics.checks import check_not_negative, check_positive
 from compute.optics.light.emission import AngularEmission
 from compute.optics.light.geometry import (
     check_exposure,
-    check_not_negative,
-    check_positive,
     photons,
     towards_lenses,
     unit_facing,

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 
 from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
+from compute.optics.checks import check_not_negative, check_positive
 from compute.optics.light.emission import AngularEmission
 from compute.optics.light.geometry import (
     check_exposure,
-    check_not_negative,
-    check_positive,
     directions,
     photons,
     towards_lenses,

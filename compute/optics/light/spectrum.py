@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.constants import c, h, k
 
 from compute.errors import InvalidParameter
-from compute.optics.light.geometry import check_not_negative, check_positive
+from compute.optics.checks import check_not_negative, check_positive
 from compute.optics.light.source import LightSource
 
 Array = NDArray[np.float64]

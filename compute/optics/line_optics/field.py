@@ -56,7 +56,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Numbers of nodes of a table, each at least 4.
+    """Numbers of nodes of a table, at least 7 along u and 4 along the others.
 
     Args:
         u: along u, from end to end.
@@ -71,7 +71,8 @@ class Nodes:
     def __post_init__(self) -> None:
         for name in ("u", "v", "distance"):
             value = getattr(self, name)
-            if value < (2 * DEGREE + 1 if name == "u" else DEGREE + 1):
+            least = 2 * DEGREE + 1 if name == "u" else DEGREE + 1  # half of u may be tabulated
+            if value < least:
                 raise InvalidParameter(
-                    f"{name} is {value} nodes; it must be at least {DEGREE + 1}", **{name: value}
+                    f"{name} is {value} nodes; it must be at least {least}", **{name: value}
                 )

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fftfreq, irfft, next_fast_len, rfft, rfftfreq
 from scipy.interpolate import CubicSpline
-from scipy.special import j1
 
 from compute.optics.line_optics.row_rays import RowRays
 from compute.optics.pixel_row import PixelRow
@@ -248,13 +247,16 @@ def _blurred(cells: Array, emitter_px: Array, cutoff: Array) -> Array:
     length = next_fast_len(cells.shape[1], real=True)
     frequency = rfftfreq(length, 1.0 / CELLS)
     transfer = np.maximum(1.0 - frequency / cutoff[:, None], 0.0)
-    argument = 2.0 * np.pi * frequency * emitter_px[:, None]
-    safe = np.where(argument == 0.0, 1.0, argument)
-    # A disc of a cell or less has no shape on the grid: three cells of its variance, which do
-    # not ring.
-    variance = (0.5 * CELLS * emitter_px[:, None]) ** 2
+    # A disc of a cell or less has no shape on the grid: three cells of its variance. Larger ones
+    # share their light among the cells as they cover them; neither rings.
+    radius = CELLS * emitter_px[:, None]
+    variance = (0.5 * radius) ** 2
     small = 1.0 - variance * (1.0 - np.cos(2.0 * np.pi * frequency / CELLS))
-    transfer *= np.where((variance < 0.5) | (argument == 0.0), small, 2.0 * j1(safe) / safe)
+    cell = fftfreq(length, 1.0 / length)
+    ends = np.clip((cell + np.array([-0.5, 0.5])[:, None, None]) / np.maximum(radius, 1.0), -1, 1)
+    below = (ends * np.sqrt(1.0 - ends**2) + np.arcsin(ends)) / np.pi
+    large = rfft(below[1] - below[0], axis=1).real
+    transfer *= np.where(variance < 0.5, small, large)
     spread = irfft(transfer, length, axis=1)
     distance = np.abs(fftfreq(length, 1.0 / length)) / CELLS - emitter_px[:, None]
     outside = np.clip((distance - _TAIL_PX[0]) / (_TAIL_PX[1] - _TAIL_PX[0]), 0.0, 1.0)

@@ -7,6 +7,7 @@ import numpy as np
 
 from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
+from compute.optics.checks import check_not_negative, check_positive
 from compute.optics.detector import Detector
 
 Illumination = Literal["strobed", "simultaneous"]
@@ -51,7 +52,7 @@ class DetectorProfile:
     offset_nonuniformity_counts: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_not_negative(self, "dark_current_electrons_per_s", "ambient_electrons_per_s")
+        check_not_negative(self, "dark_current_electrons_per_s", "ambient_electrons_per_s")
         self.detector(exposure_s=0.0)  # which checks the others
         if not 0.0 < self.quantum_efficiency <= 1.0:
             raise InvalidParameter(
@@ -102,9 +103,9 @@ class LedMarkers:
     illumination: Illumination
 
     def __post_init__(self) -> None:
-        _check_positive(self, "radiant_intensity_w_per_sr", "wavelength_nm", "emitter_width_mm")
-        _check_positive(self, "most")
-        _check_not_negative(self, "spectral_width_nm")
+        check_positive(self, "radiant_intensity_w_per_sr", "wavelength_nm", "emitter_width_mm")
+        check_positive(self, "most")
+        check_not_negative(self, "spectral_width_nm")
         _check_acute(self, "half_angle_rad")
 
 
@@ -141,9 +142,9 @@ class RetroMarkers:
     most: int
 
     def __post_init__(self) -> None:
-        _check_positive(self, "illuminator_intensity_w_per_sr", "wavelength_nm")
-        _check_positive(self, "retroreflection_per_sr", "diameter_mm", "most")
-        _check_not_negative(self, "spectral_width_nm")
+        check_positive(self, "illuminator_intensity_w_per_sr", "wavelength_nm")
+        check_positive(self, "retroreflection_per_sr", "diameter_mm", "most")
+        check_not_negative(self, "spectral_width_nm")
         _check_acute(self, "observation_half_angle_rad")
         _check_acute(self, "half_angle_rad")
         if not self.half_angle_rad < np.pi / 3.0:
@@ -178,7 +179,7 @@ class Rates:
     exposure_s: float
 
     def __post_init__(self) -> None:
-        _check_positive(self, "line_rate_hz", "exposure_s")
+        check_positive(self, "line_rate_hz", "exposure_s")
         longest = 1.0 / self.line_rate_hz
         if self.exposure_s > longest * (1.0 + 1e-9):  # "200 us" at "5 kHz" is all of a line
             raise InvalidParameter(
@@ -235,25 +236,9 @@ class PublishedFigure:
     note: str = ""
 
     def __post_init__(self) -> None:
-        _check_positive(self, "value_mm")
+        check_positive(self, "value_mm")
         if self.distance_mm is not None:
-            _check_positive(self, "distance_mm")
-
-
-def _check_positive(part: object, *names: str) -> None:
-    for name in names:
-        value = getattr(part, name)
-        if not value > 0.0:
-            raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
-
-
-def _check_not_negative(part: object, *names: str) -> None:
-    for name in names:
-        value = getattr(part, name)
-        if not value >= 0.0:
-            raise InvalidParameter(
-                f"{name} is {value}; it must be zero or positive", **{name: value}
-            )
+            check_positive(self, "distance_mm")
 
 
 def _check_acute(part: object, name: str) -> None:

@@ -1,6 +1,7 @@
 """A stack of surfaces as records of plain numbers: what both tracers read."""
 
 from enum import IntEnum
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -51,8 +52,12 @@ OPEN_REACH: Final = 1e3
 """A saddle with an open profile has no end; look for crossings within so many radii."""
 
 
+@lru_cache(maxsize=64)
 def pack(stack: SurfaceStack) -> Records:
-    """Return S surfaces of a stack and, last, its image plane: SURFACE_RECORD, shape (S+1,)."""
+    """Return S surfaces of a stack and, last, its image plane: SURFACE_RECORD, shape (S+1,).
+
+    Read-only, and kept: the same stack is traced thousands of times.
+    """
     records = np.zeros(len(stack.surfaces) + 1, SURFACE_RECORD)
     before = stack.index_in_front
     for record, surface in zip(records, stack.surfaces, strict=False):
@@ -69,6 +74,7 @@ def pack(stack: SurfaceStack) -> Records:
     _fill(image, stack.image)
     image["half_width_mm"] = image["half_height_mm"] = np.inf
     image["index_before"] = image["index_behind"] = before
+    records.setflags(write=False)
     return records
 
 

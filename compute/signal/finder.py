@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.signal.noise import LineNoise
-from compute.signal.peaks import PeakBatch
+from compute.signal.peaks import JOINT_PEAKS, PeakBatch
 from compute.signal.settings import MAX_PIXELS, MIN_PIXELS, CentroidSettings
 from compute.warp_host import host_memory, warp_device
 
@@ -163,6 +163,7 @@ class CentroidFinder:
     def _collect(self, count: int) -> PeakBatch:
         records = self._host_records[:count]
         peaks = records["peaks"]
+        shape = (count, self.settings.max_peaks)
         return PeakBatch(
             records["count"].copy(),
             peaks["position_px"].copy(),
@@ -170,6 +171,8 @@ class CentroidFinder:
             peaks["amplitude"].copy(),
             peaks["width_px"].copy(),
             peaks["flags"].copy(),
+            np.full(shape, np.nan, np.float32),
+            np.zeros((*shape, JOINT_PEAKS - 1), np.float32),
         )
 
     def _check(self, lines: NDArray[np.uint16]) -> None:

@@ -2,11 +2,15 @@
 
 from dataclasses import dataclass
 from enum import IntFlag
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.flags import flag_names
+
+JOINT_PEAKS: Final = 4
+"""Most peaks that are fitted together."""
 
 
 class PeakFlag(IntFlag):
@@ -21,6 +25,14 @@ class PeakFlag(IntFlag):
     """It has two maxima with a valley between them that noise does not explain."""
     TRUNCATED = 8
     """Its line had more peaks than room; the faintest were left out."""
+    JOINT = 16
+    """It was fitted together with neighbours that it overlaps: their errors are correlated."""
+    POOR_FIT = 32
+    """The line's shape does not explain the pixels: the standard deviation is too small."""
+    UNFITTED = 64
+    """No fit was possible: the position is the centre of gravity."""
+    AMBIGUOUS = 128
+    """A pattern that fits nearly as well at another place."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +45,7 @@ class Peak:
         sigma_px: standard deviation of the position by the noise model [px].
         amplitude: maximum above the line's background [counts].
         width_px: full width at the peak's own threshold [px].
+        reduced_chi2: misfit of the fitted shape per degree of freedom; NaN for a centre of gravity.
         flags: names of the flags that hold, in lower case with hyphens.
     """
 
@@ -41,6 +54,7 @@ class Peak:
     sigma_px: float
     amplitude: float
     width_px: float
+    reduced_chi2: float
     flags: tuple[str, ...]
 
 
@@ -57,6 +71,12 @@ class PeakBatch:
             float32, shape (L, K). At a third of the maximum, a Gaussian image of standard
             deviation s has 2.96 s.
         flags: PeakFlag values, int32, shape (L, K); zero where there is no peak.
+        reduced_chi2: misfit of the fitted shape, chi-square per degree of freedom, float32,
+            shape (L, K); NaN for a centre of gravity, and where no degree of freedom is left.
+        covariance_px2: covariance of a peak's position with those of the next JOINT_PEAKS - 1
+            peaks of the line [px^2], float32, shape (L, K, JOINT_PEAKS - 1); zero but among peaks
+            that were fitted together. With the squares of ``sigma_px`` it is the whole covariance
+            of a line's positions; ``covariance`` puts it together.
     """
 
     count: NDArray[np.int32]
@@ -65,10 +85,37 @@ class PeakBatch:
     amplitude: NDArray[np.float32]
     width_px: NDArray[np.float32]
     flags: NDArray[np.int32]
+    reduced_chi2: NDArray[np.float32]
+    covariance_px2: NDArray[np.float32]
+
+    @classmethod
+    def empty(cls, lines: int, room: int) -> "PeakBatch":
+        """Return the batch of lines without any peak, with room for K peaks in each."""
+        shape = (lines, room)
+        return cls(
+            np.zeros(lines, np.int32),
+            np.full(shape, np.nan),
+            np.full(shape, np.nan, np.float32),
+            np.full(shape, np.nan, np.float32),
+            np.full(shape, np.nan, np.float32),
+            np.zeros(shape, np.int32),
+            np.full(shape, np.nan, np.float32),
+            np.zeros((*shape, JOINT_PEAKS - 1), np.float32),
+        )
 
     def __len__(self) -> int:
         """Return the number of lines."""
         return len(self.count)
+
+    def covariance(self, line: int) -> NDArray[np.float64]:
+        """Return the covariance of the positions of one line's k peaks, shape (k, k) [px^2]."""
+        count = int(self.count[line])
+        whole = np.diag(self.sigma_px[line, :count].astype(np.float64) ** 2)
+        for ahead in range(1, min(JOINT_PEAKS, count)):
+            with_next = self.covariance_px2[line, : count - ahead, ahead - 1]
+            row = np.arange(count - ahead)
+            whole[row, row + ahead] = whole[row + ahead, row] = with_next
+        return whole
 
     def peaks(self, line: int, sensor: str) -> tuple[Peak, ...]:
         """Return one line's peaks as values; ``sensor`` is the name to give them."""
@@ -79,6 +126,7 @@ class PeakBatch:
                 float(self.sigma_px[line, k]),
                 float(self.amplitude[line, k]),
                 float(self.width_px[line, k]),
+                float(self.reduced_chi2[line, k]),
                 flag_names(PeakFlag(int(self.flags[line, k]))),
             )
             for k in range(int(self.count[line]))
@@ -86,12 +134,5 @@ class PeakBatch:
 
 
 def no_peaks(lines: int) -> PeakBatch:
-    """Return the batch of lines without any peak."""
-    return PeakBatch(
-        np.zeros(lines, dtype=np.int32),
-        np.empty((lines, 0)),
-        np.empty((lines, 0), dtype=np.float32),
-        np.empty((lines, 0), dtype=np.float32),
-        np.empty((lines, 0), dtype=np.float32),
-        np.empty((lines, 0), dtype=np.int32),
-    )
+    """Return the batch of lines without any peak and without room for one."""
+    return PeakBatch.empty(lines, 0)

@@ -24,15 +24,7 @@ def find_peaks_reference(
 ) -> PeakBatch:
     """Find the peaks of lines of shape (L, P), uint16, as ``CentroidFinder.find`` does."""
     room = settings.max_peaks
-    shape = (len(lines), room)
-    batch = PeakBatch(
-        np.zeros(len(lines), np.int32),
-        np.full(shape, np.nan),
-        np.full(shape, np.nan, np.float32),
-        np.full(shape, np.nan, np.float32),
-        np.full(shape, np.nan, np.float32),
-        np.zeros(shape, np.int32),
-    )
+    batch = PeakBatch.empty(len(lines), room)
     for number, line in enumerate(lines):
         rows = _line_peaks(line.astype(np.int64), settings, noise, number % len(noise))
         if len(rows) > room:

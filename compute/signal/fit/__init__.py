@@ -1,0 +1,1 @@
+"""Positions at the information bound: the weighted fit of pixel-integrated line shapes."""

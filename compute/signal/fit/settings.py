@@ -1,0 +1,111 @@
+"""FitSettings: how line shapes are fitted; and the definition of a fitted peak."""
+
+from dataclasses import dataclass, field
+from math import log
+from typing import Final, Literal, get_args
+
+from compute.errors import InvalidParameter
+from compute.signal.peaks import JOINT_PEAKS
+from compute.signal.settings import CentroidSettings
+
+BackgroundModel = Literal["level", "slope"]
+"""The background within a window: a constant, or a straight line."""
+
+MAX_ITERATIONS: Final = 20
+CONVERGED_SIGMA: Final = 1e-4
+"""A fit has ended when no position moves by more than this part of its standard deviation."""
+
+MAX_WINDOW_PX: Final = 128
+"""Most pixels that are fitted together."""
+
+WIDTH_LIMITS_PX: Final = (0.25, 16.0)
+"""A fitted width [px] stays within these."""
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How lines are fitted: the best estimate of their positions that the pixels allow.
+
+    The definition, which the kernel and the reference both implement:
+
+    - *Candidates.* The peaks that ``search`` finds, from their centres of gravity, heights and
+      widths at the threshold. The width to start with is ``width_px`` where ``width_spread`` is
+      zero, and else the candidate's width over that of a Gaussian at its threshold
+      (``2 sqrt(-2 ln f)`` deviations), not further from ``width_px`` than two ``width_spread``
+      in the logarithm.
+    - *Groups.* A candidate's window reaches ``reach`` starting widths and a pixel to either side.
+      Candidates whose windows overlap are fitted together, ``max_joint`` at most; of more, the
+      chain is cut where the gap between neighbours is widest, again and again, and those at a
+      cut are MERGED. A window ends midway between two groups, and at the line's ends. It has
+      MAX_WINDOW_PX pixels at most. Pixels at full scale are left out, as they say only "at least".
+    - *Model.* ``mu_i = b [+ s (i - middle)] + sum_k A_k (E((i + 1/2 - x_k)/w) - E((i - 1/2 -
+      x_k)/w))`` with positions x_k, light A_k [counts], one width w for the group, and a level b
+      (and slope s, if ``background`` says so). E is a ``LineShape``.
+    - *Weights.* The variance of a pixel is ``read^2/gain^2 + max(mu - offset, 0)/gain + 1/12``
+      and ``(shape_error (mu - b - ...))^2``, by the model and not by the pixel's own noise.
+    - *Estimate.* The root of the weighted residuals' score, with the variances of the same mu:
+      ``sum_i (v_i - mu_i) dmu_i / V_i = 0``, by Fisher scoring; the logarithm of the width has a
+      Gaussian prior about ``width_px`` with the deviation ``width_spread``. The covariance is
+      the inverse of the information there. Without error in the shape this is the maximum
+      likelihood but for the variances' own information, of order 1 over the electrons of a pixel.
+    - *Number of peaks.* Where the misfit is more than chance (its own rate:
+      ``false_split_rate``), one peak more is tried, from each peak split in two and at the
+      largest residual. It stands if ``sum ((v - mu)^2/V + ln V)`` falls by more than
+      ``dp ln n + 2 ln(1/false_split_rate)``, dp the parameters that it adds and n the pixels:
+      Schwarz's criterion (10.1214/aos/1176344136) with a margin for the places where it was
+      looked for. So on, up to ``max_joint``.
+    - *Result.* Positions, standard deviations and covariances; ``amplitude`` is the fitted light
+      in a pixel about the line's middle; ``width_px`` the full width at ``search``'s
+      threshold of a Gaussian with the fitted width; the reduced chi-square of the group. Flags:
+      JOINT, POOR_FIT (a chi-square of less chance than ``false_split_rate``), SATURATED (a pixel
+      of the window was left out), CLIPPED (a line less than two widths from an end of the
+      sensor), and UNFITTED with the centre of gravity where pixels are too few, the fit does not
+      converge, light is not positive, or a position leaves its window.
+
+    Args:
+        search: how candidates are found.
+        width_px: deviation of the lines (Gaussian), or 1 for a shape in pixels.
+        width_spread: deviation of the logarithm of the width; 0: it is known, inf: nothing is.
+        reach: half a window, in starting widths. A Gaussian keeps 0.9989 of its information in 4.
+        background: what the background is within a window.
+        shape_error: error of the shape as a part of each pixel's light, deviation; lets bright
+            lines keep a fair chi-square and an honest deviation where the true shape is not E.
+        max_joint: most peaks that are fitted together, 1 to JOINT_PEAKS.
+        false_split_rate: chance of fitting two peaks where there is one.
+
+    Raises:
+        InvalidParameter: a value outside its range.
+    """
+
+    search: CentroidSettings = field(default_factory=lambda: CentroidSettings(min_width_px=1))
+    width_px: float = 1.0
+    width_spread: float = 0.5
+    reach: float = 4.0
+    background: BackgroundModel = "level"
+    shape_error: float = 0.0
+    max_joint: int = JOINT_PEAKS
+    false_split_rate: float = 1e-4
+
+    def __post_init__(self) -> None:
+        low, high = WIDTH_LIMITS_PX
+        self._require("width_px", low <= self.width_px <= high, f"in {low} .. {high}")
+        self._require("width_spread", self.width_spread >= 0.0, "zero or more")
+        self._require("reach", 2.0 <= self.reach <= 8.0, "in 2 .. 8")
+        self._require("shape_error", 0.0 <= self.shape_error <= 0.5, "in 0 .. 0.5")
+        self._require("max_joint", 1 <= self.max_joint <= JOINT_PEAKS, f"in 1 .. {JOINT_PEAKS}")
+        self._require("false_split_rate", 1e-12 <= self.false_split_rate <= 0.1, "in 1e-12 .. 0.1")
+        if self.background not in get_args(BackgroundModel):
+            raise InvalidParameter(
+                f"background is {self.background!r}; it must be one of {get_args(BackgroundModel)}",
+                background=self.background,
+            )
+
+    @property
+    def split_margin(self) -> float:
+        """By how much more than Schwarz's term a further peak must better the fit."""
+        return 2.0 * log(1.0 / self.false_split_rate)
+
+    def _require(self, name: str, good: bool, meaning: str) -> None:
+        if not good:
+            value = getattr(self, name)
+            raise InvalidParameter(f"{name} is {value}; it must be {meaning}", **{name: value})

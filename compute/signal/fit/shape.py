@@ -1,0 +1,148 @@
+"""LineShape: how a line's light is spread about its position, by sensor and place."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
+
+from compute.errors import InvalidParameter
+
+Array = NDArray[np.float64]
+
+GAUSSIAN_REACH: Final = 6.0
+GAUSSIAN_STEP: Final = 1.0 / 16.0
+"""Half the Gaussian's table and its step [deviations]: the cubic between is good to 1e-7."""
+
+
+@dataclass(frozen=True, eq=False)
+class LineShape:
+    """The share of a line's light below a place, as a table with its derivative.
+
+    A pixel i gets the share ``E((i + 1/2 - x) / w) - E((i - 1/2 - x) / w)`` of a line at x with
+    the width w. Between the table's places E is the cubic through both values and both
+    derivatives; outside of the table it is 0 or 1. Places t are in units of w: a Gaussian's are
+    its standard deviations; a shape that was measured in pixels has w = 1 px.
+
+    Between two nodes along the sensor both tables count, by distance; beyond the first and the
+    last node these hold. The node is taken at the line's position, and its change with the
+    position is not part of the derivative.
+
+    Args:
+        edge: share of the light below each place, S sensors (or one for all), N nodes, T places,
+            shape (S, N, T); rising from 0 to 1.
+        slope: its derivative by t, same shape.
+        first: the first place t.
+        step: distance of places.
+        first_node_px: where the first node is [px].
+        node_step_px: distance of nodes [px]; any positive number where there is one node.
+    """
+
+    edge: Array
+    slope: Array
+    first: float
+    step: float
+    first_node_px: float = 0.0
+    node_step_px: float = 1.0
+
+    def __post_init__(self) -> None:
+        shape = self.edge.shape
+        if len(shape) != 3 or shape[2] < 2 or 0 in shape or self.slope.shape != shape:
+            raise InvalidParameter(
+                f"edge has the shape {shape} and slope {self.slope.shape}; both must be (S, N, T) "
+                "with two places or more",
+                edge=shape,
+                slope=self.slope.shape,
+            )
+        if not (np.isfinite(self.edge).all() and np.isfinite(self.slope).all()):
+            raise InvalidParameter("edge or slope hold a value that is not finite")
+        for name in ("step", "node_step_px"):
+            value = getattr(self, name)
+            if not 0.0 < value < np.inf:
+                raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
+
+    @classmethod
+    def gaussian(cls) -> "LineShape":
+        """Return the Gaussian, the same for all sensors and places."""
+        t = np.arange(-GAUSSIAN_REACH, GAUSSIAN_REACH + GAUSSIAN_STEP / 2, GAUSSIAN_STEP)
+        # Nothing is left outside of the table.
+        edge = (ndtr(t) - ndtr(t[0])) / (ndtr(t[-1]) - ndtr(t[0]))
+        slope = np.exp(-0.5 * t * t) / np.sqrt(2.0 * np.pi)
+        return cls(edge[None, None], slope[None, None], -GAUSSIAN_REACH, GAUSSIAN_STEP)
+
+    @classmethod
+    def measured(
+        cls,
+        light: ArrayLike,
+        first: float,
+        step: float,
+        first_node_px: float = 0.0,
+        node_step_px: float = 1.0,
+    ) -> "LineShape":
+        """Make it from the light in cells finer than pixels.
+
+        Args:
+            light: light of each cell, shape (S, N, C), or (C,) for one sensor and place; zero or
+                more. The first and last cell should hold next to nothing.
+            first: left edge of the first cell, from the line's position [px].
+            step: width of a cell [px]; 1/16 px is fine for lines of half a pixel's deviation.
+            first_node_px: where the first node is [px].
+            node_step_px: distance of nodes [px].
+
+        Raises:
+            InvalidParameter: another shape, a negative value, or no light.
+        """
+        cells = np.asarray(light, dtype=np.float64)
+        if cells.ndim == 1:
+            cells = cells[None, None]
+        if cells.ndim != 3 or cells.shape[2] < 3:
+            raise InvalidParameter(
+                f"light has the shape {cells.shape}; it must be (S, N, C) or (C,) with 3 cells "
+                "or more",
+                light=cells.shape,
+            )
+        total = cells.sum(axis=2, keepdims=True)
+        if not (np.isfinite(cells).all() and (cells >= 0.0).all() and (total > 0.0).all()):
+            raise InvalidParameter(
+                f"light has {float(np.min(cells))} at least and {float(np.min(total))} in the "
+                "darkest line; it must be zero or more, with some light in each"
+            )
+        share = cells / total
+        edge = np.concatenate([np.zeros_like(total), np.cumsum(share, axis=2)], axis=2)
+        # At a cell's edge: the mean of the two cells' densities.
+        slope = np.zeros_like(edge)
+        slope[..., 1:-1] = (share[..., 1:] + share[..., :-1]) / (2.0 * step)
+        return cls(edge, slope, first, step, first_node_px, node_step_px)
+
+    @property
+    def reach(self) -> float:
+        """Half the table's length, in widths."""
+        return 0.5 * self.step * float(self.edge.shape[2] - 1)
+
+    def at(self, t: Array, sensor: int = 0, place_px: float = 0.0) -> tuple[Array, Array]:
+        """Return E and its derivative at any t, for a line at ``place_px`` on a sensor.
+
+        Args:
+            t: shape (...), in widths.
+            sensor: number of the sensor.
+            place_px: where the line is [px].
+        """
+        rows = self.edge[sensor % len(self.edge)], self.slope[sensor % len(self.edge)]
+        node = (place_px - self.first_node_px) / self.node_step_px
+        below = int(np.clip(np.floor(node), 0, max(rows[0].shape[0] - 2, 0)))
+        above = min(below + 1, rows[0].shape[0] - 1)
+        part = float(np.clip(node - below, 0.0, 1.0))
+        edge, slope = ((1.0 - part) * row[below] + part * row[above] for row in rows)
+
+        place = (np.asarray(t, dtype=np.float64) - self.first) / self.step
+        k = np.clip(np.floor(place).astype(np.int64), 0, len(edge) - 2)
+        s = np.clip(place - k, 0.0, 1.0)
+        e0, e1, d0, d1 = edge[k], edge[k + 1], slope[k] * self.step, slope[k + 1] * self.step
+        rise = e1 - e0
+        square = d0 + d1 - 2.0 * rise
+        linear = 3.0 * rise - 2.0 * d0 - d1
+        value = e0 + s * (d0 + s * (linear + s * square))
+        derivative = (d0 + s * (2.0 * linear + s * 3.0 * square)) / self.step
+        outside = (place < 0.0) | (place > len(edge) - 1)
+        return value, np.where(outside, 0.0, derivative)

@@ -1,0 +1,215 @@
+"""ValleyCut and SlopeExtension: close peaks taken apart, thesis 4.5 and Appendix D."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from compute.signal.chain.step import Array, as_lines, check_between
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One peak taken from a line, above the zero line.
+
+    Args:
+        values: the peak alone, zero elsewhere, shape (P,).
+        top_px: pixel of its maximum.
+        first_px, last_px: the pixels that were measured, valleys included; what lies beyond is
+            extension.
+        cut_left, cut_right: whether a valley above zero ends it on that side.
+    """
+
+    values: Array
+    top_px: int
+    first_px: int
+    last_px: int
+    cut_left: bool
+    cut_right: bool
+
+
+@dataclass(frozen=True)
+class ValleyCut:
+    """Peaks are cut apart at the lowest pixel of the valley between them: c1 of Table 4.4.
+
+    Steps (I) to (IV) of section 4.5:
+
+    - (I) The zero line lies at a fraction of the line's greatest value; it is subtracted, and
+      what is below becomes zero. (The text says "set a threshold (zero line)", and "zero
+      points" for where the curve meets it.)
+    - (II) A maximum is a pixel, or a run of equal ones, higher than its neighbours; the middle
+      of the run counts.
+    - (III) The valley is the lowest pixel between two maxima; of several, the middle one.
+    - (IV) A peak reaches from valley to valley, or to the zero points. The pixel of a valley
+      belongs to both peaks ("it retained its value").
+
+    Every ripple is a maximum to the text. ``least_depth`` leaves out those of noise: valleys
+    that are not deeper below the lower of their maxima than this fraction of it part nothing.
+
+    Args:
+        level_fraction: the zero line, as a fraction of the line's greatest value, 0 to 0.95.
+        least_depth: 0 (the text) to 1.
+
+    Raises:
+        InvalidParameter: a value outside its range.
+    """
+
+    level_fraction: float = 0.2
+    least_depth: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_between("level_fraction", self.level_fraction, 0.0, 0.95)
+        check_between("least_depth", self.least_depth, 0.0, 1.0)
+
+    def separate(self, line: ArrayLike) -> tuple[Piece, ...]:
+        """Take the peaks of one line (P,) without background apart, from left to right."""
+        values = as_lines(line)
+        level = self.level_fraction * max(float(values.max()), 0.0)
+        return _cut(np.maximum(values - level, 0.0), self.least_depth)
+
+
+@dataclass(frozen=True)
+class SlopeExtension:
+    """Peaks are cut at the valleys, and cut slopes continued to zero: c2 of Table 4.4.
+
+    Steps (I) to (IV) are ValleyCut's; then (V) each side that ends at a valley above zero is
+    continued by segments. With P the peak's values from the valley's pixel on, P_max its
+    maximum, both above the zero line, the segment is
+
+    - (a) ``|P(n_s + 1) - P(n_s)|``, the last difference before the valley, if the valley's value
+      is at most P_max / 2;
+    - (b) the greatest difference between neighbours on the same side, up to 3/4 P_max;
+    - (c) the greatest difference on the opposite side, above.
+
+    The segment is subtracted from pixel to pixel, from the valley's value on (which itself is
+    kept, as Appendix D says), and halved whenever it is not smaller than what is left.
+
+    Readings where the text is open:
+
+    - "Applied until its length becomes greater than the value of the current point, otherwise
+      the length is set to 1/2 of the last calculated delta", and in Appendix D "continues until
+      the value reaches a level small enough": halving goes on until the value is at most
+      ``stop_fraction`` of P_max, or the line ends.
+    - The intervals' ends: a value that is exactly 1/2 or 3/4 of P_max belongs to the lower one.
+    - Differences are absolute. "Opposite side" is what was measured of it, up to its own valley.
+    - A segment of zero (a level valley) would never end: the greatest difference of the same
+      side takes its place, then that of the opposite side.
+    - (VI) "Placed at their original locations": each peak is a line of its own; extensions
+      reach under their neighbours and are not added up.
+
+    Args:
+        level_fraction, least_depth: as ValleyCut's.
+        stop_fraction: where an extension ends, as a fraction of P_max, 0.0001 to 0.5.
+
+    Raises:
+        InvalidParameter: a value outside its range.
+    """
+
+    level_fraction: float = 0.2
+    least_depth: float = 0.0
+    stop_fraction: float = 0.01
+
+    def __post_init__(self) -> None:
+        check_between("stop_fraction", self.stop_fraction, 1e-4, 0.5)
+        self._cut()
+
+    def separate(self, line: ArrayLike) -> tuple[Piece, ...]:
+        """Take the peaks of one line (P,) without background apart, from left to right."""
+        return tuple(self._reshaped(piece) for piece in self._cut().separate(line))
+
+    def _cut(self) -> ValleyCut:
+        return ValleyCut(self.level_fraction, self.least_depth)
+
+    def _reshaped(self, piece: Piece) -> Piece:
+        values = piece.values.copy()
+        # Both from the peak's foot to its top.
+        left = piece.values[piece.first_px : piece.top_px + 1]
+        right = piece.values[piece.top_px : piece.last_px + 1][::-1]
+        stop = self.stop_fraction * float(piece.values[piece.top_px])
+        if piece.cut_left:
+            added = _extension(left, right, stop, piece.first_px)
+            values[piece.first_px - len(added) : piece.first_px] = added[::-1]
+        if piece.cut_right:
+            added = _extension(right, left, stop, len(values) - 1 - piece.last_px)
+            values[piece.last_px + 1 : piece.last_px + 1 + len(added)] = added
+        return replace(piece, values=values)
+
+
+Separation = ValleyCut | SlopeExtension
+
+
+def _extension(side: Array, opposite: Array, stop: float, room: int) -> list[float]:
+    """Return the values that continue a side beyond its valley, ``side[0]``, at most ``room``."""
+    value, delta = float(side[0]), _segment(side, opposite)
+    added: list[float] = []
+    while len(added) < room and value > stop and delta > 0.0:
+        if delta < value:
+            value -= delta
+            added.append(value)
+        else:
+            delta /= 2.0
+    return added
+
+
+def _segment(side: Array, opposite: Array) -> float:
+    """Return delta; both sides from the foot to the top."""
+    same = float(np.abs(np.diff(side)).max(initial=0.0))
+    other = float(np.abs(np.diff(opposite)).max(initial=0.0))
+    height = float(side[0]) / float(side[-1])
+    if height <= 0.5:
+        delta = abs(float(side[1] - side[0]))
+    elif height <= 0.75:
+        delta = same
+    else:
+        delta = other
+    return delta or same or other
+
+
+def _cut(line: Array, least_depth: float) -> tuple[Piece, ...]:
+    tops = _maxima(line)
+    valleys = [_lowest(line, a, b) for a, b in pairwise(tops)]
+    while valleys:
+        lower = [min(line[a], line[b]) for a, b in pairwise(tops)]
+        depth = [float((low - line[v]) / low) for low, v in zip(lower, valleys, strict=True)]
+        least = int(np.argmin(depth))
+        if depth[least] >= least_depth:
+            break
+        # Of two peaks that are one the higher stays; its valley to the next is found again.
+        del tops[least if line[tops[least]] < line[tops[least + 1]] else least + 1]
+        valleys = [_lowest(line, a, b) for a, b in pairwise(tops)]
+    pieces = []
+    for number, top in enumerate(tops):
+        left = valleys[number - 1] if number else None
+        right = valleys[number] if number < len(valleys) else None
+        first = _foot(line, top, -1, left)
+        last = _foot(line, top, 1, right)
+        values = np.zeros_like(line)
+        values[first : last + 1] = line[first : last + 1]
+        pieces.append(Piece(values, top, first, last, first == left, last == right))
+    return tuple(pieces)
+
+
+def _maxima(line: Array) -> list[int]:
+    """Return the pixels higher than their neighbours; the middle of a run of equal ones."""
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(line)) + 1])
+    ends = np.concatenate([starts[1:], [len(line)]])
+    level = np.concatenate([[-np.inf], line[starts], [-np.inf]])
+    high = (level[1:-1] > level[:-2]) & (level[1:-1] > level[2:]) & (level[1:-1] > 0.0)
+    return [int(pixel) for pixel in ((starts + ends - 1) // 2)[high]]
+
+
+def _lowest(line: Array, left: int, right: int) -> int:
+    between = line[left : right + 1]
+    lowest = np.flatnonzero(between == between.min())
+    return left + int(lowest[len(lowest) // 2])
+
+
+def _foot(line: Array, top: int, side: int, valley: int | None) -> int:
+    """Return the last pixel of a peak to one side: before the first zero, or the valley's."""
+    run = line[top::side]
+    zero = np.flatnonzero(run <= 0.0)
+    reach = int(zero[0]) - 1 if zero.size else len(run) - 1
+    if valley is not None:
+        reach = min(reach, abs(valley - top))
+    return top + side * reach

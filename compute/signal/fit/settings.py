@@ -4,6 +4,10 @@ from dataclasses import dataclass, field
 from math import log
 from typing import Final, Literal, get_args
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
 from compute.errors import InvalidParameter
 from compute.signal.peaks import JOINT_PEAKS
 from compute.signal.settings import CentroidSettings
@@ -12,8 +16,20 @@ BackgroundModel = Literal["level", "slope"]
 """The background within a window: a constant, or a straight line."""
 
 MAX_ITERATIONS: Final = 20
-CONVERGED_SIGMA: Final = 1e-4
-"""A fit has ended when no position moves by more than this part of its standard deviation."""
+CONVERGED_SIGMA: Final = 1e-3
+"""A fit has ended when no parameter moves by more than this part of its standard deviation; the
+step is still taken, and what is left is a tenth of it or less."""
+
+STEP_WIDTHS: Final = 0.5
+STEP_LOG_WIDTH: Final = 0.25
+"""A step moves no position by more than the one [widths], no logarithm of a width by the other."""
+
+LEAST_PIVOT: Final = 1e-9
+"""Least pivot of an information matrix scaled to a diagonal of ones."""
+
+SPLIT_WIDTHS: Final = 0.7
+SPLIT_LOG_WIDTH: Final = 0.25
+"""A peak is split into two so far to either side [widths], which are narrower by the other."""
 
 MAX_WINDOW_PX: Final = 128
 """Most pixels that are fitted together."""
@@ -33,38 +49,49 @@ class FitSettings:
       zero, and else the candidate's width over that of a Gaussian at its threshold
       (``2 sqrt(-2 ln f)`` deviations), not further from ``width_px`` than two ``width_spread``
       in the logarithm.
-    - *Groups.* A candidate's window reaches ``reach`` starting widths and a pixel to either side.
-      Candidates whose windows overlap are fitted together, ``max_joint`` at most; of more, the
-      chain is cut where the gap between neighbours is widest, again and again, and those at a
-      cut are MERGED. A window ends midway between two groups, and at the line's ends. It has
-      MAX_WINDOW_PX pixels at most. Pixels at full scale are left out, as they say only "at least".
+    - *Groups.* A candidate's window reaches ``ceil(reach w) + 1`` pixels, 63 at most, to either
+      side of the pixel that its centre is in. Neighbours whose windows overlap are fitted
+      together. A chain of more than ``max_joint``, or longer than MAX_WINDOW_PX, is cut where
+      the gap between neighbours is widest, again and again, and those at a cut are MERGED. A
+      window ends midway between two groups, and at the line's ends. Pixels at full scale are
+      left out, as they say only "at least".
     - *Model.* ``mu_i = b [+ s (i - middle)] + sum_k A_k (E((i + 1/2 - x_k)/w) - E((i - 1/2 -
       x_k)/w))`` with positions x_k, light A_k [counts], one width w for the group, and a level b
-      (and slope s, if ``background`` says so). E is a ``LineShape``.
-    - *Weights.* The variance of a pixel is ``read^2/gain^2 + max(mu - offset, 0)/gain + 1/12``
-      and ``(shape_error (mu - b - ...))^2``, by the model and not by the pixel's own noise.
+      (and slope s about the window's middle, if ``background`` says so). E is a ``LineShape``.
+    - *Weights.* The variance V of a pixel is ``read^2/gain^2 + max(mu - offset, 0)/gain + 1/12``
+      plus ``(shape_error (mu - b - ...))^2``, by the model and not by the pixel's own noise.
     - *Estimate.* The root of the weighted residuals' score, with the variances of the same mu:
-      ``sum_i (v_i - mu_i) dmu_i / V_i = 0``, by Fisher scoring; the logarithm of the width has a
-      Gaussian prior about ``width_px`` with the deviation ``width_spread``. The covariance is
-      the inverse of the information there. Without error in the shape this is the maximum
-      likelihood but for the variances' own information, of order 1 over the electrons of a pixel.
+      ``sum_i (v_i - mu_i) dmu_i / V_i = 0``; the logarithm of the width has a Gaussian prior
+      about ``width_px`` with the deviation ``width_spread``. This is the greatest
+      quasi-likelihood (R. W. M. Wedderburn, 10.1093/biomet/61.3.439): the maximum likelihood
+      but for the variances' own information, of order 1 over the electrons of a pixel.
+    - *Way there.* Fisher scoring from the search's background and candidates (light by height,
+      the widths' geometric mean): steps ``d = H^-1 g`` by score g and information H, scaled as a
+      whole to STEP_WIDTHS and STEP_LOG_WIDTH; a width that would leave WIDTH_LIMITS_PX is held
+      there, as if known. The end is ``g.d < CONVERGED_SIGMA^2``, and that step is taken. The
+      covariance is H^-1, and with the chi-square of the pass that gave the last step.
     - *Number of peaks.* Where the misfit is more than chance (its own rate:
-      ``false_split_rate``), one peak more is tried, from each peak split in two and at the
-      largest residual. It stands if ``sum ((v - mu)^2/V + ln V)`` falls by more than
-      ``dp ln n + 2 ln(1/false_split_rate)``, dp the parameters that it adds and n the pixels:
-      Schwarz's criterion (10.1214/aos/1176344136) with a margin for the places where it was
-      looked for. So on, up to ``max_joint``.
+      ``false_split_rate``), one peak more is tried, from each peak split in two (SPLIT_WIDTHS)
+      and at the pixel of the largest residual in deviations. The best of these stands if
+      ``sum ((v - mu)^2/V + ln V)`` and the prior's term fall by more than
+      ``dp ln n + 2 ln(1/false_split_rate)``, dp = 2 the parameters that it adds and n the
+      pixels: Schwarz's criterion (10.1214/aos/1176344136) with a margin for the places where it
+      was looked for. So on, up to ``max_joint``.
     - *Result.* Positions, standard deviations and covariances; ``amplitude`` is the fitted light
       in a pixel about the line's middle; ``width_px`` the full width at ``search``'s
-      threshold of a Gaussian with the fitted width; the reduced chi-square of the group. Flags:
+      threshold of a Gaussian with the fitted width; the reduced chi-square of the group, of
+      which a finite prior is one more observation. Flags:
       JOINT, POOR_FIT (a chi-square of less chance than ``false_split_rate``), SATURATED (a pixel
       of the window was left out), CLIPPED (a line less than two widths from an end of the
-      sensor), and UNFITTED with the centre of gravity where pixels are too few, the fit does not
-      converge, light is not positive, or a position leaves its window.
+      sensor), MERGED (at a cut, or a candidate with a valley that got no further peak), and
+      UNFITTED with all of the candidate's own figures where no more pixels than parameters are
+      left, the fit does not converge, the information is singular (LEAST_PIVOT), light is not
+      positive, or a position leaves its window. Of more peaks than ``search`` has room for, the
+      brightest are kept, TRUNCATED.
 
     Args:
         search: how candidates are found.
-        width_px: deviation of the lines (Gaussian), or 1 for a shape in pixels.
+        width_px: deviation of the lines (Gaussian), or the shape's own unit.
         width_spread: deviation of the logarithm of the width; 0: it is known, inf: nothing is.
         reach: half a window, in starting widths. A Gaussian keeps 0.9989 of its information in 4.
         background: what the background is within a window.
@@ -104,6 +131,15 @@ class FitSettings:
     def split_margin(self) -> float:
         """By how much more than Schwarz's term a further peak must better the fit."""
         return 2.0 * log(1.0 / self.false_split_rate)
+
+    def misfit_limits(self) -> NDArray[np.float64]:
+        """Return the chi-square that chance exceeds at ``false_split_rate``, by degrees of freedom.
+
+        Shape (MAX_WINDOW_PX + 1,), from none; none has no limit.
+        """
+        limits = np.full(MAX_WINDOW_PX + 1, np.inf)
+        limits[1:] = chi2.isf(self.false_split_rate, np.arange(1, MAX_WINDOW_PX + 1))
+        return limits
 
     def _require(self, name: str, good: bool, meaning: str) -> None:
         if not good:

@@ -79,6 +79,7 @@ class LineShape:
         step: float,
         first_node_px: float = 0.0,
         node_step_px: float = 1.0,
+        unit_px: float = 1.0,
     ) -> "LineShape":
         """Make it from the light in cells finer than pixels.
 
@@ -89,6 +90,8 @@ class LineShape:
             step: width of a cell [px]; 1/16 px is fine for lines of half a pixel's deviation.
             first_node_px: where the first node is [px].
             node_step_px: distance of nodes [px].
+            unit_px: what a width is to be [px]: the line's deviation, so that the windows, which
+                are cut by widths, hold it.
 
         Raises:
             InvalidParameter: another shape, a negative value, or no light.
@@ -108,6 +111,9 @@ class LineShape:
                 f"light has {float(np.min(cells))} at least and {float(np.min(total))} in the "
                 "darkest line; it must be zero or more, with some light in each"
             )
+        if not 0.0 < unit_px < np.inf:
+            raise InvalidParameter(f"unit_px is {unit_px}; it must be positive", unit_px=unit_px)
+        first, step = first / unit_px, step / unit_px
         share = cells / total
         edge = np.concatenate([np.zeros_like(total), np.cumsum(share, axis=2)], axis=2)
         # At a cell's edge: the mean of the two cells' densities.
@@ -120,29 +126,40 @@ class LineShape:
         """Half the table's length, in widths."""
         return 0.5 * self.step * float(self.edge.shape[2] - 1)
 
-    def at(self, t: Array, sensor: int = 0, place_px: float = 0.0) -> tuple[Array, Array]:
-        """Return E and its derivative at any t, for a line at ``place_px`` on a sensor.
+    def at(
+        self, t: Array, sensor: ArrayLike = 0, place_px: ArrayLike = 0.0
+    ) -> tuple[Array, Array]:
+        """Return E and its derivative at any t, for lines at ``place_px`` on their sensors.
 
         Args:
             t: shape (...), in widths.
-            sensor: number of the sensor.
-            place_px: where the line is [px].
+            sensor: numbers of the sensors, of a shape that broadcasts to t's.
+            place_px: where the lines are, of a shape that broadcasts to t's [px].
         """
-        rows = self.edge[sensor % len(self.edge)], self.slope[sensor % len(self.edge)]
-        node = (place_px - self.first_node_px) / self.node_step_px
-        below = int(np.clip(np.floor(node), 0, max(rows[0].shape[0] - 2, 0)))
-        above = min(below + 1, rows[0].shape[0] - 1)
-        part = float(np.clip(node - below, 0.0, 1.0))
-        edge, slope = ((1.0 - part) * row[below] + part * row[above] for row in rows)
+        sensors, nodes, places = self.edge.shape
+        row = np.asarray(sensor) % sensors * nodes
+        node = (np.asarray(place_px, dtype=np.float64) - self.first_node_px) / self.node_step_px
+        below = np.clip(np.floor(node), 0, max(nodes - 2, 0)).astype(np.int64)
+        above = np.minimum(below + 1, nodes - 1)
+        part = np.clip(node - below, 0.0, 1.0)
 
         place = (np.asarray(t, dtype=np.float64) - self.first) / self.step
-        k = np.clip(np.floor(place).astype(np.int64), 0, len(edge) - 2)
+        k = np.clip(np.floor(place), 0, places - 2).astype(np.int64)
         s = np.clip(place - k, 0.0, 1.0)
-        e0, e1, d0, d1 = edge[k], edge[k + 1], slope[k] * self.step, slope[k + 1] * self.step
+
+        def between(table: Array, at: NDArray[np.int64]) -> Array:
+            values = table.ravel()
+            found: Array = values[(row + below) * places + at]
+            if nodes > 1:
+                found = (1.0 - part) * found + part * values[(row + above) * places + at]
+            return found
+
+        e0, e1 = between(self.edge, k), between(self.edge, k + 1)
+        d0, d1 = (between(self.slope, at) * self.step for at in (k, k + 1))
         rise = e1 - e0
         square = d0 + d1 - 2.0 * rise
         linear = 3.0 * rise - 2.0 * d0 - d1
         value = e0 + s * (d0 + s * (linear + s * square))
         derivative = (d0 + s * (2.0 * linear + s * 3.0 * square)) / self.step
-        outside = (place < 0.0) | (place > len(edge) - 1)
+        outside = (place < 0.0) | (place > places - 1)
         return value, np.where(outside, 0.0, derivative)

@@ -1,0 +1,242 @@
+"""MatchedFilter: whole-number taps that answer to a peak's shape and to no even background."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import correlate1d
+from scipy.special import ndtr
+
+from compute.errors import InvalidParameter
+from compute.signal.detection.integer_taps import (
+    MAX_ABSOLUTE_SUM,
+    round_taps,
+    without_background,
+)
+
+Array = NDArray[np.float64]
+
+LENGTH_IN_WIDTHS: Final = 16.0
+"""Length of a filter in standard deviations of the line that it looks for.
+
+The background is estimated under the filter itself, which costs signal-to-noise ratio: a share
+1 - sqrt(1 - 3.54 / n) of it for n widths. That is 25 % at 8, 16 % at 12, 12 % at 16 and 9 % at
+20; a longer filter takes more neighbours for background."""
+
+_EDGE_OF_SHAPE: Final = 0.05
+_WIDTHS_PX: Final = (0.2, 100.0)
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedFilter:
+    """Taps for the inside of a line, and for the places near its ends; T = 2 H + 1 of them.
+
+    The answer at a place is ``sum taps_k v_k`` over the pixels from H before to H behind. Near
+    an end the window is cut there, and the taps are the matched filter of what is left, again
+    orthogonal to a constant; they are scaled to one norm, so that one threshold serves the
+    line. All are whole numbers with sums of |taps| up to 32768: answers to uint16 pixels
+    are exact in int32, and every device takes the same decisions.
+
+    Away from the shape the inner taps of a symmetric filter are all ``-level``: a running sum
+    gives that part of the answer, and the rest is as short as the shape.
+
+    Args:
+        taps: for places H or more from both ends, int64, shape (T,).
+        left: row d for the place d < H, on the pixels 0 to T - 1, int64, shape (H, T).
+        right: row d for the place P - 1 - d, on the pixels P - T to P - 1, int64, shape (H, T).
+        shape: the shape looked for, its largest value 1, float64, shape (T,).
+    """
+
+    taps: NDArray[np.int64]
+    left: NDArray[np.int64]
+    right: NDArray[np.int64]
+    shape: Array
+
+    @property
+    def half_px(self) -> int:
+        """H, the pixels that the filter reaches to each side."""
+        return len(self.taps) // 2
+
+    @property
+    def level(self) -> int:
+        """Minus the tap at the filter's end."""
+        return -int(self.taps[-1])
+
+    @cached_property
+    def norm(self) -> float:
+        """Standard deviation of the answer to white noise of one count."""
+        return float(np.sqrt((self.taps.astype(np.float64) ** 2).sum()))
+
+    @cached_property
+    def gain(self) -> float:
+        """Answer to the shape, one count high, in the middle of the filter."""
+        return float(self.taps @ self.shape)
+
+    @cached_property
+    def reach_px(self) -> int:
+        """Pixels to each side where the shape has more than a twentieth of its maximum."""
+        seen = np.flatnonzero(self.shape >= _EDGE_OF_SHAPE) - self.half_px
+        return int(abs(seen).max())
+
+    @property
+    def snr_of_pixel_snr(self) -> float:
+        """Signal-to-noise ratio of the answer, relative to that of the shape's highest pixel."""
+        return self.gain / self.norm
+
+    @property
+    def efficiency(self) -> float:
+        """Signal-to-noise ratio, relative to the matched filter over a known background."""
+        return self.snr_of_pixel_snr / float(np.sqrt((self.shape**2).sum()))
+
+    def matrix(self, pixels: int) -> NDArray[np.int64]:
+        """Return all taps of a line, shape (P, P): row x for the place x.
+
+        Raises:
+            InvalidParameter: the line is shorter than the filter.
+        """
+        self._require_room(pixels)
+        half, length = self.half_px, len(self.taps)
+        rows = np.zeros((pixels, pixels), dtype=np.int64)
+        rows[:half, :length] = self.left
+        rows[pixels - half :, pixels - length :] = self.right[::-1]
+        for place in range(half, pixels - half):
+            rows[place, place - half : place + half + 1] = self.taps
+        return rows
+
+    def gains(self, pixels: int) -> Array:
+        """Return the answers at all places to the shape there, one count high, shape (P,)."""
+        self._require_room(pixels)
+        half, length = self.half_px, len(self.taps)
+        gains = np.full(pixels, self.gain)
+        for d in range(half):
+            left = np.zeros(length)
+            left[: d + half + 1] = self.shape[half - d :]
+            gains[d] = self.left[d] @ left
+            right = np.zeros(length)
+            right[length - (d + half + 1) :] = self.shape[: half + 1 + d]
+            gains[pixels - 1 - d] = self.right[d] @ right
+        return gains
+
+    def respond(self, lines: NDArray[np.uint16]) -> NDArray[np.int64]:
+        """Return the answers at all places of lines of shape (L, P), int64, same shape.
+
+        Raises:
+            InvalidParameter: lines shorter than the filter.
+        """
+        self._require_room(lines.shape[1])
+        half, length = self.half_px, len(self.taps)
+        # Whole numbers below 2^53 are exact in float64, in any order of summation.
+        values = lines.astype(np.float64)
+        answer = correlate1d(values, self.taps.astype(np.float64), axis=1, mode="nearest")
+        if half:
+            answer[:, :half] = values[:, :length] @ self.left.T
+            answer[:, -half:] = (values[:, -length:] @ self.right.T)[:, ::-1]
+        return answer.astype(np.int64)
+
+    def _require_room(self, pixels: int) -> None:
+        if pixels < len(self.taps):
+            raise InvalidParameter(
+                f"a line has {pixels} pixels; the filter needs {len(self.taps)} or more",
+                pixels=pixels,
+            )
+
+
+def gaussian_shape(width_px: float, half_px: int, phase_px: float = 0.0) -> Array:
+    """Return a Gaussian line integrated over pixels, unit area, shape (2 half_px + 1,).
+
+    Args:
+        width_px: standard deviation [px].
+        half_px: pixels to each side of the middle one.
+        phase_px: position of the line from the middle pixel's centre [px].
+    """
+    edges = np.arange(-half_px, half_px + 2) - 0.5 - phase_px
+    return np.asarray(np.diff(ndtr(edges / width_px)), dtype=np.float64)
+
+
+def gaussian_filter(width_px: float, length_px: int | None = None) -> MatchedFilter:
+    """Return the matched filter of Gaussian lines that are integrated over the pixels.
+
+    Args:
+        width_px: standard deviation of the lines, 0.2 to 100 [px].
+        length_px: pixels of the filter, odd; None: LENGTH_IN_WIDTHS widths and one.
+
+    Raises:
+        InvalidParameter: a width out of range, a length that is even, or too short for the line.
+    """
+    low, high = _WIDTHS_PX
+    if not low <= width_px <= high:
+        raise InvalidParameter(
+            f"width_px is {width_px}; it must lie in {low} .. {high}", width_px=width_px
+        )
+    half = int(np.ceil(LENGTH_IN_WIDTHS * width_px / 2.0))
+    if length_px is not None:
+        if length_px % 2 == 0 or length_px < 2.0 * np.ceil(2.0 * width_px) + 1.0:
+            raise InvalidParameter(
+                f"length_px is {length_px}; it must be odd and at least four widths and one, "
+                f"{2 * int(np.ceil(2.0 * width_px)) + 1}",
+                length_px=length_px,
+            )
+        half = length_px // 2
+    shape = gaussian_shape(width_px, half)
+    # The normal distribution's two tails differ in their last digits.
+    return shape_filter(0.5 * (shape + shape[::-1]))
+
+
+def shape_filter(shape: ArrayLike, *, slope: bool = False) -> MatchedFilter:
+    """Return the matched filter of any shape of a peak.
+
+    Args:
+        shape: the peak pixel by pixel, nowhere negative, about the middle of an odd number T
+            of pixels; the filter is as long, so its ends should be dark, shape (T,).
+        slope: make all taps orthogonal to a straight line. Inside the line those of a symmetric
+            shape are anyhow. Near the ends taps that are not answer to a background that rises
+            towards the end; those that are answer to bright peaks elsewhere in the window.
+
+    Raises:
+        InvalidParameter: a shape of even length, shorter than 5 pixels, not finite, negative, or
+            that is all background.
+    """
+    peak = np.asarray(shape, dtype=np.float64)
+    if peak.ndim != 1 or peak.size < 5 or peak.size % 2 == 0 or peak.size > MAX_ABSOLUTE_SUM // 8:
+        raise InvalidParameter(
+            f"shape has the shape {peak.shape}; it must have one axis of an odd number of pixels, "
+            f"5 to {MAX_ABSOLUTE_SUM // 8}",
+            shape=peak.shape,
+        )
+    least = float(np.min(peak))
+    if not (least >= 0.0 and np.isfinite(peak).all()):
+        raise InvalidParameter(
+            f"shape holds {least}; it must be finite and nowhere negative", shape=least
+        )
+    half = peak.size // 2
+    whole = without_background(peak, slope=slope)
+    ends = [_cut(peak, slope), _cut(peak[::-1], slope)]
+    norms = [float(np.sqrt((row**2).sum())) for row in (whole, *ends[0], *ends[1])]
+    if min(norms) <= 1e-6 * float(peak.max()):
+        raise InvalidParameter(
+            "shape cannot be told from background in every window that an end of the line cuts; "
+            "it must stand out at its middle, over darker ends"
+        )
+    # Room for what rounding adds to the sum.
+    scale = (MAX_ABSOLUTE_SUM - peak.size) / max(
+        float(abs(row).sum() / np.sqrt((row**2).sum())) for row in (whole, *ends[0], *ends[1])
+    )
+    floor = -float(whole[-1]) / norms[0]
+    if floor * scale >= 1.0:
+        # The taps beside the shape become whole numbers as they are.
+        scale = np.floor(floor * scale) / floor
+    inner = round_taps(scale * whole / norms[0], slope=slope)
+    left, right = (np.zeros((half, peak.size), dtype=np.int64) for _ in range(2))
+    for rows, bank in zip(ends, (left, right), strict=True):
+        for d, row in enumerate(rows):
+            real = scale * row / float(np.sqrt((row**2).sum()))
+            bank[d, : len(row)] = round_taps(real, slope=slope)
+    return MatchedFilter(inner, left, right[:, ::-1].copy(), peak / peak.max())
+
+
+def _cut(peak: Array, slope: bool) -> list[Array]:
+    """Return the filters of a peak on the places 0, 1, ... from a line's first pixel."""
+    half = peak.size // 2
+    return [without_background(peak[half - d :], slope=slope) for d in range(half)]

@@ -10,6 +10,10 @@ from validation.aberrations_seidel import CASE as SEIDEL
 from validation.attenuation import CASE as ATTENUATION
 from validation.cases import CASES, Case
 from validation.distortion_tables import TABLE_A1, TABLE_A2
+from validation.signal_ordering import TABLE_4_1, TABLE_4_2, TABLE_4_3
+from validation.signal_scenes import CASE as TABLE_4_5
+from validation.signal_separation import CASE as TABLE_4_4
+from validation.signal_table_c import CASE as TABLE_C
 from validation.skew_effect import CASE as SKEW_EFFECT
 from validation.stop_and_focus import CASE as STOP_AND_FOCUS
 from validation.table_1_1 import CASE as TABLE_1_1
@@ -39,6 +43,12 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     _drawn(STOP_AND_FOCUS, "stop_picture"),
     ATTENUATION,
     TABLES_3_1_3_2,
+    TABLE_4_1,
+    TABLE_4_2,
+    TABLE_4_3,
+    TABLE_4_4,
+    TABLE_4_5,
+    TABLE_C,
 )
 
 ALL_CASES: Final[dict[str, Case | TablesCase]] = {

@@ -72,7 +72,7 @@ class SignalChain:
     separation: Separation | None = None
     level_fraction: float = 0.2
     threshold_fraction: float = 1.0 / 3.0
-    weighting: Weighting = "above-threshold"
+    weighting: Weighting = "edge-corrected"
     min_width_px: int = 2
 
     def __post_init__(self) -> None:
@@ -91,10 +91,10 @@ class SignalChain:
     @classmethod
     def active(cls, line_filter: LineFilter | None = None) -> "SignalChain":
         """Return the chain of section 4.2.2: a filter, and a third of the maximum subtracted."""
-        return cls(line_filter=line_filter)
+        return cls(line_filter=line_filter, weighting="above-threshold")
 
     @classmethod
-    def passive(cls, average: int | None = None) -> "SignalChain":
+    def passive(cls, average: int | None = None, level_fraction: float = 0.2) -> "SignalChain":
         """Return the chain of section 4.4, Tests 4.1 and 4.2, with the separation of 4.5.
 
         Filtered against the noise of digitisation, the peaks cut out and bridged, the
@@ -102,13 +102,18 @@ class SignalChain:
         value, slopes extended. The text gives no filter: here the Butterworth filter that it
         shows in Figure 4.7 (order 4, cut-off 0.4), without its phase; and no threshold for the
         centre of gravity: here all above the zero line.
+
+        Args:
+            average: lines that are averaged.
+            level_fraction: the zero line. Beside an active target, several times as bright,
+                passive ones lie below 1/5: Test 4.1 needs less.
         """
         smooth = ButterworthFilter(4, 0.4)
         return cls(
             average=average,
             line_filter=smooth,
             background=BridgedBackground(PeakMask(degree=7), smooth),
-            separation=SlopeExtension(least_depth=0.1),
+            separation=SlopeExtension(level_fraction, least_depth=0.05),
             threshold_fraction=0.0,
             min_width_px=3,
         )

@@ -1,0 +1,61 @@
+"""Native source for the CPU: one thread takes a line from its first pixel to its last."""
+
+from typing import Final
+
+# The next pixel at the limit or above it, from `from` on; `pixels` when there is none. The block's
+# maximum is what the compiler vectorises.
+CPU_LINE: Final = """
+    if (number >= lines) return;
+    const unsigned short* v = (const unsigned short*)lines_address + (long long)number * pixels;
+    int keys[sample_groups];
+    for (int g = 0; g < sample_groups; ++g) keys[g] = g < groups ? group_key(v, g) : no_key;
+    int quartile = 0, sixteenth = 0;
+    for (int g = 0; g < groups; ++g) {
+        int rank = 0;
+        for (int j = 0; j < sample_groups; ++j) rank += keys[j] < keys[g];
+        if (rank == rank_quartile) quartile = keys[g];
+        if (rank == rank_sixteenth) sixteenth = keys[g];
+    }
+    Line line = line_of(number, 0);
+    const Level level = level_of(line, quartile, sixteenth);
+    line.background = level.background;
+    const int limit = level.limit;
+    auto search = [&](int from) -> int {
+        int p = from;
+        const int block = 64;
+        for (; p + block <= pixels; p += block) {
+            unsigned short top = 0;
+            for (int i = 0; i < block; ++i) top = v[p + i] > top ? v[p + i] : top;
+            if (top >= limit) break;
+        }
+        while (p < pixels && v[p] < limit) ++p;
+        return p;
+    };
+    int* count = (int*)record_of(number);
+    Record* records = (Record*)(record_of(number) + 8);
+    int found = 0, lost = 0;
+    for (int p = search(0); p < pixels; p = search(p)) {
+        // Up to the next maximum: what is on the way down has a higher neighbour.
+        while (p + 1 < pixels && v[p + 1] > v[p]) ++p;
+        Run run;
+        if (is_peak(line, p, run)) {
+            const Record record = measure(line, run);
+            if (found < max_peaks) {
+                records[found++] = record;
+            } else {
+                lost = truncated;
+                const int place = place_among(records, record.amplitude);
+                if (place >= 0) records[place] = record;
+            }
+            p = run.right;
+        }
+        ++p;
+        while (p < pixels && v[p] <= v[p - 1]) ++p;
+    }
+    *count = found;
+    const Record none = no_record();
+    for (int k = 0; k < max_peaks; ++k) {
+        if (k >= found) records[k] = none;
+        else records[k].flags |= lost;
+    }
+"""

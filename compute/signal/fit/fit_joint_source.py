@@ -1,0 +1,366 @@
+"""The native source of the joint fit, in float64, and of the choice of the number of peaks.
+
+It takes the same steps as the reference, so that hard cases end alike.
+"""
+
+from typing import Final
+
+from compute.signal.fit.settings import (
+    LEAST_PIVOT,
+    SPLIT_LOG_WIDTH,
+    SPLIT_WIDTHS,
+    STEP_LOG_WIDTH,
+    STEP_WIDTHS,
+)
+
+_TYPES = (
+    f"""
+    const double step_widths = {STEP_WIDTHS!r}, step_log_width = {STEP_LOG_WIDTH!r};
+    const double split_widths = {SPLIT_WIDTHS!r}, split_log_width = {SPLIT_LOG_WIDTH!r};
+    const double least_pivot = {LEAST_PIVOT!r};
+"""
+    + """
+    const int most_parameters = 3 + 2 * joint_peaks;
+    // Positions from the window's first pixel.
+    struct Model {
+        int peaks;
+        double level, slope, light[joint_peaks], x[joint_peaks], log_w;
+        double chi2, merit, covariance[joint_peaks][joint_peaks];
+    };
+    // What a model says about a pixel.
+    struct Pixel { double mean, variance, by[most_parameters]; };
+    struct Edge { double share, density, moment; };
+    // Where the knots about a place along the sensor are.
+    struct Rows { const double* near; const double* far; double far_part; };
+"""
+)
+
+_SHAPE = """
+    auto joint_rows_at = [&](double place_px) -> Rows {
+        if (plan.nodes == 1) return Rows{knots, knots, 0.0};
+        const double node = (place_px - plan.first_node) / plan.node_step;
+        const int below = node > 0.0 ? (node < plan.nodes - 2 ? (int)node : plan.nodes - 2) : 0;
+        const double part = node - below;
+        const double* near = knots + below * row_knots;
+        return Rows{near, near + row_knots, part > 0.0 ? (part < 1.0 ? part : 1.0) : 0.0};
+    };
+    auto joint_edge_at = [&](const Rows& rows, double t) -> Edge {
+        double place = (t - plan.first) * plan.inverse_step;
+        const double last = plan.places - 1;
+        const bool outside = place < 0.0 || place > last;
+        place = place > 0.0 ? (place < last ? place : last) : 0.0;
+        int k = (int)place;
+        k = k < plan.places - 2 ? k : plan.places - 2;
+        const double s = place - k;
+        double e0 = rows.near[2 * k], d0 = rows.near[2 * k + 1];
+        double e1 = rows.near[2 * k + 2], d1 = rows.near[2 * k + 3];
+        if (plan.nodes > 1) {
+            const double* far = rows.far + 2 * k;
+            const double part = rows.far_part;
+            e0 = (1.0 - part) * e0 + part * far[0];
+            d0 = (1.0 - part) * d0 + part * far[1];
+            e1 = (1.0 - part) * e1 + part * far[2];
+            d1 = (1.0 - part) * d1 + part * far[3];
+        }
+        const double rise = e1 - e0;
+        const double square = d0 + d1 - 2.0 * rise;
+        const double linear = 3.0 * rise - 2.0 * d0 - d1;
+        const double slope = (d0 + s * (2.0 * linear + s * 3.0 * square)) * plan.inverse_step;
+        const double density = outside ? 0.0 : slope;
+        return Edge{e0 + s * (d0 + s * (linear + s * square)), density, t * density};
+    };
+    auto joint_middle_share = [&](double w, double place_px) -> double {
+        const Rows rows = joint_rows_at(place_px);
+        return joint_edge_at(rows, 0.5 / w).share - joint_edge_at(rows, -0.5 / w).share;
+    };
+"""
+
+# `at_width` is the logarithm of the width, the last. Without it one parameter less.
+_EVALUATE = """
+    auto parameters_of = [&](int peaks) -> int {
+        return 1 + plan.sloped + 2 * peaks + plan.width_is_fitted;
+    };
+    // Tell `each(pixel number, value, what the model says)` of each pixel that counts.
+    auto evaluate = [&](const Model& m, int first, int last, auto each) {
+        const int lights = 1 + plan.sloped, places = lights + m.peaks, width = places + m.peaks;
+        const double w = exp_of(m.log_w), by_width = 1.0 / w, middle = 0.5 * (last - first);
+        Rows rows[joint_peaks];
+        Edge before[joint_peaks];
+        for (int k = 0; k < m.peaks; ++k) {
+            rows[k] = joint_rows_at(first + m.x[k]);
+            before[k] = joint_edge_at(rows[k], (-0.5 - m.x[k]) * by_width);
+        }
+        Pixel pixel;
+        pixel.by[0] = 1.0;
+        for (int i = 0; i <= last - first; ++i) {
+            double lit = 0.0;
+            pixel.by[width] = 0.0;
+            for (int k = 0; k < m.peaks; ++k) {
+                const Edge edge = joint_edge_at(rows[k], (i + 0.5 - m.x[k]) * by_width);
+                const double share = edge.share - before[k].share;
+                const double light = m.light[k];
+                lit += light * share;
+                pixel.by[lights + k] = share;
+                pixel.by[places + k] = light * by_width * (before[k].density - edge.density);
+                pixel.by[width] += light * (before[k].moment - edge.moment);
+                before[k] = edge;
+            }
+            pixel.mean = m.level + lit;
+            if (plan.sloped) {
+                pixel.by[1] = i - middle;
+                pixel.mean += m.slope * pixel.by[1];
+            }
+            const double above = pixel.mean - offset;
+            pixel.variance = dark_variance + (above > 0.0 ? photon_variance * above : 0.0)
+                + plan.shape_error2 * lit * lit;
+            const int value = v[first + i];
+            if (value < full_scale) each(i, (double)(value), pixel);
+        }
+    };
+"""
+
+_STEPS = """
+    auto log_variances = [&](const Model& m, int first, int last) -> double {
+        // The logarithm of a few pixels' product at once: it is slow.
+        double sum = 0.0, product = 1.0;
+        evaluate(m, first, last, [&](int, double, const Pixel& pixel) {
+            product *= pixel.variance;
+            if (product > 1e100 || product < 1e-100) {
+                sum += log_of(product);
+                product = 1.0;
+            }
+        });
+        return sum + log_of(product);
+    };
+    auto limit_of = [&](const Model& m, int used) -> double {
+        return chi2_limits[used - parameters_of(m.peaks) + plan.has_prior];
+    };
+    // The positions' covariance, from the Cholesky root of the information: its last rows are
+    // those of the positions and the width; the inverse of their product is their part of all.
+    auto find_covariance = [&](Model& m, const double* root) {
+        const int from = 1 + plan.sloped + m.peaks, part = m.peaks + plan.width_is_fitted;
+        double inverse[joint_peaks + 1][joint_peaks + 1];
+        for (int b = 0; b < part; ++b) {
+            for (int a = b; a < part; ++a) {
+                const double* row = root + (from + a) * most_parameters + from;
+                double sum = a == b ? 1.0 : 0.0;
+                for (int k = b; k < a; ++k) sum -= row[k] * inverse[k][b];
+                inverse[a][b] = sum / row[a];
+            }
+        }
+        for (int a = 0; a < m.peaks; ++a) {
+            for (int b = 0; b <= a; ++b) {
+                double sum = 0.0;
+                for (int k = a; k < part; ++k) sum += inverse[k][a] * inverse[k][b];
+                m.covariance[a][b] = m.covariance[b][a] = sum;
+            }
+        }
+    };
+    // Fisher scoring, until it has ended (true) or cannot. The merit is worked out for trials,
+    // and where there will be some.
+    auto settle = [&](Model& m, int first, int last, int used, bool trial) -> bool {
+        const int size = parameters_of(m.peaks);
+        const int lights = 1 + plan.sloped, places = lights + m.peaks, width = places + m.peaks;
+        if (used <= size) return false;
+        double root[most_parameters * most_parameters];
+        for (int pass = 0; pass < max_iterations; ++pass) {
+            double score[most_parameters], step[most_parameters];
+            for (int a = 0; a < size; ++a) {
+                score[a] = 0.0;
+                for (int b = 0; b <= a; ++b) root[a * most_parameters + b] = 0.0;
+            }
+            double chi2 = 0.0;
+            evaluate(m, first, last, [&](int, double value, const Pixel& pixel) {
+                const double weight = 1.0 / pixel.variance;
+                const double residual = value - pixel.mean;
+                const double weighted = residual * weight;
+                chi2 += residual * weighted;
+                for (int a = 0; a < size; ++a) {
+                    const double by_a = pixel.by[a] * weight;
+                    score[a] += pixel.by[a] * weighted;
+                    for (int b = 0; b <= a; ++b)
+                        root[a * most_parameters + b] += by_a * pixel.by[b];
+                }
+            });
+            if (plan.width_is_fitted) {
+                const double away = plan.log_width - m.log_w;
+                double* row = root + width * most_parameters;
+                score[width] += plan.prior * away;
+                row[width] += plan.prior;
+                chi2 += plan.prior * away * away;
+                if ((m.log_w <= plan.least_log && score[width] < 0.0)
+                    || (m.log_w >= plan.most_log && score[width] > 0.0)) {
+                    for (int b = 0; b < width; ++b) row[b] = 0.0;
+                    row[width] = 1.0;
+                    score[width] = 0.0;
+                }
+            }
+            double length2 = 0.0;
+            for (int a = 0; a < size; ++a) {
+                double* row = root + a * most_parameters;
+                const double diagonal = row[a];
+                double sum = score[a], pivot = diagonal;
+                for (int b = 0; b < a; ++b) {
+                    const double* other = root + b * most_parameters;
+                    double entry = row[b];
+                    for (int k = 0; k < b; ++k) entry -= row[k] * other[k];
+                    entry /= other[b];
+                    row[b] = entry;
+                    pivot -= entry * entry;
+                    sum -= entry * step[b];
+                }
+                if (!(pivot >= least_pivot * diagonal && diagonal > 0.0 && diagonal < 1e300))
+                    return false;
+                row[a] = sqrt(pivot);
+                step[a] = sum / row[a];
+                length2 += step[a] * step[a];
+            }
+            for (int a = size - 1; a >= 0; --a) {
+                for (int b = a + 1; b < size; ++b)
+                    step[a] -= root[b * most_parameters + a] * step[b];
+                step[a] /= root[a * most_parameters + a];
+            }
+            const bool ended = length2 < converged2;
+            double most = 1.0;
+            if (!ended) {
+                const double w = exp_of(m.log_w);
+                for (int k = 0; k < m.peaks; ++k) {
+                    const double far = fabs(step[places + k]) / (step_widths * w);
+                    if (far > most) most = far;
+                }
+                if (plan.width_is_fitted) {
+                    const double broad = fabs(step[width]) / step_log_width;
+                    if (broad > most) most = broad;
+                }
+            }
+            const double part = 1.0 / most;
+            m.chi2 = chi2;
+            if (ended) {
+                find_covariance(m, root);
+                if (trial || chi2 > limit_of(m, used))
+                    m.merit = chi2 + log_variances(m, first, last);
+            }
+            m.level += part * step[0];
+            if (plan.sloped) m.slope += part * step[1];
+            for (int k = 0; k < m.peaks; ++k) {
+                m.light[k] += part * step[lights + k];
+                m.x[k] += part * step[places + k];
+                if (!(m.x[k] >= -0.5 && m.x[k] <= last - first + 0.5)) return false;
+                if (ended && !(m.light[k] > 0.0)) return false;
+            }
+            if (plan.width_is_fitted) {
+                m.log_w += part * step[width];
+                if (m.log_w < plan.least_log) m.log_w = plan.least_log;
+                if (m.log_w > plan.most_log) m.log_w = plan.most_log;
+            }
+            if (ended) return true;
+        }
+        return false;
+    };
+"""
+
+_CHOICE = """
+    // The best of what one peak more can do: false where nothing ends.
+    auto add_peak = [&](const Model& m, int first, int last, int used, Model* best) -> bool {
+        const double w = exp_of(m.log_w);
+        bool any = false;
+        for (int k = 0; k <= m.peaks; ++k) {
+            Model more = m;
+            more.peaks = m.peaks + 1;
+            if (k < m.peaks) {
+                for (int j = m.peaks; j > k; --j) {
+                    more.light[j] = more.light[j - 1];
+                    more.x[j] = more.x[j - 1];
+                }
+                more.light[k] = more.light[k + 1] = 0.5 * m.light[k];
+                more.x[k] = m.x[k] - split_widths * w;
+                more.x[k + 1] = m.x[k] + split_widths * w;
+                if (plan.width_is_fitted) {
+                    more.log_w -= split_log_width;
+                    if (more.log_w < plan.least_log) more.log_w = plan.least_log;
+                }
+            } else {
+                double worst = 0.0, height = 0.0;
+                int at = -1;
+                evaluate(m, first, last, [&](int i, double value, const Pixel& pixel) {
+                    const double residual = value - pixel.mean;
+                    const double deviations = residual / sqrt(pixel.variance);
+                    if (at < 0 || deviations > worst) {
+                        worst = deviations;
+                        height = residual;
+                        at = i;
+                    }
+                });
+                more.light[m.peaks] = height / joint_middle_share(w, first + at);
+                more.x[m.peaks] = at;
+            }
+            if (!settle(more, first, last, used, true)) continue;
+            if (!any || more.merit < best->merit) *best = more;
+            any = true;
+        }
+        return any;
+    };
+"""
+
+_RESULT = """
+    auto write_joint = [&](
+        const Model& m, const Candidate* c, int candidate_count, int first, int last, int used,
+        Fitted* out
+    ) {
+        int order[joint_peaks];
+        for (int k = 0; k < m.peaks; ++k) {
+            int place = k;
+            for (; place > 0 && m.x[order[place - 1]] > m.x[k]; --place)
+                order[place] = order[place - 1];
+            order[place] = k;
+        }
+        const int freedom = used - parameters_of(m.peaks) + plan.has_prior;
+        int group_flags = m.chi2 > chi2_limits[freedom] ? poor_fit : 0;
+        if (m.peaks > 1) group_flags |= joint;
+        if (used < last - first + 1) group_flags |= saturated;
+        const double w = exp_of(m.log_w), reach = 2.0 * w;
+        for (int k = 0; k < m.peaks; ++k) {
+            const int from_k = order[k];
+            const double position = first + m.x[from_k];
+            int flags = group_flags;
+            if (position - reach < -0.5 || position + reach > pixels - 0.5) flags |= clipped;
+            if (m.peaks == candidate_count) flags |= c[k].flags & merged;
+            Fitted peak = {
+                position, (float)sqrt(m.covariance[from_k][from_k]),
+                (float)(m.light[from_k] * joint_middle_share(w, position)),
+                (float)(w * plan.width_unit), flags, (float)(m.chi2 / freedom),
+                {0.0f, 0.0f, 0.0f}};
+            for (int j = k + 1; j < m.peaks; ++j)
+                peak.covariance[j - k - 1] = (float)m.covariance[from_k][order[j]];
+            out[k] = peak;
+        }
+    };
+    auto fit_jointly = [&](
+        const Candidate* c, int candidate_count, int first, int last, Fitted* out) -> int {
+        int used = 0;
+        for (int i = first; i <= last; ++i) used += v[i] < full_scale;
+        Model m;
+        m.peaks = candidate_count;
+        m.level = line_background;
+        m.slope = 0.0;
+        m.log_w = 0.0;
+        for (int k = 0; k < candidate_count; ++k) m.log_w += log_of(start_width(c[k]));
+        m.log_w /= candidate_count;
+        for (int k = 0; k < candidate_count; ++k) {
+            m.x[k] = c[k].position - first;
+            m.light[k] = (double)(c[k].amplitude)
+                / joint_middle_share(exp_of(m.log_w), c[k].position);
+        }
+        if (!settle(m, first, last, used, false)) return 0;
+        while (m.peaks < plan.max_joint && m.chi2 > limit_of(m, used)) {
+            Model better;
+            if (!add_peak(m, first, last, used, &better)) break;
+            if (!(m.merit - better.merit > 2.0 * log_of(used) + plan.margin)) break;
+            m = better;
+        }
+        write_joint(m, c, candidate_count, first, last, used, out);
+        return m.peaks;
+    };
+"""
+
+FIT_JOINTLY: Final = _TYPES + _SHAPE + _EVALUATE + _STEPS + _CHOICE + _RESULT

@@ -1,0 +1,84 @@
+"""What the kernel reads of FitSettings and a LineShape, packed into one buffer."""
+
+from math import exp, log, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.fit.settings import WIDTH_LIMITS_PX, FitSettings
+from compute.signal.fit.shape import LineShape
+
+_PLAN: Final = np.dtype(
+    [
+        *[
+            (name, "<f8")
+            for name in (
+                "width_px",
+                "log_width",
+                "prior",
+                "reach",
+                "shape_error2",
+                "least_start",
+                "most_start",
+                "least_log",
+                "most_log",
+                "width_unit",
+                "margin",
+                "first",
+                "inverse_step",
+                "first_node",
+                "node_step",
+            )
+        ],
+        *[
+            (name, "<i4")
+            for name in (
+                "max_joint",
+                "sloped",
+                "width_is_fitted",
+                "has_prior",
+                "sensors",
+                "nodes",
+                "places",
+                "limits",
+            )
+        ],
+    ]
+)
+"""The kernel's ``Plan``."""
+
+
+def pack_plan(settings: FitSettings, shape: LineShape) -> NDArray[np.uint64]:
+    """Pack a plan, the limits of chi-square, and the shape in float64 and in float32.
+
+    Returns:
+        64-bit words, to keep them aligned.
+    """
+    spread = settings.width_spread
+    low, high = WIDTH_LIMITS_PX
+    factor = exp(min(2.0 * spread, 700.0))
+    limits = settings.misfit_limits()
+    sensors, nodes, places = shape.edge.shape
+    plan = np.zeros((), _PLAN)
+    plan["width_px"] = settings.width_px
+    plan["log_width"] = log(settings.width_px)
+    plan["prior"] = spread**-2 if 0.0 < spread < np.inf else 0.0
+    plan["reach"] = settings.reach
+    plan["shape_error2"] = settings.shape_error**2
+    plan["least_start"] = min(max(settings.width_px / factor, low), high)
+    plan["most_start"] = min(max(settings.width_px * factor, low), high)
+    plan["least_log"], plan["most_log"] = log(low), log(high)
+    plan["width_unit"] = 2.0 * sqrt(-2.0 * log(settings.search.threshold_fraction))
+    plan["margin"] = settings.split_margin
+    plan["first"], plan["inverse_step"] = shape.first, 1.0 / shape.step
+    plan["first_node"], plan["node_step"] = shape.first_node_px, shape.node_step_px
+    plan["max_joint"] = settings.max_joint
+    plan["sloped"] = settings.background == "slope"
+    plan["width_is_fitted"] = spread > 0.0
+    plan["has_prior"] = 0.0 < spread < np.inf
+    plan["sensors"], plan["nodes"], plan["places"] = sensors, nodes, places
+    plan["limits"] = len(limits)
+    knots = np.stack([shape.edge, shape.slope * shape.step], axis=3)
+    parts = [plan.reshape(1), limits, knots, knots.astype(np.float32)]
+    return np.frombuffer(b"".join(part.tobytes() for part in parts), np.uint64).copy()

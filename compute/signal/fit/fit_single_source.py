@@ -1,0 +1,229 @@
+"""The native source of the fit of one peak alone, in float32: nearly all peaks are that.
+
+It gives an answer only where there is no doubt: the fit has converged in few steps, the peak is
+not so bright that float32 would tell, and the misfit is clear of its limit. Else it returns 0, and
+the fit in float64 decides. Counts are taken from the line's background, positions from the
+candidate's pixel: float32 then keeps 1e-6 px.
+"""
+
+from typing import Final
+
+from compute.signal.fit.settings import STEP_LOG_WIDTH, STEP_WIDTHS
+
+FIT_ALONE: Final = f"""
+    const float step_widths_f = {STEP_WIDTHS!r}f, step_log_width_f = {STEP_LOG_WIDTH!r}f;
+""" + """
+    // Parameters: level, [slope,] light, logarithm of the width, position: with the position
+    // last, its variance is that of the last pivot.
+    struct Level { enum { parameters = 4 }; };
+    struct Slope { enum { parameters = 5 }; };
+    auto fit_alone_by = [&](
+        auto background, const Candidate& c, int first, int last, Fitted* out) -> int {
+        const int size = decltype(background)::parameters;
+        const int light_at = size - 3, width_at = size - 2, place_at = size - 1;
+        const int least_passes = 8;
+        // Beyond a thousand deviations float32 would tell.
+        const double by_light = photon_variance * (double)(c.amplitude);
+        if ((double)(c.amplitude) * (double)(c.amplitude) > 1e6 * (dark_variance + by_light)) return 0;
+        int used = 0;
+        for (int i = first; i <= last; ++i) used += v[i] < full_scale;
+        const int freedom = used - size + !plan.width_is_fitted + plan.has_prior;
+        if (freedom < 1 + plan.has_prior) return 0;
+        const float chi2_limit = (float)(0.999 * chi2_limits[freedom]);
+
+        const int origin = pixel_of(c), base = (int)floor(line_background);
+        const float dark_f = (float)dark_variance, photon_f = (float)photon_variance;
+        const float above_offset = (float)((double)(base) - offset);
+        const float shape_error2 = (float)plan.shape_error2;
+        const float prior = (float)plan.prior, prior_log = (float)plan.log_width;
+        const float least_log = (float)plan.least_log, most_log = (float)plan.most_log;
+        const float first_knot = (float)plan.first, inverse_step = (float)plan.inverse_step;
+        const float last_knot = (float)(plan.places - 1);
+        const float middle = (float)(0.5 * (double)(first + last - 2 * origin));
+        const float low_end = (float)(first - origin) - 0.5f, high_end = (float)(last - origin) + 0.5f;
+
+        // The two rows of knots about a place along the sensor.
+        const float* near_row = knots_f;
+        const float* far_row = knots_f;
+        float far_part = 0.0f;
+        auto rows_at = [&](float x) {
+            if (plan.nodes == 1) return;
+            const double node = ((double)(origin) + (double)(x) - plan.first_node) / plan.node_step;
+            int below = node > 0.0 ? (node < plan.nodes - 2 ? (int)node : plan.nodes - 2) : 0;
+            const double part = node - below;
+            near_row = knots_f + below * row_knots;
+            far_row = near_row + row_knots;
+            far_part = (float)(part > 0.0 ? (part < 1.0 ? part : 1.0) : 0.0);
+        };
+        // The share of light below t widths, and its density.
+        auto edge_at = [&](float t, float* share, float* density) {
+            float place = (t - first_knot) * inverse_step;
+            const bool outside = place < 0.0f || place > last_knot;
+            place = place > 0.0f ? (place < last_knot ? place : last_knot) : 0.0f;
+            int k = (int)place;
+            k = k < plan.places - 2 ? k : plan.places - 2;
+            const float s = place - (float)(k);
+            const float* knot = near_row + 2 * k;
+            float e0 = knot[0], d0 = knot[1], e1 = knot[2], d1 = knot[3];
+            if (plan.nodes > 1) {
+                const float* other = far_row + 2 * k;
+                e0 += far_part * (other[0] - e0);
+                d0 += far_part * (other[1] - d0);
+                e1 += far_part * (other[2] - e1);
+                d1 += far_part * (other[3] - d1);
+            }
+            const float rise = e1 - e0;
+            const float square = d0 + d1 - 2.0f * rise;
+            const float linear = 3.0f * rise - 2.0f * d0 - d1;
+            *share = e0 + s * (d0 + s * (linear + s * square));
+            const float slope = (d0 + s * (2.0f * linear + s * 3.0f * square)) * inverse_step;
+            *density = outside ? 0.0f : slope;
+        };
+        auto middle_share = [&](float w) -> float {
+            float below, above, density;
+            edge_at(-0.5f / w, &below, &density);
+            edge_at(0.5f / w, &above, &density);
+            return above - below;
+        };
+
+        float w = (float)start_width(c), log_w = (float)log_of(start_width(c));
+        float x = (float)(c.position - (double)(origin));
+        rows_at(x);
+        float light = c.amplitude / middle_share(w);
+        float level = (float)(line_background - (double)(base)), slope = 0.0f;
+        bool ended = false;
+        float sigma2 = 0.0f, chi2 = 0.0f;
+        for (int pass = 0; pass < least_passes && !ended; ++pass) {
+            rows_at(x);
+            float information[size * (size + 1) / 2], score[size];
+            #pragma unroll
+            for (int k = 0; k < size * (size + 1) / 2; ++k) information[k] = 0.0f;
+            #pragma unroll
+            for (int k = 0; k < size; ++k) score[k] = 0.0f;
+            chi2 = 0.0f;
+            const float by_width = 1.0f / w, light_by_width = light * by_width;
+            float t = (low_end - x) * by_width, share, density;
+            edge_at(t, &share, &density);
+            float moment = t * density;
+            for (int i = first; i <= last; ++i) {
+                const float share_before = share, density_before = density, before = moment;
+                t = ((float)(i - origin) + 0.5f - x) * by_width;
+                edge_at(t, &share, &density);
+                moment = t * density;
+                float by[size];
+                by[0] = 1.0f;
+                by[light_at] = share - share_before;
+                by[width_at] = light * (before - moment);
+                by[place_at] = light_by_width * (density_before - density);
+                const float lit = light * by[light_at];
+                float mean = level + lit;
+                if (size == 5) {
+                    by[1] = (float)(i - origin) - middle;
+                    mean += slope * by[1];
+                }
+                const float above = mean + above_offset;
+                const float variance =
+                    dark_f + photon_f * (above > 0.0f ? above : 0.0f) + shape_error2 * lit * lit;
+                const int value = v[i];
+                const bool counts = value < full_scale;
+                const float weight = counts ? 1.0f / variance : 0.0f;
+                const float residual = (float)(value - base) - mean;
+                const float weighted = residual * weight;
+                chi2 += residual * weighted;
+                #pragma unroll
+                for (int a = 0, k = 0; a < size; ++a) {
+                    const float by_a = by[a] * weight;
+                    score[a] += by[a] * weighted;
+                    #pragma unroll
+                    for (int b = 0; b <= a; ++b, ++k) information[k] += by_a * by[b];
+                }
+            }
+            const float away = prior_log - log_w;
+            const int width_row = width_at * (width_at + 1) / 2;
+            const int place_row = place_at * (place_at + 1) / 2;
+            score[width_at] += prior * away;
+            information[width_row + width_at] += prior;
+            chi2 += prior * away * away;
+            const bool held = !plan.width_is_fitted
+                || (log_w <= least_log && score[width_at] < 0.0f)
+                || (log_w >= most_log && score[width_at] > 0.0f);
+            if (held) {
+                score[width_at] = 0.0f;
+                #pragma unroll
+                for (int b = 0; b < width_at; ++b) information[width_row + b] = 0.0f;
+                information[width_row + width_at] = 1.0f;
+                information[place_row + width_at] = 0.0f;
+            }
+            // L D L', in place; the pivots' inverses on the diagonal. The step solves it.
+            bool regular = true;
+            float length2 = 0.0f;
+            #pragma unroll
+            for (int a = 0; a < size; ++a) {
+                const int row = a * (a + 1) / 2;
+                const float least = 1e-4f * information[row + a];
+                #pragma unroll
+                for (int b = 0; b < a; ++b) {
+                    const int other = b * (b + 1) / 2;
+                    #pragma unroll
+                    for (int k = 0; k < b; ++k)
+                        information[row + b] -= information[row + k] * information[other + k];
+                }
+                float pivot = information[row + a];
+                #pragma unroll
+                for (int b = 0; b < a; ++b) {
+                    const float factor = information[row + b] * information[b * (b + 1) / 2 + b];
+                    pivot -= factor * information[row + b];
+                    score[a] -= factor * score[b];
+                    information[row + b] = factor;
+                }
+                regular = regular && pivot > least && pivot < 1e30f;
+                information[row + a] = 1.0f / pivot;
+                length2 += score[a] * score[a] * information[row + a];
+            }
+            if (!regular) return 0;
+            sigma2 = information[place_row + place_at];
+            #pragma unroll
+            for (int a = size - 1; a >= 0; --a) {
+                score[a] *= information[a * (a + 1) / 2 + a];
+                #pragma unroll
+                for (int b = a + 1; b < size; ++b)
+                    score[a] -= information[b * (b + 1) / 2 + a] * score[b];
+            }
+            ended = length2 < (float)converged2;
+            const float farthest = fabsf(score[place_at]) * by_width / step_widths_f;
+            const float broadest = fabsf(score[width_at]) / step_log_width_f;
+            float part = farthest > broadest ? farthest : broadest;
+            part = part > 1.0f && !ended ? 1.0f / part : 1.0f;
+            level += part * score[0];
+            if (size == 5) slope += part * score[1];
+            light += part * score[light_at];
+            x += part * score[place_at];
+            if (plan.width_is_fitted) {
+                // exp to 1e-7: a step is a quarter at most.
+                float rise = part * score[width_at];
+                if (log_w + rise < least_log) rise = least_log - log_w;
+                if (log_w + rise > most_log) rise = most_log - log_w;
+                log_w += rise;
+                w *= 1.0f + rise * (1.0f + rise * (1.0f / 2.0f) * (1.0f + rise * (1.0f / 3.0f)
+                    * (1.0f + rise * (1.0f / 4.0f) * (1.0f + rise * (1.0f / 5.0f)
+                    * (1.0f + rise * (1.0f / 6.0f))))));
+            }
+            if (!(x > low_end && x < high_end && light > 0.0f)) return 0;
+        }
+        if (!ended || !(chi2 < chi2_limit)) return 0;
+
+        rows_at(x);
+        int flags = c.flags & merged;
+        if (used < last - first + 1) flags |= saturated;
+        const double position = (double)(origin) + (double)(x), reach = 2.0 * (double)(w);
+        if (position - reach < -0.5 || position + reach > pixels - 0.5) flags |= clipped;
+        *out = Fitted{
+            position, sqrtf(sigma2), light * middle_share(w), w * (float)plan.width_unit, flags,
+            chi2 / (float)(freedom), {0.0f, 0.0f, 0.0f}};
+        return 1;
+    };
+    auto fit_alone = [&](const Candidate& c, int first, int last, Fitted* out) -> int {
+        return plan.sloped ? fit_alone_by(Slope{}, c, first, last, out)
+                           : fit_alone_by(Level{}, c, first, last, out);
+    };
+"""

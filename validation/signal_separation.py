@@ -176,9 +176,9 @@ _FINDINGS: Final = (
     (
         "The last two markers are 0.88 px apart: two equal Gaussian lines wider than 0.44 px have "
         "one maximum there, and noise of 2 counts of 195 does not part them; nor does a symmetric "
-        "line in pixels have its maximum 1.07 px from its centroid, at 398, as the table says. That there "
-        "were two maxima, at 396 and 398, was the lines' own uneven shapes. Ours has a dip put in "
-        "at 397. What a cut there finds says where the dip was, not where the markers are."
+        "line in pixels have its maximum 1.07 px from its centroid, at 398, as the table says. "
+        "That there were two maxima, at 396 and 398, was the lines' own uneven shapes. Ours has a "
+        "dip put in at 397. What a cut there finds says where the dip was, not where the markers are."
     ),
     (
         "Extending the slopes takes the errors of the last two down, as in the thesis, and makes "

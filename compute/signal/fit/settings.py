@@ -71,12 +71,15 @@ class FitSettings:
       there, as if known. The end is ``g.d < CONVERGED_SIGMA^2``, and that step is taken. The
       covariance is H^-1, and with the chi-square of the pass that gave the last step.
     - *Number of peaks.* Where the misfit is more than chance (its own rate:
-      ``false_split_rate``), one peak more is tried, from each peak split in two (SPLIT_WIDTHS)
-      and at the pixel of the largest residual in deviations. The best of these stands if
-      ``sum ((v - mu)^2/V + ln V)`` and the prior's term fall by more than
-      ``dp ln n + 2 ln(1/false_split_rate)``, dp = 2 the parameters that it adds and n the
-      pixels: Schwarz's criterion (10.1214/aos/1176344136) with a margin for the places where it
-      was looked for. So on, up to ``max_joint``.
+      ``false_split_rate``) or the fit failed, the window grows by as much as the widest
+      candidate's window reaches, up to midway to the neighbours' windows and MAX_WINDOW_PX, and
+      the fit is repeated there. Then one peak more is tried, from each peak split in two
+      (SPLIT_WIDTHS) and at the pixel of the largest residual in deviations. The best of these
+      stands if ``sum ((v - mu)^2/V + ln V)`` and the prior's term fall by more than ``dp ln n +
+      2 ln(1/false_split_rate)``, dp = 2 the parameters that it adds and n the pixels: Schwarz's
+      criterion (10.1214/aos/1176344136) with a margin for the places where it was looked for.
+      So on, while the misfit is more than chance, up to ``max_joint``. Where none stands, the
+      first window's fit does, or else the grown one's.
     - *Result.* Positions, standard deviations and covariances; ``amplitude`` is the fitted light
       in a pixel about the line's middle; ``width_px`` the full width at ``search``'s
       threshold of a Gaussian with the fitted width; the reduced chi-square of the group, of

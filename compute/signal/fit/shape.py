@@ -126,9 +126,7 @@ class LineShape:
         """Half the table's length, in widths."""
         return 0.5 * self.step * float(self.edge.shape[2] - 1)
 
-    def at(
-        self, t: Array, sensor: ArrayLike = 0, place_px: ArrayLike = 0.0
-    ) -> tuple[Array, Array]:
+    def at(self, t: Array, sensor: ArrayLike = 0, place_px: ArrayLike = 0.0) -> tuple[Array, Array]:
         """Return E and its derivative at any t, for lines at ``place_px`` on their sensors.
 
         Args:

@@ -1,0 +1,198 @@
+"""Fits of the same number of lines to many windows at once: Fisher scoring, covariances."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.fit.model import Array, Layout, Windows, evaluate
+from compute.signal.fit.settings import (
+    CONVERGED_SIGMA,
+    LEAST_PIVOT,
+    MAX_ITERATIONS,
+    STEP_LOG_WIDTH,
+    STEP_WIDTHS,
+    WIDTH_LIMITS_PX,
+    FitSettings,
+)
+from compute.signal.fit.shape import LineShape
+
+_BLOCK = 4096  # windows that are worked on at once
+_WIDTH_LIMITS = np.log(WIDTH_LIMITS_PX)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Fits of N windows by Q parameters each; their figures are NaN where one failed.
+
+    Args:
+        good: the fit converged to something possible, shape (N,).
+        parameters: in the order of ``Layout``, shape (N, Q).
+        covariance: theirs, shape (N, Q, Q); zero for a width that is known.
+        chi2: misfit, the width's prior among it, shape (N,).
+        freedom: its degrees of freedom, shape (N,).
+        merit: ``sum ((v - mu)^2/V + ln V)`` and the prior's term, shape (N,); of a fit that
+            failed, the least on its way.
+        passes: how often the model was worked out, shape (N,).
+    """
+
+    good: NDArray[np.bool_]
+    parameters: Array
+    covariance: Array
+    chi2: Array
+    freedom: NDArray[np.int64]
+    merit: Array
+    passes: NDArray[np.int64]
+
+    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> "Solution":
+        """Return some of the fits."""
+        return Solution(*(values[rows] for values in vars(self).values()))
+
+    @classmethod
+    def none(cls, start: Array, freedom: NDArray[np.int64]) -> "Solution":
+        """Return N fits that failed, to be filled in."""
+        count, size = start.shape
+        return cls(
+            np.zeros(count, bool),
+            start.copy(),
+            np.full((count, size, size), np.nan),
+            np.full(count, np.nan),
+            freedom,
+            np.full(count, np.inf),
+            np.zeros(count, np.int64),
+        )
+
+
+def solve(
+    windows: Windows, start: Array, layout: Layout, settings: FitSettings, shape: LineShape
+) -> Solution:
+    """Fit ``layout.peaks`` lines to each window, as ``FitSettings`` defines it.
+
+    Args:
+        windows: N windows.
+        start: parameters to start with, shape (N, Q).
+        layout: their order.
+        settings: how lines are fitted.
+        shape: the lines' shape.
+    """
+    free = layout.size - (settings.width_spread == 0.0)
+    counted = windows.count
+    freedom = counted - free + (0.0 < settings.width_spread < np.inf)
+    solution = Solution.none(start, freedom)
+    possible = np.flatnonzero(counted > free)
+    for begin in range(0, len(possible), _BLOCK):
+        _scoring(windows, possible[begin : begin + _BLOCK], solution, layout, settings, shape)
+    return solution
+
+
+def _scoring(
+    windows: Windows,
+    active: NDArray[np.int64],
+    solution: Solution,
+    layout: Layout,
+    settings: FitSettings,
+    shape: LineShape,
+) -> None:
+    """Fit some of the windows, into ``solution``."""
+    for number in range(1, MAX_ITERATIONS + 1):
+        if len(active) == 0:
+            break
+        part = windows[active]
+        parameters = solution.parameters[active]
+        step = _scoring_step(part, parameters, layout, settings, shape)
+        solution.passes[active] = number
+        ended = step.regular & (step.length2 < CONVERGED_SIGMA**2)
+        moved = parameters + np.where(ended[:, None], 1.0, _part_of(step, parameters, layout)) * (
+            step.step
+        )
+        moved[:, -1] = np.clip(moved[:, -1], *_WIDTH_LIMITS)
+        place = moved[:, layout.position]
+        inside = (place >= part.first_px[:, None] - 0.5) & (place <= part.last_px[:, None] + 0.5)
+        possible = step.regular & inside.all(axis=1)
+        solution.parameters[active] = moved
+        done = possible & ended
+        lit = (moved[:, layout.light] > 0.0).all(axis=1)
+        rows = active[done & lit]
+        solution.good[rows] = True
+        solution.merit[active] = np.minimum(solution.merit[active], step.merit)
+        for name in ("covariance", "chi2", "merit"):
+            getattr(solution, name)[rows] = getattr(step, name)[done & lit]
+        active = active[possible & ~ended]
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A step of N fits, and what was known before it."""
+
+    step: Array
+    length2: Array
+    regular: NDArray[np.bool_]
+    covariance: Array
+    chi2: Array
+    merit: Array
+
+
+def _scoring_step(
+    windows: Windows, parameters: Array, layout: Layout, settings: FitSettings, shape: LineShape
+) -> _Step:
+    with np.errstate(over="ignore", invalid="ignore"):
+        model = evaluate(windows, parameters, layout, settings, shape)
+        weight = windows.used / model.variance
+        residual = np.where(windows.used, windows.values - model.mean, 0.0)
+        weighted = model.jacobian * weight[:, None, :]
+        score = (weighted @ residual[..., None])[..., 0]
+        information = weighted @ model.jacobian.transpose(0, 2, 1)
+        chi2 = (residual**2 * weight).sum(axis=1)
+        log_variance = np.where(windows.used, np.log(model.variance), 0.0).sum(axis=1)
+    if 0.0 < settings.width_spread < np.inf:
+        away = np.log(settings.width_px) - parameters[:, -1]
+        score[:, -1] += away / settings.width_spread**2
+        information[:, -1, -1] += 1.0 / settings.width_spread**2
+        chi2 = chi2 + (away / settings.width_spread) ** 2
+    held = _held(parameters[:, -1], score[:, -1], known=settings.width_spread == 0.0)
+    score[held, -1] = 0.0
+    information[held, -1, :] = information[held, :, -1] = 0.0
+    information[held, -1, -1] = 1.0
+    covariance, regular = _inverse(information)
+    covariance[held, -1, -1] = 0.0
+    step = (covariance @ score[..., None])[..., 0]
+    length2 = (step * score).sum(axis=1)
+    return _Step(step, length2, regular, covariance, chi2, chi2 + log_variance)
+
+
+def _held(log_width: Array, score: Array, *, known: bool) -> NDArray[np.bool_]:
+    """Say which widths are known, or stay at a limit that they would leave."""
+    low, high = _WIDTH_LIMITS
+    return ((log_width <= low) & (score < 0.0)) | ((log_width >= high) & (score > 0.0)) | known
+
+
+def _part_of(step: _Step, parameters: Array, layout: Layout) -> Array:
+    """Return the part of each step that is taken, shape (N, 1)."""
+    width = np.exp(parameters[:, -1])
+    farthest = np.abs(step.step[:, layout.position]).max(axis=1) / (STEP_WIDTHS * width)
+    broadest = np.abs(step.step[:, -1]) / STEP_LOG_WIDTH
+    return np.asarray(1.0 / np.maximum(np.maximum(farthest, broadest), 1.0))[:, None]
+
+
+def _inverse(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the inverses of N symmetric matrices, and which of them are positive definite.
+
+    Gauss and Jordan's elimination without exchanges: its pivots are Cholesky's.
+    """
+    diagonal = np.einsum("nii->ni", matrices)
+    regular = (diagonal > 0.0).all(axis=1) & np.isfinite(matrices).all(axis=(1, 2))
+    scale = np.where(regular[:, None], diagonal, 1.0) ** -0.5
+    whole = np.where(regular[:, None, None], matrices * scale[:, :, None] * scale[:, None, :], 0.0)
+    size = matrices.shape[1]
+    for k in range(size):
+        pivot = whole[:, k, k].copy()
+        regular &= pivot >= LEAST_PIVOT
+        pivot[~regular] = 1.0
+        row = whole[:, k, :] / pivot[:, None]
+        column = whole[:, :, k].copy()
+        whole -= column[:, :, None] * row[:, None, :]
+        whole[:, k, :] = row
+        whole[:, :, k] = -column / pivot[:, None]
+        whole[:, k, k] = 1.0 / pivot
+        whole[~regular] = 0.0
+    return whole * scale[:, :, None] * scale[:, None, :], regular

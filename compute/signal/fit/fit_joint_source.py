@@ -21,7 +21,7 @@ _TYPES = (
 """
     + """
     const int most_parameters = 3 + 2 * joint_peaks;
-    // Positions from the window's first pixel.
+    struct Window { int first, last, used; };
     struct Model {
         int peaks;
         double level, slope, light[joint_peaks], x[joint_peaks], log_w;
@@ -80,19 +80,19 @@ _EVALUATE = """
     auto parameters_of = [&](int peaks) -> int {
         return 1 + plan.sloped + 2 * peaks + plan.width_is_fitted;
     };
-    // Tell `each(pixel number, value, what the model says)` of each pixel that counts.
-    auto evaluate = [&](const Model& m, int first, int last, auto each) {
+    // Tell `each(pixel, value, what the model says)` of each pixel that counts.
+    auto evaluate = [&](const Model& m, const Window& in, auto each) {
         const int lights = 1 + plan.sloped, places = lights + m.peaks, width = places + m.peaks;
-        const double w = exp_of(m.log_w), by_width = 1.0 / w, middle = 0.5 * (last - first);
+        const double w = exp_of(m.log_w), by_width = 1.0 / w, middle = 0.5 * (in.first + in.last);
         Rows rows[joint_peaks];
         Edge before[joint_peaks];
         for (int k = 0; k < m.peaks; ++k) {
-            rows[k] = joint_rows_at(first + m.x[k]);
-            before[k] = joint_edge_at(rows[k], (-0.5 - m.x[k]) * by_width);
+            rows[k] = joint_rows_at(m.x[k]);
+            before[k] = joint_edge_at(rows[k], (in.first - 0.5 - m.x[k]) * by_width);
         }
         Pixel pixel;
         pixel.by[0] = 1.0;
-        for (int i = 0; i <= last - first; ++i) {
+        for (int i = in.first; i <= in.last; ++i) {
             double lit = 0.0;
             pixel.by[width] = 0.0;
             for (int k = 0; k < m.peaks; ++k) {
@@ -113,27 +113,15 @@ _EVALUATE = """
             const double above = pixel.mean - offset;
             pixel.variance = dark_variance + (above > 0.0 ? photon_variance * above : 0.0)
                 + plan.shape_error2 * lit * lit;
-            const int value = v[first + i];
+            const int value = v[i];
             if (value < full_scale) each(i, (double)(value), pixel);
         }
     };
 """
 
 _STEPS = """
-    auto log_variances = [&](const Model& m, int first, int last) -> double {
-        // The logarithm of a few pixels' product at once: it is slow.
-        double sum = 0.0, product = 1.0;
-        evaluate(m, first, last, [&](int, double, const Pixel& pixel) {
-            product *= pixel.variance;
-            if (product > 1e100 || product < 1e-100) {
-                sum += log_of(product);
-                product = 1.0;
-            }
-        });
-        return sum + log_of(product);
-    };
-    auto limit_of = [&](const Model& m, int used) -> double {
-        return chi2_limits[used - parameters_of(m.peaks) + plan.has_prior];
+    auto limit_of = [&](const Model& m, const Window& in) -> double {
+        return chi2_limits[in.used - parameters_of(m.peaks) + plan.has_prior];
     };
     // The positions' covariance, from the Cholesky root of the information: its last rows are
     // those of the positions and the width; the inverse of their product is their part of all.
@@ -156,12 +144,12 @@ _STEPS = """
             }
         }
     };
-    // Fisher scoring, until it has ended (true) or cannot. The merit is worked out for trials,
-    // and where there will be some.
-    auto settle = [&](Model& m, int first, int last, int used, bool trial) -> bool {
+    // Fisher scoring, until it has ended (true) or cannot: the merit then is the least of the way.
+    auto settle = [&](Model& m, const Window& in) -> bool {
         const int size = parameters_of(m.peaks);
         const int lights = 1 + plan.sloped, places = lights + m.peaks, width = places + m.peaks;
-        if (used <= size) return false;
+        m.merit = 1e300;
+        if (in.used <= size) return false;
         double root[most_parameters * most_parameters];
         for (int pass = 0; pass < max_iterations; ++pass) {
             double score[most_parameters], step[most_parameters];
@@ -169,12 +157,18 @@ _STEPS = """
                 score[a] = 0.0;
                 for (int b = 0; b <= a; ++b) root[a * most_parameters + b] = 0.0;
             }
-            double chi2 = 0.0;
-            evaluate(m, first, last, [&](int, double value, const Pixel& pixel) {
+            // The logarithm of many variances' product: one of each is slow.
+            double chi2 = 0.0, log_variance = 0.0, product = 1.0;
+            evaluate(m, in, [&](int, double value, const Pixel& pixel) {
                 const double weight = 1.0 / pixel.variance;
                 const double residual = value - pixel.mean;
                 const double weighted = residual * weight;
                 chi2 += residual * weighted;
+                product *= pixel.variance;
+                if (product > 1e100 || product < 1e-100) {
+                    log_variance += log_of(product);
+                    product = 1.0;
+                }
                 for (int a = 0; a < size; ++a) {
                     const double by_a = pixel.by[a] * weight;
                     score[a] += pixel.by[a] * weighted;
@@ -195,6 +189,8 @@ _STEPS = """
                     score[width] = 0.0;
                 }
             }
+            const double merit = chi2 + log_variance + log_of(product);
+            if (merit < m.merit) m.merit = merit;
             double length2 = 0.0;
             for (int a = 0; a < size; ++a) {
                 double* row = root + a * most_parameters;
@@ -234,18 +230,12 @@ _STEPS = """
                 }
             }
             const double part = 1.0 / most;
-            m.chi2 = chi2;
-            if (ended) {
-                find_covariance(m, root);
-                if (trial || chi2 > limit_of(m, used))
-                    m.merit = chi2 + log_variances(m, first, last);
-            }
             m.level += part * step[0];
             if (plan.sloped) m.slope += part * step[1];
             for (int k = 0; k < m.peaks; ++k) {
                 m.light[k] += part * step[lights + k];
                 m.x[k] += part * step[places + k];
-                if (!(m.x[k] >= -0.5 && m.x[k] <= last - first + 0.5)) return false;
+                if (!(m.x[k] >= in.first - 0.5 && m.x[k] <= in.last + 0.5)) return false;
                 if (ended && !(m.light[k] > 0.0)) return false;
             }
             if (plan.width_is_fitted) {
@@ -253,7 +243,12 @@ _STEPS = """
                 if (m.log_w < plan.least_log) m.log_w = plan.least_log;
                 if (m.log_w > plan.most_log) m.log_w = plan.most_log;
             }
-            if (ended) return true;
+            if (ended) {
+                m.chi2 = chi2;
+                m.merit = merit;
+                find_covariance(m, root);
+                return true;
+            }
         }
         return false;
     };
@@ -261,7 +256,7 @@ _STEPS = """
 
 _CHOICE = """
     // The best of what one peak more can do: false where nothing ends.
-    auto add_peak = [&](const Model& m, int first, int last, int used, Model* best) -> bool {
+    auto add_peak = [&](const Model& m, const Window& in, Model* best) -> bool {
         const double w = exp_of(m.log_w);
         bool any = false;
         for (int k = 0; k <= m.peaks; ++k) {
@@ -282,7 +277,7 @@ _CHOICE = """
             } else {
                 double worst = 0.0, height = 0.0;
                 int at = -1;
-                evaluate(m, first, last, [&](int i, double value, const Pixel& pixel) {
+                evaluate(m, in, [&](int i, double value, const Pixel& pixel) {
                     const double residual = value - pixel.mean;
                     const double deviations = residual / sqrt(pixel.variance);
                     if (at < 0 || deviations > worst) {
@@ -291,10 +286,10 @@ _CHOICE = """
                         at = i;
                     }
                 });
-                more.light[m.peaks] = height / joint_middle_share(w, first + at);
+                more.light[m.peaks] = height / joint_middle_share(w, at);
                 more.x[m.peaks] = at;
             }
-            if (!settle(more, first, last, used, true)) continue;
+            if (!settle(more, in)) continue;
             if (!any || more.merit < best->merit) *best = more;
             any = true;
         }
@@ -304,9 +299,7 @@ _CHOICE = """
 
 _RESULT = """
     auto write_joint = [&](
-        const Model& m, const Candidate* c, int candidate_count, int first, int last, int used,
-        Fitted* out
-    ) {
+        const Model& m, const Candidate* c, int candidate_count, const Window& in, Fitted* out) {
         int order[joint_peaks];
         for (int k = 0; k < m.peaks; ++k) {
             int place = k;
@@ -314,52 +307,79 @@ _RESULT = """
                 order[place] = order[place - 1];
             order[place] = k;
         }
-        const int freedom = used - parameters_of(m.peaks) + plan.has_prior;
-        int group_flags = m.chi2 > chi2_limits[freedom] ? poor_fit : 0;
+        const int freedom = in.used - parameters_of(m.peaks) + plan.has_prior;
+        int group_flags = m.chi2 > limit_of(m, in) ? poor_fit : 0;
         if (m.peaks > 1) group_flags |= joint;
-        if (used < last - first + 1) group_flags |= saturated;
+        if (in.used < in.last - in.first + 1) group_flags |= saturated;
         const double w = exp_of(m.log_w), reach = 2.0 * w;
         for (int k = 0; k < m.peaks; ++k) {
-            const int from_k = order[k];
-            const double position = first + m.x[from_k];
+            const int of = order[k];
+            const double x = m.x[of];
             int flags = group_flags;
-            if (position - reach < -0.5 || position + reach > pixels - 0.5) flags |= clipped;
+            if (x - reach < -0.5 || x + reach > pixels - 0.5) flags |= clipped;
             if (m.peaks == candidate_count) flags |= c[k].flags & merged;
-            Fitted peak = {
-                position, (float)sqrt(m.covariance[from_k][from_k]),
-                (float)(m.light[from_k] * joint_middle_share(w, position)),
-                (float)(w * plan.width_unit), flags, (float)(m.chi2 / freedom),
-                {0.0f, 0.0f, 0.0f}};
+            out[k] = Fitted{
+                x, (float)sqrt(m.covariance[of][of]),
+                (float)(m.light[of] * joint_middle_share(w, x)), (float)(w * plan.width_unit),
+                flags, (float)(m.chi2 / freedom), {0.0f, 0.0f, 0.0f}};
             for (int j = k + 1; j < m.peaks; ++j)
-                peak.covariance[j - k - 1] = (float)m.covariance[from_k][order[j]];
-            out[k] = peak;
+                out[k].covariance[j - k - 1] = (float)m.covariance[of][order[j]];
         }
     };
-    auto fit_jointly = [&](
-        const Candidate* c, int candidate_count, int first, int last, Fitted* out) -> int {
-        int used = 0;
-        for (int i = first; i <= last; ++i) used += v[i] < full_scale;
-        Model m;
-        m.peaks = candidate_count;
-        m.level = line_background;
-        m.slope = 0.0;
-        m.log_w = 0.0;
-        for (int k = 0; k < candidate_count; ++k) m.log_w += log_of(start_width(c[k]));
-        m.log_w /= candidate_count;
-        for (int k = 0; k < candidate_count; ++k) {
-            m.x[k] = c[k].position - first;
-            m.light[k] = (double)(c[k].amplitude)
-                / joint_middle_share(exp_of(m.log_w), c[k].position);
+    auto window_between = [&](int first, int last) -> Window {
+        Window in = {first, last, 0};
+        for (int i = first; i <= last; ++i) in.used += v[i] < full_scale;
+        return in;
+    };
+    // Fit candidates; returns the number of peaks, none where that is not possible.
+    auto fit_jointly = [&](int begin, int end, int first, int last, Fitted* out) -> int {
+        const Candidate* c = candidates + begin;
+        const int count = end - begin;
+        Model start;
+        start.peaks = count;
+        start.level = line_background;
+        start.slope = 0.0;
+        start.log_w = 0.0;
+        for (int k = 0; k < count; ++k) start.log_w += log_of(start_width(c[k]));
+        start.log_w /= count;
+        for (int k = 0; k < count; ++k) {
+            start.x[k] = c[k].position;
+            start.light[k] = (double)c[k].amplitude
+                / joint_middle_share(exp_of(start.log_w), c[k].position);
         }
-        if (!settle(m, first, last, used, false)) return 0;
-        while (m.peaks < plan.max_joint && m.chi2 > limit_of(m, used)) {
-            Model better;
-            if (!add_peak(m, first, last, used, &better)) break;
-            if (!(m.merit - better.merit > 2.0 * log_of(used) + plan.margin)) break;
-            m = better;
+        const Window narrow = window_between(first, last);
+        Model one = start;
+        const bool ended = settle(one, narrow);
+        if (count == plan.max_joint || (ended && !(one.chi2 > limit_of(one, narrow)))) {
+            if (!ended) return 0;
+            write_joint(one, c, count, narrow, out);
+            return count;
         }
-        write_joint(m, c, candidate_count, first, last, used, out);
-        return m.peaks;
+        // More peaks are looked for in more pixels.
+        int wide_first = 0, wide_last = 0;
+        grown_window_of(begin, end, first, last, &wide_first, &wide_last);
+        const Window wide = window_between(wide_first, wide_last);
+        Model base = ended ? one : start, again = base;
+        const bool ended_again = settle(again, wide);
+        if (ended_again) base = again;
+        base.merit = again.merit;
+        const double least_fall = 2.0 * log_of(wide.used) + plan.margin;
+        Model more;
+        while (base.peaks < plan.max_joint && add_peak(base, wide, &more)
+               && base.merit - more.merit > least_fall) {
+            base = more;
+            if (!(base.chi2 > limit_of(base, wide))) break;
+        }
+        if (base.peaks > count) {
+            write_joint(base, c, count, wide, out);
+        } else if (ended) {
+            write_joint(one, c, count, narrow, out);
+        } else if (ended_again) {
+            write_joint(again, c, count, wide, out);
+        } else {
+            return 0;
+        }
+        return base.peaks;
     };
 """
 

@@ -163,6 +163,29 @@ _GROUPS = """
         if (*first < 0) *first = 0;
         if (*last > pixels - 1) *last = pixels - 1;
     };
+    // More of the line, as far as midway to the neighbouring groups' windows.
+    auto grown_window_of = [&](
+        int begin, int end, int first, int last, int* wide_first, int* wide_last) {
+        int by = (max_window - (last - first + 1)) / 2, other_first = 0, other_last = 0;
+        int most = 0;
+        for (int k = begin; k < end; ++k)
+            if (half_window(candidates[k]) > most) most = half_window(candidates[k]);
+        if (most < by) by = most;
+        *wide_first = first - by > 0 ? first - by : 0;
+        *wide_last = last + by < pixels - 1 ? last + by : pixels - 1;
+        if (begin > 0) {
+            int other = begin - 1;
+            while (!(candidates[other].flags & starts_group)) --other;
+            window_of(other, begin, &other_first, &other_last);
+            const int from = (other_last + first) / 2 + 1;
+            if (*wide_first < from) *wide_first = from;
+        }
+        if (end < found) {
+            window_of(end, end_of_group(end), &other_first, &other_last);
+            const int to = (last + other_first) / 2;
+            if (*wide_last > to) *wide_last = to;
+        }
+    };
 """
 
 # Fits the group that starts with candidate `begin` into `out`; returns the number of peaks.
@@ -173,7 +196,7 @@ _FIT_GROUP = """
         window_of(begin, end, &first, &last);
         int written = 0;
         if (end - begin == 1) written = fit_alone(candidates[begin], first, last, out);
-        if (written == 0) written = fit_jointly(candidates + begin, end - begin, first, last, out);
+        if (written == 0) written = fit_jointly(begin, end, first, last, out);
         if (written == 0) {
             for (int k = begin; k < end; ++k) {
                 const Candidate& c = candidates[k];

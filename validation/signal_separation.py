@@ -178,7 +178,7 @@ _FINDINGS: Final = (
         "one maximum there, and noise of 2 counts of 195 does not part them; nor does a symmetric "
         "line in pixels have its maximum 1.07 px from its centroid, at 398, as the table says. "
         "That there were two maxima, at 396 and 398, was the lines' own uneven shapes. Ours has a "
-        "dip put in at 397. What a cut there finds says where the dip was, not where the markers are."
+        "dip put in at 397. What a cut there finds says where the dip was, not where markers are."
     ),
     (
         "Extending the slopes takes the errors of the last two down, as in the thesis, and makes "

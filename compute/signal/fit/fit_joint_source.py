@@ -114,7 +114,7 @@ _EVALUATE = """
             pixel.variance = dark_variance + (above > 0.0 ? photon_variance * above : 0.0)
                 + plan.shape_error2 * lit * lit;
             const int value = v[i];
-            if (value < full_scale) each(i, (double)(value), pixel);
+            if (value < full_scale) each(i, (double)value, pixel);
         }
     };
 """

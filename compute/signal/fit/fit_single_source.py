@@ -1,8 +1,8 @@
 """The native source of the fit of one peak alone, in float32: nearly all peaks are that.
 
 It gives an answer only where there is no doubt: the fit has converged in few steps, the peak is
-not so bright that float32 would tell, and the misfit is clear of its limit. Else it returns 0, and
-the fit in float64 decides. Counts are taken from the line's background, positions from the
+whole and not so bright that float32 would tell, and the misfit is clear of its limit. Else it
+returns 0, and the fit in float64 decides. Counts are taken from the line's background, positions from the
 candidate's pixel: float32 then keeps 1e-6 px.
 """
 
@@ -23,17 +23,19 @@ FIT_ALONE: Final = f"""
         const int light_at = size - 3, width_at = size - 2, place_at = size - 1;
         const int least_passes = 8;
         // Beyond a thousand deviations float32 would tell.
-        const double by_light = photon_variance * (double)(c.amplitude);
-        if ((double)(c.amplitude) * (double)(c.amplitude) > 1e6 * (dark_variance + by_light)) return 0;
-        int used = 0;
-        for (int i = first; i <= last; ++i) used += v[i] < full_scale;
+        const double by_light = photon_variance * (double)c.amplitude;
+        if ((double)c.amplitude * (double)c.amplitude > 1e6 * (dark_variance + by_light)) return 0;
+        // Without its brightest pixels a fit hangs on little.
+        const int used = last - first + 1;
+        for (int i = first; i <= last; ++i)
+            if (v[i] >= full_scale) return 0;
         const int freedom = used - size + !plan.width_is_fitted + plan.has_prior;
         if (freedom < 1 + plan.has_prior) return 0;
         const float chi2_limit = (float)(0.999 * chi2_limits[freedom]);
 
         const int origin = pixel_of(c), base = (int)floor(line_background);
         const float dark_f = (float)dark_variance, photon_f = (float)photon_variance;
-        const float above_offset = (float)((double)(base) - offset);
+        const float above_offset = (float)((double)base - offset);
         const float shape_error2 = (float)plan.shape_error2;
         const float prior = (float)plan.prior, prior_log = (float)plan.log_width;
         const float least_log = (float)plan.least_log, most_log = (float)plan.most_log;
@@ -48,7 +50,7 @@ FIT_ALONE: Final = f"""
         float far_part = 0.0f;
         auto rows_at = [&](float x) {
             if (plan.nodes == 1) return;
-            const double node = ((double)(origin) + (double)(x) - plan.first_node) / plan.node_step;
+            const double node = ((double)origin + (double)x - plan.first_node) / plan.node_step;
             int below = node > 0.0 ? (node < plan.nodes - 2 ? (int)node : plan.nodes - 2) : 0;
             const double part = node - below;
             near_row = knots_f + below * row_knots;
@@ -62,7 +64,7 @@ FIT_ALONE: Final = f"""
             place = place > 0.0f ? (place < last_knot ? place : last_knot) : 0.0f;
             int k = (int)place;
             k = k < plan.places - 2 ? k : plan.places - 2;
-            const float s = place - (float)(k);
+            const float s = place - (float)k;
             const float* knot = near_row + 2 * k;
             float e0 = knot[0], d0 = knot[1], e1 = knot[2], d1 = knot[3];
             if (plan.nodes > 1) {
@@ -87,10 +89,10 @@ FIT_ALONE: Final = f"""
         };
 
         float w = (float)start_width(c), log_w = (float)log_of(start_width(c));
-        float x = (float)(c.position - (double)(origin));
+        float x = (float)(c.position - (double)origin);
         rows_at(x);
         float light = c.amplitude / middle_share(w);
-        float level = (float)(line_background - (double)(base)), slope = 0.0f;
+        float level = (float)(line_background - (double)base), slope = 0.0f;
         bool ended = false;
         float sigma2 = 0.0f, chi2 = 0.0f;
         for (int pass = 0; pass < least_passes && !ended; ++pass) {
@@ -124,10 +126,8 @@ FIT_ALONE: Final = f"""
                 const float above = mean + above_offset;
                 const float variance =
                     dark_f + photon_f * (above > 0.0f ? above : 0.0f) + shape_error2 * lit * lit;
-                const int value = v[i];
-                const bool counts = value < full_scale;
-                const float weight = counts ? 1.0f / variance : 0.0f;
-                const float residual = (float)(value - base) - mean;
+                const float weight = 1.0f / variance;
+                const float residual = (float)(v[i] - base) - mean;
                 const float weighted = residual * weight;
                 chi2 += residual * weighted;
                 #pragma unroll
@@ -213,13 +213,12 @@ FIT_ALONE: Final = f"""
         if (!ended || !(chi2 < chi2_limit)) return 0;
 
         rows_at(x);
-        int flags = c.flags & merged;
-        if (used < last - first + 1) flags |= saturated;
-        const double position = (double)(origin) + (double)(x), reach = 2.0 * (double)(w);
-        if (position - reach < -0.5 || position + reach > pixels - 0.5) flags |= clipped;
+        const double position = (double)origin + (double)x, reach = 2.0 * (double)w;
+        if (position - reach < -0.5 || position + reach > pixels - 0.5) return 0;
         *out = Fitted{
-            position, sqrtf(sigma2), light * middle_share(w), w * (float)plan.width_unit, flags,
-            chi2 / (float)(freedom), {0.0f, 0.0f, 0.0f}};
+            position, sqrtf(sigma2), light * middle_share(w), w * (float)plan.width_unit,
+            c.flags & merged,
+            chi2 / (float)freedom, {0.0f, 0.0f, 0.0f}};
         return 1;
     };
     auto fit_alone = [&](const Candidate& c, int first, int last, Fitted* out) -> int {

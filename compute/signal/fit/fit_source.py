@@ -100,7 +100,7 @@ _GROUPS = """
     const double line_background = (double)(header[1]) / level_unit;
     auto start_width = [&](const Candidate& c) -> double {
         if (!plan.width_is_fitted) return plan.width_px;
-        double w = (double)(c.width) / plan.width_unit;
+        double w = (double)c.width / plan.width_unit;
         if (w < plan.least_start) w = plan.least_start;
         if (w > plan.most_start) w = plan.most_start;
         return w;
@@ -251,7 +251,7 @@ _LINE = """
     count[0] = placed;
     count[1] = 0;
     const Fitted none = {
-        (double)(nan_f), nan_f, nan_f, nan_f, 0, nan_f, {0.0f, 0.0f, 0.0f}};
+        (double)nan_f, nan_f, nan_f, nan_f, 0, nan_f, {0.0f, 0.0f, 0.0f}};
     for (int k = 0; k < max_peaks; ++k) {
         if (k >= placed) records[k] = none;
         else if (lost) records[k].flags |= truncated;

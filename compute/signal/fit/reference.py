@@ -63,7 +63,7 @@ def fit_lines(
     room = settings.search.max_peaks
     if not parts:
         return PeakBatch.empty(len(lines), room)
-    truncated = (candidates.flags & PeakFlag.TRUNCATED).any(axis=1)
+    truncated = ((candidates.flags & PeakFlag.TRUNCATED) != 0).any(axis=1)
     return batched(FlatPeaks.joined(parts), len(lines), room, truncated)
 
 

@@ -88,8 +88,8 @@ class FitSettings:
       of the window was left out), CLIPPED (a line less than two widths from an end of the
       sensor), MERGED (at a cut, or a candidate with a valley that got no further peak), and
       UNFITTED with all of the candidate's own figures where no more pixels than parameters are
-      left, the fit does not converge, the information is singular (LEAST_PIVOT), light is not
-      positive, or a position leaves its window. Of more peaks than ``search`` has room for, the
+      left, the fit does not converge, the information is singular (LEAST_PIVOT), a light is not
+      above its standard deviation, or a position leaves its window. Of more peaks than ``search`` has room for, the
       brightest are kept, TRUNCATED.
 
     Args:

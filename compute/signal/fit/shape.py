@@ -111,8 +111,9 @@ class LineShape:
                 f"light has {float(np.min(cells))} at least and {float(np.min(total))} in the "
                 "darkest line; it must be zero or more, with some light in each"
             )
-        if not 0.0 < unit_px < np.inf:
-            raise InvalidParameter(f"unit_px is {unit_px}; it must be positive", unit_px=unit_px)
+        for name, value in (("step", step), ("unit_px", unit_px)):
+            if not 0.0 < value < np.inf:
+                raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
         first, step = first / unit_px, step / unit_px
         share = cells / total
         edge = np.concatenate([np.zeros_like(total), np.cumsum(share, axis=2)], axis=2)

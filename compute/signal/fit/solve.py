@@ -111,7 +111,8 @@ def _scoring(
         possible = step.regular & inside.all(axis=1)
         solution.parameters[active] = moved
         done = possible & ended
-        lit = (moved[:, layout.light] > 0.0).all(axis=1)
+        variance = np.einsum("nqq->nq", step.covariance)[:, layout.light]
+        lit = (moved[:, layout.light] > np.sqrt(np.maximum(variance, 0.0))).all(axis=1)
         rows = active[done & lit]
         solution.good[rows] = True
         solution.merit[active] = np.minimum(solution.merit[active], step.merit)
@@ -163,7 +164,8 @@ def _scoring_step(
 def _held(log_width: Array, score: Array, *, known: bool) -> NDArray[np.bool_]:
     """Say which widths are known, or stay at a limit that they would leave."""
     low, high = _WIDTH_LIMITS
-    return ((log_width <= low) & (score < 0.0)) | ((log_width >= high) & (score > 0.0)) | known
+    outward = ((log_width <= low) & (score < 0.0)) | ((log_width >= high) & (score > 0.0))
+    return np.ones_like(outward) if known else outward
 
 
 def _part_of(step: _Step, parameters: Array, layout: Layout) -> Array:

@@ -1,0 +1,205 @@
+"""GroupFit: all that is known about one fitted group of a line, for people who look at it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.fit.gather import FlatPeaks, fitted_peaks, unfitted_peaks
+from compute.signal.fit.group import form_groups
+from compute.signal.fit.model import Array, Layout, Windows, evaluate
+from compute.signal.fit.reference import check_lines, fitted_groups
+from compute.signal.fit.selection import Chosen
+from compute.signal.fit.settings import FitSettings
+from compute.signal.fit.shape import LineShape
+from compute.signal.noise import LineNoise
+from compute.signal.peaks import PeakFlag
+from compute.signal.reference import find_peaks_reference
+
+
+@dataclass(frozen=True, eq=False)
+class GroupFit:
+    """Lines that were fitted together, K of them in n pixels; NaN where no fit was possible.
+
+    Args:
+        first_px: first pixel of the window.
+        values: counts of the window's pixels, shape (n,).
+        used: pixels that were fitted; the others are saturated, shape (n,).
+        model: expected counts, shape (n,).
+        residual_sigma: differences from these in standard deviations, shape (n,).
+        flags: PeakFlag values of the peaks, shape (K,).
+        position_px: of the peaks, in ascending order [px], shape (K,).
+        sigma_px: their standard deviations [px], shape (K,).
+        amplitude: light in a pixel about the line's middle [counts], shape (K,).
+        light_counts: light of each line [counts], shape (K,).
+        light_electrons: the same [electrons], shape (K,).
+        width_px: the group's width: a Gaussian's deviation, or in the shape's own unit [px].
+        width_sigma_px: its standard deviation [px]; zero where it is known.
+        background_counts: level in the window's middle.
+        slope_counts_per_px: slope of the background.
+        parameters: names of the covariance's rows.
+        covariance: of all parameters: lights in counts, the width as its logarithm.
+        chi2: misfit.
+        freedom: its degrees of freedom.
+    """
+
+    first_px: int
+    values: Array
+    used: NDArray[np.bool_]
+    model: Array
+    residual_sigma: Array
+    flags: NDArray[np.int64]
+    position_px: Array
+    sigma_px: Array
+    amplitude: Array
+    light_counts: Array
+    light_electrons: Array
+    width_px: float
+    width_sigma_px: float
+    background_counts: float
+    slope_counts_per_px: float
+    parameters: tuple[str, ...]
+    covariance: Array
+    chi2: float
+    freedom: int
+
+    @property
+    def fitted(self) -> bool:
+        """Say whether the fit was possible."""
+        return not bool((self.flags & PeakFlag.UNFITTED).any())
+
+
+def fit_line(
+    values: NDArray[np.uint16],
+    settings: FitSettings,
+    noise: LineNoise,
+    shape: LineShape | None = None,
+    sensor: int = 0,
+) -> tuple[GroupFit, ...]:
+    """Fit the peaks of one line as ``fit_lines`` does, and tell everything.
+
+    Peaks beyond the room of ``settings.search`` that were found by fits are all told.
+
+    Args:
+        values: counts, shape (P,).
+        settings: how lines are fitted.
+        noise: of the sensors.
+        shape: how a line's light is spread; a Gaussian where there is none.
+        sensor: number of the line's sensor.
+
+    Returns:
+        The groups, in the order of their places.
+
+    Raises:
+        InvalidParameter: a line of another type or shape.
+    """
+    lines = values[None]
+    check_lines(lines)
+    shape = LineShape.gaussian() if shape is None else shape
+    # Line l belongs to sensor l: the wanted one stands last, after empty ones.
+    own = sensor % len(noise)
+    lines = np.concatenate([np.zeros((own, len(values)), np.uint16), lines])
+    candidates = find_peaks_reference(lines, settings.search, noise)
+    groups = form_groups(candidates, len(values), settings)
+    found: list[GroupFit] = []
+    for number, fits in fitted_groups(lines, groups, candidates, settings, noise, shape):
+        part = groups[number]
+        for chosen in fits:
+            peaks = fitted_peaks(chosen, number, part, candidates, len(values), settings, shape)
+            good = chosen[chosen.solution.good]
+            gain = noise.electrons_per_count[own]
+            found += [
+                _fitted(good, row, peaks, float(gain), settings, shape)
+                for row in range(len(good.rows))
+            ]
+            bad = chosen[~chosen.solution.good]
+            peaks = unfitted_peaks(chosen, number, part, candidates)
+            found += [_unfitted(bad, row, peaks) for row in range(len(bad.rows))]
+    return tuple(sorted(found, key=lambda group: float(group.position_px[0])))
+
+
+def _fitted(
+    chosen: Chosen,
+    row: int,
+    peaks: FlatPeaks,
+    gain: float,
+    settings: FitSettings,
+    shape: LineShape,
+) -> GroupFit:
+    layout, solution = chosen.layout, chosen.solution
+    count = layout.peaks
+    own = peaks[np.arange(row * count, (row + 1) * count)]
+    windows = chosen.windows[np.array([row])]
+    order = np.argsort(solution.parameters[row, layout.position], kind="stable")
+    index = np.arange(layout.size)
+    index[layout.light] = index[layout.light][order]
+    index[layout.position] = index[layout.position][order]
+    parameters = solution.parameters[row, index]
+    model = evaluate(windows, parameters[None], layout, settings, shape)
+    inside = slice(0, int(windows.last_px[0] - windows.first_px[0]) + 1)
+    residual = (windows.values - model.mean) / np.sqrt(model.variance)
+    width = float(np.exp(parameters[-1]))
+    covariance = solution.covariance[row][np.ix_(index, index)]
+    return GroupFit(
+        int(windows.first_px[0]),
+        windows.values[0, inside],
+        windows.used[0, inside],
+        model.mean[0, inside],
+        residual[0, inside],
+        own.flags,
+        own.position_px,
+        own.sigma_px,
+        own.amplitude,
+        parameters[layout.light],
+        parameters[layout.light] * gain,
+        width,
+        width * float(np.sqrt(covariance[-1, -1])),
+        float(parameters[0]),
+        float(parameters[1]) if layout.slope else 0.0,
+        _names(layout),
+        covariance,
+        float(solution.chi2[row]),
+        int(solution.freedom[row]),
+    )
+
+
+def _unfitted(chosen: Chosen, row: int, peaks: FlatPeaks) -> GroupFit:
+    layout = chosen.layout
+    count = layout.peaks
+    own = peaks[np.arange(row * count, (row + 1) * count)]
+    windows: Windows = chosen.windows[np.array([row])]
+    inside = slice(0, int(windows.last_px[0] - windows.first_px[0]) + 1)
+    values = windows.values[0, inside]
+    nothing, each = np.full(len(values), np.nan), np.full(count, np.nan)
+    return GroupFit(
+        int(windows.first_px[0]),
+        values,
+        windows.used[0, inside],
+        nothing,
+        nothing,
+        own.flags,
+        own.position_px,
+        own.sigma_px,
+        own.amplitude,
+        each,
+        each,
+        np.nan,
+        np.nan,
+        np.nan,
+        np.nan,
+        _names(layout),
+        np.full((layout.size, layout.size), np.nan),
+        np.nan,
+        0,
+    )
+
+
+def _names(layout: Layout) -> tuple[str, ...]:
+    peaks = range(1, layout.peaks + 1)
+    return (
+        "background",
+        *(("slope",) if layout.slope else ()),
+        *(f"light {k}" for k in peaks),
+        *(f"position {k}" for k in peaks),
+        "ln width",
+    )

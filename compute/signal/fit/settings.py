@@ -89,8 +89,8 @@ class FitSettings:
       sensor), MERGED (at a cut, or a candidate with a valley that got no further peak), and
       UNFITTED with all of the candidate's own figures where no more pixels than parameters are
       left, the fit does not converge, the information is singular (LEAST_PIVOT), a light is not
-      above its standard deviation, or a position leaves its window. Of more peaks than ``search`` has room for, the
-      brightest are kept, TRUNCATED.
+      above its standard deviation, or a position leaves its window. Of more peaks than
+      ``search`` has room for, the brightest are kept, TRUNCATED.
 
     Args:
         search: how candidates are found.

@@ -3,20 +3,19 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.batch_finder import BatchFinder, search_arguments
 from compute.signal.fit.fit_plan import pack_plan
 from compute.signal.fit.settings import FitSettings
 from compute.signal.fit.shape import LineShape
 from compute.signal.noise import LineNoise
 from compute.signal.peaks import PeakBatch
+from compute.warp_host import warp_device
 
 
-class FitFinder(BatchFinder):
+class FitFinder:
     """Search and weighted fit of many lines at once by Warp; ``FitSettings`` defines it.
 
     Warp is not thread-safe: one thread makes the finder and calls it. Making it loads Warp and
-    compiles the kernels, unless an earlier process has (seconds to a minute); ``find`` does
-    neither.
+    compiles the kernel, unless an earlier process has (seconds); ``find`` does neither.
 
     Args:
         lines: most lines of one call.
@@ -26,6 +25,7 @@ class FitFinder(BatchFinder):
             of shape (S, P) may be put one after another.
         shape: how a line's light is spread; None: a Gaussian.
         device: "cpu", "cuda:0", ...; None takes the first CUDA device, or else the CPU.
+        threads: most CPU threads for a large batch; None: as many as there are CPUs.
 
     Raises:
         InvalidParameter: a size outside its range, or a device that is not there.
@@ -39,46 +39,89 @@ class FitFinder(BatchFinder):
         noise: LineNoise,
         shape: LineShape | None = None,
         device: str | None = None,
+        threads: int | None = None,
     ) -> None:
-        room = settings.search.max_peaks
-        # Here and not above: it loads Warp.
-        from compute.signal.centroid_kernel import CUDA_LANES, line_record
-        from compute.signal.fit.fit_kernel import find_candidates, fit_peaks, fitted_line_record
+        # Here and not above: Warp takes a second to load, and the types are used without it.
+        import warp as wp
 
-        candidate, record = line_record(room), fitted_line_record(room)
-        super().__init__(lines, pixels, record, device)
+        from compute.signal.fit.fit_kernel import fit_peaks, fitted_line_record
+        from compute.signal.native.runner import LineRunner
+
+        search = settings.search
+        record = fitted_line_record(search.max_peaks)
         self.settings = settings
-        # Kept: the recorded launches have their addresses.
-        self._noise = self._noise_arrays(noise)
-        self._plan = self._wp.array(
+        # Kept: the launches have its address.
+        self._plan = wp.array(
             pack_plan(settings, LineShape.gaussian() if shape is None else shape),
-            dtype=self._wp.uint64,
-            device=self._device,
+            dtype=wp.uint64,
+            device=warp_device(wp, device),
         )
-        self._candidates = self._wp.zeros(
-            candidate.itemsize * lines // 8, dtype=self._wp.uint64, device=self._device
-        )
-        lanes = CUDA_LANES if self._cuda else 1
-        found = [self._candidates.ptr, candidate.itemsize]
-        self._record_launch(
-            find_candidates,
-            lanes,
-            [pixels, lanes, *self._noise, *search_arguments(settings.search), *found],
-        )
-        fitted = [self._records.ptr, record.itemsize]
-        self._record_launch(
-            fit_peaks, 1, [pixels, *self._noise, room, self._plan.ptr, *found, *fitted]
+        self._runner = LineRunner(
+            wp,
+            fit_peaks,
+            lines,
+            pixels,
+            noise,
+            [
+                search.detection_sigma,
+                search.fraction_units,
+                int(search.weighting != "above-background"),
+                int(search.weighting == "edge-corrected"),
+                search.min_width_px,
+                search.max_peaks,
+                self._plan.ptr,
+                record.fields["candidates"][1] if record.fields else 0,
+            ],
+            record,
+            device,
+            threads,
         )
 
-    def _collect(self, records: NDArray[np.void]) -> PeakBatch:
-        peaks = records["peaks"]
-        return PeakBatch(
-            records["count"].copy(),
-            peaks["position_px"].copy(),
-            peaks["sigma_px"].copy(),
-            peaks["amplitude"].copy(),
-            peaks["width_px"].copy(),
-            peaks["flags"].copy(),
-            peaks["reduced_chi2"].copy(),
-            peaks["covariance_px2"].copy(),
-        )
+    @property
+    def device(self) -> str:
+        """Name of the device."""
+        return self._runner.device
+
+    def find(self, lines: NDArray[np.uint16]) -> PeakBatch:
+        """Fit the peaks of lines, uint16, shape (L, P), with L at most the finder's ``lines``.
+
+        Only the returned arrays are allocated (and a copy, where the rows do not lie one after
+        another in memory).
+
+        Raises:
+            InvalidParameter: another type or shape.
+        """
+        return _batch_of(self._runner.find(lines))
+
+    def upload(self, lines: NDArray[np.uint16]) -> None:
+        """Bring lines to the device; on the CPU they stay where they are, until ``launch``.
+
+        ``find`` is upload, launch and download; apart, they time the kernel alone.
+        """
+        self._runner.upload(lines)
+
+    def launch(self, count: int) -> None:
+        """Start the kernel on the first ``count`` of the uploaded lines.
+
+        Raises:
+            InvalidParameter: there are not so many.
+        """
+        self._runner.launch(count)
+
+    def download(self, count: int) -> PeakBatch:
+        """Wait for the kernel and return the peaks of the first ``count`` lines."""
+        return _batch_of(self._runner.download(count))
+
+
+def _batch_of(records: NDArray[np.void]) -> PeakBatch:
+    peaks = records["peaks"]
+    return PeakBatch(
+        records["count"].copy(),
+        peaks["position_px"].copy(),
+        peaks["sigma_px"].copy(),
+        peaks["amplitude"].copy(),
+        peaks["width_px"].copy(),
+        peaks["flags"].copy(),
+        peaks["reduced_chi2"].copy(),
+        peaks["covariance_px2"].copy(),
+    )

@@ -1,4 +1,4 @@
-"""The Warp kernels that fit the peaks of line scans, on the CPU and on CUDA.
+"""The Warp kernel that fits the peaks of line scans, on the CPU and on CUDA.
 
 Only ``compute.signal.fit.fit_finder`` imports this module, when a finder is made: it loads Warp.
 """
@@ -8,7 +8,9 @@ from typing import Final
 import numpy as np
 import warp as wp
 
-from compute.signal.fit.fit_source import FIND_CANDIDATES, FIT_PEAKS_OF_LINE
+from compute.signal.fit.fit_source import FIND_CANDIDATES, FIT_PEAKS
+from compute.signal.native.cuda_warp import BLOCK_THREADS
+from compute.signal.native.prelude import line_record
 from compute.signal.peaks import JOINT_PEAKS
 
 # Its greeting and its compile times are nothing to a user of ours.
@@ -31,120 +33,121 @@ FITTED_RECORD: Final = np.dtype(
 
 
 def fitted_line_record(max_peaks: int) -> np.dtype[np.void]:
-    """Return the type of one line's record: the count, then room for its peaks."""
-    return np.dtype([("count", "<i4"), ("spare", "<i4"), ("peaks", FITTED_RECORD, (max_peaks,))])
+    """Return the type of one line's record: fitted peaks, then the candidates of the search."""
+    return np.dtype(
+        [
+            ("count", "<i4"),
+            ("truncated", "<i4"),
+            ("peaks", FITTED_RECORD, (max_peaks,)),
+            ("candidates", line_record(max_peaks)),
+        ]
+    )
 
 
 @wp.func_native(FIND_CANDIDATES)  # type: ignore[untyped-decorator]
-def _find_candidates_of_line(
-    line_address: wp.uint64,
+def _find_candidates(
+    number: int,
+    lines_address: wp.uint64,
+    lines: int,
     pixels: int,
-    lane: int,
-    dark_variance: wp.float64,
-    photon_variance: wp.float64,
-    offset: wp.float64,
-    full_scale: int,
+    lines_per_warp: int,
+    dark_variance_address: wp.uint64,
+    photon_variance_address: wp.uint64,
+    offset_address: wp.uint64,
+    full_scale_address: wp.uint64,
+    sensors: int,
     detection_sigma: wp.float64,
     fraction_units: int,
     weigh_above_threshold: int,
     correct_edges: int,
     min_width_px: int,
     max_peaks: int,
-    record_address: wp.uint64,
+    records_address: wp.uint64,
+    record_bytes: int,
 ) -> None: ...
 
 
-@wp.func_native(FIT_PEAKS_OF_LINE)  # type: ignore[untyped-decorator]
-def _fit_peaks_of_line(
-    line_address: wp.uint64,
+@wp.func_native(FIT_PEAKS)  # type: ignore[untyped-decorator]
+def _fit_peaks(
+    number: int,
+    lines_address: wp.uint64,
+    lines: int,
     pixels: int,
-    sensor: int,
-    dark_variance: wp.float64,
-    photon_variance: wp.float64,
-    offset: wp.float64,
-    full_scale: int,
+    lines_per_warp: int,
+    dark_variance_address: wp.uint64,
+    photon_variance_address: wp.uint64,
+    offset_address: wp.uint64,
+    full_scale_address: wp.uint64,
+    sensors: int,
     max_peaks: int,
     plan_address: wp.uint64,
-    candidates_address: wp.uint64,
-    record_address: wp.uint64,
+    records_address: wp.uint64,
+    record_bytes: int,
 ) -> None: ...
 
 
-@wp.kernel
-def find_candidates(
-    lines_address: wp.uint64,
-    pixels: int,
+@wp.kernel(launch_bounds=(BLOCK_THREADS, 4))
+def fit_peaks(
     lanes: int,
-    dark_variance: wp.array[wp.float64],
-    photon_variance: wp.array[wp.float64],
-    offset: wp.array[wp.float64],
-    full_scale: wp.array[int],
+    lines_address: wp.uint64,
+    lines: int,
+    pixels: int,
+    lines_per_warp: int,
+    dark_variance_address: wp.uint64,
+    photon_variance_address: wp.uint64,
+    offset_address: wp.uint64,
+    full_scale_address: wp.uint64,
+    sensors: int,
     detection_sigma: wp.float64,
     fraction_units: int,
     weigh_above_threshold: int,
     correct_edges: int,
     min_width_px: int,
     max_peaks: int,
-    candidates_address: wp.uint64,
+    plan_address: wp.uint64,
+    candidates_offset: int,
+    records_address: wp.uint64,
     record_bytes: int,
 ) -> None:
-    """Find the candidates of one line, as ``centroid_kernel.find_peaks`` finds its peaks.
+    """Find the candidates of lines and fit them; launched as ``find_peaks`` is.
 
-    Each record's spare word is the line's background, in units of 1/LEVEL_UNIT count.
+    ``plan_address`` is that of what ``pack_plan`` packs, ``records_address`` that of L records of
+    ``fitted_line_record(max_peaks)``, in which candidates begin at ``candidates_offset``.
     """
-    thread = wp.tid()
-    line = thread // lanes  # type: ignore[operator]
-    sensor = line % dark_variance.shape[0]
-    _find_candidates_of_line(
-        lines_address + wp.uint64(line) * wp.uint64(pixels) * wp.uint64(2),
+    number = wp.tid() // lanes  # type: ignore[operator]
+    _find_candidates(
+        number,
+        lines_address,
+        lines,
         pixels,
-        thread % lanes,  # type: ignore[operator]
-        dark_variance[sensor],
-        photon_variance[sensor],
-        offset[sensor],
-        full_scale[sensor],
+        lines_per_warp,
+        dark_variance_address,
+        photon_variance_address,
+        offset_address,
+        full_scale_address,
+        sensors,
         detection_sigma,
         fraction_units,
         weigh_above_threshold,
         correct_edges,
         min_width_px,
         max_peaks,
-        candidates_address + wp.uint64(line) * wp.uint64(record_bytes),
+        records_address + wp.uint64(candidates_offset),
+        record_bytes,
     )
-
-
-@wp.kernel
-def fit_peaks(
-    lines_address: wp.uint64,
-    pixels: int,
-    dark_variance: wp.array[wp.float64],
-    photon_variance: wp.array[wp.float64],
-    offset: wp.array[wp.float64],
-    full_scale: wp.array[int],
-    max_peaks: int,
-    plan_address: wp.uint64,
-    candidates_address: wp.uint64,
-    candidates_bytes: int,
-    records_address: wp.uint64,
-    record_bytes: int,
-) -> None:
-    """Fit the candidates of one line; launch with as many threads as lines.
-
-    ``candidates_address`` is that of what ``find_candidates`` wrote, and is written to;
-    ``records_address`` that of L records of ``fitted_line_record(max_peaks)``.
-    """
-    line = wp.tid()
-    sensor = line % dark_variance.shape[0]  # type: ignore[operator]
-    _fit_peaks_of_line(
-        lines_address + wp.uint64(line) * wp.uint64(pixels) * wp.uint64(2),
+    _fit_peaks(
+        number,
+        lines_address,
+        lines,
         pixels,
-        sensor,
-        dark_variance[sensor],
-        photon_variance[sensor],
-        offset[sensor],
-        full_scale[sensor],
+        lines_per_warp,
+        dark_variance_address,
+        photon_variance_address,
+        offset_address,
+        full_scale_address,
+        sensors,
         max_peaks,
         plan_address,
-        candidates_address + wp.uint64(line) * wp.uint64(candidates_bytes),
-        records_address + wp.uint64(line) * wp.uint64(record_bytes),
+        records_address,
+        record_bytes,
     )

@@ -5,26 +5,32 @@ functions but the exact ones, sums in the order of the pixels. So both take the 
 The parts: what all share and a line's groups (here), one peak alone in float32
 (``fit_single_source``), any number of peaks and its choice in float64 (``fit_joint_source``).
 
+On the CPU one thread takes a line. On CUDA a warp takes a few, and each lane one group.
+
 A *candidate* is a peak of the search, a *group* the candidates that are fitted together. The
-names that come from outside: ``line_address``, ``pixels``, ``sensor``, ``dark_variance``,
-``photon_variance``, ``offset``, ``full_scale``, ``max_peaks``, ``plan_address`` (what
-``compute.signal.fit.fit_plan`` packs), ``candidates_address`` and ``record_address``.
+arguments are those of ``compute.signal.fit.fit_kernel``.
 """
 
 from typing import Final
 
-from compute.signal.centroid_source import FIND_PEAKS_OF_LINE
+from compute.signal.fit.fit_groups_source import GROUPS
 from compute.signal.fit.fit_joint_source import FIT_JOINTLY
 from compute.signal.fit.fit_single_source import FIT_ALONE
 from compute.signal.fit.settings import CONVERGED_SIGMA, MAX_ITERATIONS, MAX_WINDOW_PX
+from compute.signal.native.centroid import FIND_PEAKS
 from compute.signal.peaks import JOINT_PEAKS, PeakFlag
 from compute.signal.settings import LEVEL_UNIT
 
+# The search, and the lines' backgrounds, from which the fits start.
 FIND_CANDIDATES: Final = (
-    FIND_PEAKS_OF_LINE
+    FIND_PEAKS
     + """
-    // The fits start from the line's background.
-    if (writes) count[1] = background;
+#if defined(__CUDA_ARCH__)
+    for (int own = 0; own < slots; ++own)
+        if (lane == 0) ((int*)record_of(first_line + own))[1] = backgrounds[own];
+#else
+    count[1] = line.background;
+#endif
 """
 )
 
@@ -37,7 +43,7 @@ _CONSTANTS = f"""
     const int merged = {PeakFlag.MERGED:d}, truncated = {PeakFlag.TRUNCATED:d};
     const int joint = {PeakFlag.JOINT:d}, poor_fit = {PeakFlag.POOR_FIT:d};
     const int unfitted = {PeakFlag.UNFITTED:d};
-    const int starts_group = 1 << 16, after_cut = 1 << 17;
+    const int starts_group = 1 << 16, after_cut = 1 << 17, begin_bits = 18;
 """
 
 _TYPES = """
@@ -54,19 +60,45 @@ _TYPES = """
         double first, inverse_step, first_node, node_step;
         int max_joint, sloped, width_is_fitted, has_prior, sensors, nodes, places, limits;
     };
-    const unsigned short* v = (const unsigned short*)line_address;
     const Plan& plan = *(const Plan*)plan_address;
     // By degrees of freedom: the chi-square of less chance than the rate of false splits.
     const double* chi2_limits = (const double*)(plan_address + sizeof(Plan));
     // Pairs (edge, slope times step), by sensor, node and place; in float64, then in float32.
     const int row_knots = 2 * plan.places, sensor_knots = plan.nodes * row_knots;
     const double* all_knots = chi2_limits + plan.limits;
-    const double* knots = all_knots + (sensor % plan.sensors) * sensor_knots;
-    const float* knots_f = (const float*)(all_knots + plan.sensors * sensor_knots)
-        + (sensor % plan.sensors) * sensor_knots;
+    const float* all_knots_f = (const float*)(all_knots + plan.sensors * sensor_knots);
     union Word { unsigned bits; float value; };
     const Word quiet_nan = {0x7fc00000u};
     const float nan_f = quiet_nan.value;
+"""
+
+# What is known of the line that the fits are in. Its record: how many peaks, then these, then how
+# many candidates, the background, and the candidates.
+_OF_LINE = """
+    const unsigned short* v = nullptr;
+    double dark_variance = 0.0, photon_variance = 0.0, offset = 0.0, line_background = 0.0;
+    int full_scale = 0, found = 0;
+    const double* knots = nullptr;
+    const float* knots_f = nullptr;
+    int* count = nullptr;
+    Fitted* records = nullptr;
+    Candidate* candidates = nullptr;
+    auto take_line = [&](int line) {
+        const int sensor = line % sensors;
+        v = (const unsigned short*)lines_address + (long long)line * pixels;
+        dark_variance = ((const double*)dark_variance_address)[sensor];
+        photon_variance = ((const double*)photon_variance_address)[sensor];
+        offset = ((const double*)offset_address)[sensor];
+        full_scale = ((const int*)full_scale_address)[sensor];
+        knots = all_knots + (sensor % plan.sensors) * sensor_knots;
+        knots_f = all_knots_f + (sensor % plan.sensors) * sensor_knots;
+        count = (int*)((char*)records_address + (long long)line * record_bytes);
+        records = (Fitted*)(count + 2);
+        const int* header = (const int*)(records + max_peaks);
+        candidates = (Candidate*)(header + 2);
+        found = header[0];
+        line_background = (double)header[1] / level_unit;
+    };
 """
 
 # The logarithm and the exponential of our own: a library's differ in the last digit by device.
@@ -90,101 +122,6 @@ _MATHS = """
         for (int k = 12; k > 0; --k) sum = 1.0 + sum * value / k;
         for (; halvings > 0; --halvings) sum *= sum;
         return sum;
-    };
-"""
-
-_GROUPS = """
-    const int* header = (const int*)candidates_address;
-    Candidate* candidates = (Candidate*)(candidates_address + 8);
-    const int found = header[0];
-    const double line_background = (double)(header[1]) / level_unit;
-    auto start_width = [&](const Candidate& c) -> double {
-        if (!plan.width_is_fitted) return plan.width_px;
-        double w = (double)c.width / plan.width_unit;
-        if (w < plan.least_start) w = plan.least_start;
-        if (w > plan.most_start) w = plan.most_start;
-        return w;
-    };
-    auto half_window = [&](const Candidate& c) -> int {
-        const int h = (int)ceil(plan.reach * start_width(c)) + 1;
-        return h < max_window / 2 - 1 ? h : max_window / 2 - 1;
-    };
-    auto pixel_of = [&](const Candidate& c) -> int { return (int)floor(c.position + 0.5); };
-    auto end_of_group = [&](int begin) -> int {
-        int end = begin + 1;
-        while (end < found && !(candidates[end].flags & starts_group)) ++end;
-        return end;
-    };
-    // First and last pixel of candidates, not yet cut at neighbours and at the line's ends.
-    auto span_of = [&](int begin, int end, int* first, int* last) {
-        for (int k = begin; k < end; ++k) {
-            const int c = pixel_of(candidates[k]), h = half_window(candidates[k]);
-            if (k == begin || c - h < *first) *first = c - h;
-            if (k == begin || c + h > *last) *last = c + h;
-        }
-    };
-    // Mark where groups start: first where windows do not touch, then cut what is too much.
-    auto mark_groups = [&]() {
-        for (int k = 0; k < found; ++k) {
-            Candidate& c = candidates[k];
-            c.flags &= starts_group - 1;
-            if (k == 0) { c.flags |= starts_group; continue; }
-            const Candidate& before = candidates[k - 1];
-            if (pixel_of(before) + half_window(before) < pixel_of(c) - half_window(c))
-                c.flags |= starts_group;
-        }
-        for (int begin = 0; begin < found;) {
-            const int end = end_of_group(begin);
-            int first = 0, last = 0;
-            span_of(begin, end, &first, &last);
-            if (end - begin <= plan.max_joint && last - first < max_window) {
-                begin = end;
-                continue;
-            }
-            int widest = begin + 1;
-            for (int k = begin + 2; k < end; ++k)
-                if (candidates[k].position - candidates[k - 1].position
-                    > candidates[widest].position - candidates[widest - 1].position) widest = k;
-            candidates[widest].flags |= starts_group | after_cut;
-        }
-    };
-    auto window_of = [&](int begin, int end, int* first, int* last) {
-        span_of(begin, end, first, last);
-        if (begin > 0) {
-            const double sum = candidates[begin - 1].position + candidates[begin].position;
-            const int from = (int)floor(0.5 * sum) + 1;
-            if (*first < from) *first = from;
-        }
-        if (end < found) {
-            const double sum = candidates[end - 1].position + candidates[end].position;
-            const int to = (int)floor(0.5 * sum);
-            if (*last > to) *last = to;
-        }
-        if (*first < 0) *first = 0;
-        if (*last > pixels - 1) *last = pixels - 1;
-    };
-    // More of the line, as far as midway to the neighbouring groups' windows.
-    auto grown_window_of = [&](
-        int begin, int end, int first, int last, int* wide_first, int* wide_last) {
-        int by = (max_window - (last - first + 1)) / 2, other_first = 0, other_last = 0;
-        int most = 0;
-        for (int k = begin; k < end; ++k)
-            if (half_window(candidates[k]) > most) most = half_window(candidates[k]);
-        if (most < by) by = most;
-        *wide_first = first - by > 0 ? first - by : 0;
-        *wide_last = last + by < pixels - 1 ? last + by : pixels - 1;
-        if (begin > 0) {
-            int other = begin - 1;
-            while (!(candidates[other].flags & starts_group)) --other;
-            window_of(other, begin, &other_first, &other_last);
-            const int from = (other_last + first) / 2 + 1;
-            if (*wide_first < from) *wide_first = from;
-        }
-        if (end < found) {
-            window_of(end, end_of_group(end), &other_first, &other_last);
-            const int to = (last + other_first) / 2;
-            if (*wide_last > to) *wide_last = to;
-        }
     };
 """
 
@@ -214,12 +151,9 @@ _FIT_GROUP = """
     };
 """
 
-_LINE = """
-    int* count = (int*)record_address;
-    Fitted* records = (Fitted*)(record_address + 8);
-    int placed = 0, lost = 0;
-    // Peaks come in the order of their positions. No room: the faintest goes (the last of
-    // equals), the others move up. Those before it keep covariances with those behind it.
+# Peaks come in the order of their positions. Where there is no room, the faintest goes (the last of
+# equals), the others move up. Those before it keep their covariances with those behind it.
+_PLACE = """
     auto forget = [&](int place) {
         for (int back = 1; back < joint_peaks && back <= place; ++back) {
             float* covariance = records[place - back].covariance;
@@ -227,37 +161,123 @@ _LINE = """
             covariance[2] = 0.0f;
         }
     };
-    mark_groups();
-    for (int begin = 0; begin < found; begin = end_of_group(begin)) {
-        Fitted fitted[joint_peaks];
-        const int size = fit_group(begin, fitted);
-        for (int k = 0; k < size; ++k) {
-            if (placed == max_peaks) {
-                lost = 1;
-                int faintest = 0;
-                for (int j = 1; j < placed; ++j)
-                    if (records[j].amplitude <= records[faintest].amplitude) faintest = j;
-                if (records[faintest].amplitude >= fitted[k].amplitude) {
-                    forget(placed);
-                    continue;
-                }
-                forget(faintest);
-                --placed;
-                for (int j = faintest; j < placed; ++j) records[j] = records[j + 1];
+    auto place_peak = [&](const Fitted& peak) {
+        if (count[0] == max_peaks) {
+            count[1] = truncated;
+            int faintest = 0;
+            for (int k = 1; k < max_peaks; ++k)
+                if (records[k].amplitude <= records[faintest].amplitude) faintest = k;
+            if (records[faintest].amplitude >= peak.amplitude) {
+                forget(max_peaks);
+                return;
             }
-            records[placed++] = fitted[k];
+            forget(faintest);
+            count[0] -= 1;
+            for (int k = faintest; k < count[0]; ++k) records[k] = records[k + 1];
         }
+        records[count[0]++] = peak;
+    };
+    auto finish_line = [&](int from, int step) {
+        const Fitted none = {
+            (double)nan_f, nan_f, nan_f, nan_f, 0, nan_f, {0.0f, 0.0f, 0.0f}};
+        for (int k = from; k < max_peaks; k += step) {
+            if (k >= count[0]) records[k] = none;
+            else records[k].flags |= count[1];
+        }
+    };
+"""
+
+_CPU = """
+    if (number >= lines) return;
+    take_line(number);
+    count[0] = count[1] = 0;
+    const int groups = mark_groups();
+    for (int group = 0; group < groups; ++group) {
+        Fitted fitted[joint_peaks];
+        const int size = fit_group(begin_of_group(group), fitted);
+        for (int k = 0; k < size; ++k) place_peak(fitted[k]);
     }
-    count[0] = placed;
-    count[1] = 0;
-    const Fitted none = {
-        (double)nan_f, nan_f, nan_f, nan_f, 0, nan_f, {0.0f, 0.0f, 0.0f}};
-    for (int k = 0; k < max_peaks; ++k) {
-        if (k >= placed) records[k] = none;
-        else if (lost) records[k].flags |= truncated;
+    finish_line(0, 1);
+"""
+
+# Each lane marks the groups of one of the warp's lines; then each takes one group, in their order.
+_CUDA = """
+    const int lane = threadIdx.x % 32;
+    const unsigned every = 0xffffffffu, before = (1u << lane) - 1u;
+    const int first_line = number * lines_per_warp;
+    if (first_line >= lines) return;
+    const int slots = lines - first_line < lines_per_warp ? lines - first_line : lines_per_warp;
+    // The candidates were written by other lanes.
+    __syncwarp();
+    int groups = 0;
+    if (lane < slots) {
+        take_line(first_line + lane);
+        count[0] = count[1] = 0;
+        groups = mark_groups();
+    }
+    __syncwarp();
+    // Groups of this line and those before it.
+    int up_to = groups;
+    for (int step = 1; step < 32; step *= 2) {
+        const int other = __shfl_up_sync(every, up_to, step);
+        if (lane >= step) up_to += other;
+    }
+    const int all_groups = __shfl_sync(every, up_to, 31);
+    for (int start = 0; start < all_groups; start += 32) {
+        const int group = start + lane;
+        const bool active = group < all_groups;
+        int slot = 0, earlier = 0;
+        for (int k = 0; k < slots; ++k) {
+            const int end = __shfl_sync(every, up_to, k);
+            if (group >= end) { slot = k + 1; earlier = end; }
+        }
+        Fitted fitted[joint_peaks];
+        int size = 0;
+        if (active) {
+            take_line(first_line + slot);
+            size = fit_group(begin_of_group(group - earlier), fitted);
+        }
+        __syncwarp();
+        // Lanes of the same line; idle ones are of none.
+        const unsigned same = __match_any_sync(every, active ? slot : -1);
+        int at = active ? count[0] : 0, total = at;
+        #pragma unroll
+        for (int k = 0; k < joint_peaks; ++k) {
+            const unsigned have = __ballot_sync(every, size > k) & same;
+            at += __popc(have & before);
+            total += __popc(have);
+        }
+        if (__all_sync(every, !active || total <= max_peaks)) {
+            for (int k = 0; k < size; ++k) records[at + k] = fitted[k];
+            if (active && (same & before) == 0u) count[0] = total;
+        } else {
+            for (int turn = 0; turn < 32; ++turn) {
+                if (turn == lane)
+                    for (int k = 0; k < size; ++k) place_peak(fitted[k]);
+                __syncwarp();
+            }
+        }
+        __syncwarp();
+    }
+    for (int slot = 0; slot < slots; ++slot) {
+        take_line(first_line + slot);
+        finish_line(lane, 32);
     }
 """
 
-FIT_PEAKS_OF_LINE: Final = (
-    _CONSTANTS + _TYPES + _MATHS + _GROUPS + FIT_ALONE + FIT_JOINTLY + _FIT_GROUP + _LINE
+FIT_PEAKS: Final = (
+    _CONSTANTS
+    + _TYPES
+    + _OF_LINE
+    + _MATHS
+    + GROUPS
+    + FIT_ALONE
+    + FIT_JOINTLY
+    + _FIT_GROUP
+    + _PLACE
+    + "#if defined(__CUDA_ARCH__)\n"
+    + _CUDA
+    + "#else\n"
+    + _CPU
+    + "#endif\n"
 )

@@ -124,10 +124,11 @@ _STEPS = """
         return chi2_limits[in.used - parameters_of(m.peaks) + plan.has_prior];
     };
     // The positions' covariance, from the Cholesky root of the information: its last rows are
-    // those of the positions and the width; the inverse of their product is their part of all.
-    auto find_covariance = [&](Model& m, const double* root) {
-        const int from = 1 + plan.sloped + m.peaks, part = m.peaks + plan.width_is_fitted;
-        double inverse[joint_peaks + 1][joint_peaks + 1];
+    // those of lights, positions and width; the inverse of their product is their part of all.
+    // False: a light is not above its own deviation.
+    auto find_covariance = [&](Model& m, const double* root) -> bool {
+        const int from = 1 + plan.sloped, part = 2 * m.peaks + plan.width_is_fitted;
+        double inverse[2 * joint_peaks + 1][2 * joint_peaks + 1];
         for (int b = 0; b < part; ++b) {
             for (int a = b; a < part; ++a) {
                 const double* row = root + (from + a) * most_parameters + from;
@@ -137,12 +138,17 @@ _STEPS = """
             }
         }
         for (int a = 0; a < m.peaks; ++a) {
+            double variance = 0.0;
+            for (int k = a; k < part; ++k) variance += inverse[k][a] * inverse[k][a];
+            if (!(m.light[a] > sqrt(variance))) return false;
+            const int at = m.peaks + a;
             for (int b = 0; b <= a; ++b) {
                 double sum = 0.0;
-                for (int k = a; k < part; ++k) sum += inverse[k][a] * inverse[k][b];
+                for (int k = at; k < part; ++k) sum += inverse[k][at] * inverse[k][m.peaks + b];
                 m.covariance[a][b] = m.covariance[b][a] = sum;
             }
         }
+        return true;
     };
     // Fisher scoring, until it has ended (true) or cannot: the merit then is the least of the way.
     auto settle = [&](Model& m, const Window& in) -> bool {
@@ -236,7 +242,6 @@ _STEPS = """
                 m.light[k] += part * step[lights + k];
                 m.x[k] += part * step[places + k];
                 if (!(m.x[k] >= in.first - 0.5 && m.x[k] <= in.last + 0.5)) return false;
-                if (ended && !(m.light[k] > 0.0)) return false;
             }
             if (plan.width_is_fitted) {
                 m.log_w += part * step[width];
@@ -244,9 +249,9 @@ _STEPS = """
                 if (m.log_w > plan.most_log) m.log_w = plan.most_log;
             }
             if (ended) {
+                if (!find_covariance(m, root)) return false;
                 m.chi2 = chi2;
                 m.merit = merit;
-                find_covariance(m, root);
                 return true;
             }
         }

@@ -209,6 +209,16 @@ FIT_ALONE: Final = f"""
                     * (1.0f + rise * (1.0f / 6.0f))))));
             }
             if (!(x > low_end && x < high_end && light > 0.0f)) return 0;
+            if (ended) {
+                // The light's variance: its column of the inverse of L, by the pivots.
+                const float by_width_row = information[width_row + light_at];
+                const float by_place_row =
+                    information[place_row + light_at] - information[place_row + width_at] * by_width_row;
+                const float variance = information[light_at * (light_at + 1) / 2 + light_at]
+                    + by_width_row * by_width_row * information[width_row + width_at]
+                    + by_place_row * by_place_row * sigma2;
+                if (!(light * light > 1.01f * variance)) return 0;
+            }
         }
         if (!ended || !(chi2 < chi2_limit)) return 0;
 

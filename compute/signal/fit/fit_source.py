@@ -27,7 +27,7 @@ FIND_CANDIDATES: Final = (
     + """
 #if defined(__CUDA_ARCH__)
     for (int own = 0; own < slots; ++own)
-        if (lane == 0) ((int*)record_of(first_line + own))[1] = backgrounds[own];
+        if (lane == 0) ((int*)record_of(first_line + own))[1] = line_at[own].background;
 #else
     count[1] = line.background;
 #endif

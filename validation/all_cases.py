@@ -10,6 +10,7 @@ from validation.aberrations_seidel import CASE as SEIDEL
 from validation.attenuation import CASE as ATTENUATION
 from validation.cases import CASES, Case
 from validation.distortion_tables import TABLE_A1, TABLE_A2
+from validation.passive_detection import CASE as PASSIVE_DETECTION
 from validation.signal_ordering import TABLE_4_1, TABLE_4_2, TABLE_4_3
 from validation.signal_scenes import CASE as TABLE_4_5
 from validation.signal_separation import CASE as TABLE_4_4
@@ -42,6 +43,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     _drawn(SKEW_EFFECT, "skew_picture"),
     _drawn(STOP_AND_FOCUS, "stop_picture"),
     ATTENUATION,
+    _drawn(PASSIVE_DETECTION, "passive_picture"),
     TABLES_3_1_3_2,
     TABLE_4_1,
     TABLE_4_2,

@@ -30,44 +30,40 @@ _TYPES = (
     // What a model says about a pixel.
     struct Pixel { double mean, variance, by[most_parameters]; };
     struct Edge { double share, density, moment; };
-    // Where the knots about a place along the sensor are.
-    struct Rows { const double* near; const double* far; double far_part; };
+    // The pieces of the nodes about a place along the sensor.
+    struct Rows { const Piece* near; const Piece* far; double far_part; };
 """
 )
 
 _SHAPE = """
     auto joint_rows_at = [&](double place_px) -> Rows {
-        if (plan.nodes == 1) return Rows{knots, knots, 0.0};
+        if (plan.nodes == 1) return Rows{pieces, pieces, 0.0};
         const double node = (place_px - plan.first_node) / plan.node_step;
         const int below = node > 0.0 ? (node < plan.nodes - 2 ? (int)node : plan.nodes - 2) : 0;
         const double part = node - below;
-        const double* near = knots + below * row_knots;
-        return Rows{near, near + row_knots, part > 0.0 ? (part < 1.0 ? part : 1.0) : 0.0};
+        const Piece* near = pieces + below * plan.pieces;
+        return Rows{near, near + plan.pieces, part > 0.0 ? (part < 1.0 ? part : 1.0) : 0.0};
     };
     auto joint_edge_at = [&](const Rows& rows, double t) -> Edge {
+        // Half a piece beyond the last that counts is well within the constant one.
         double place = (t - plan.first) * plan.inverse_step;
-        const double last = plan.places - 1;
-        const bool outside = place < 0.0 || place > last;
+        const double last = plan.pieces - 0.5;
         place = place > 0.0 ? (place < last ? place : last) : 0.0;
-        int k = (int)place;
-        k = k < plan.places - 2 ? k : plan.places - 2;
+        const int k = (int)place;
         const double s = place - k;
-        double e0 = rows.near[2 * k], d0 = rows.near[2 * k + 1];
-        double e1 = rows.near[2 * k + 2], d1 = rows.near[2 * k + 3];
+        Piece piece = rows.near[k];
         if (plan.nodes > 1) {
-            const double* far = rows.far + 2 * k;
+            const Piece far = rows.far[k];
             const double part = rows.far_part;
-            e0 = (1.0 - part) * e0 + part * far[0];
-            d0 = (1.0 - part) * d0 + part * far[1];
-            e1 = (1.0 - part) * e1 + part * far[2];
-            d1 = (1.0 - part) * d1 + part * far[3];
+            piece.c0 += part * (far.c0 - piece.c0);
+            piece.c1 += part * (far.c1 - piece.c1);
+            piece.c2 += part * (far.c2 - piece.c2);
+            piece.c3 += part * (far.c3 - piece.c3);
         }
-        const double rise = e1 - e0;
-        const double square = d0 + d1 - 2.0 * rise;
-        const double linear = 3.0 * rise - 2.0 * d0 - d1;
-        const double slope = (d0 + s * (2.0 * linear + s * 3.0 * square)) * plan.inverse_step;
-        const double density = outside ? 0.0 : slope;
-        return Edge{e0 + s * (d0 + s * (linear + s * square)), density, t * density};
+        const double share = piece.c0 + s * (piece.c1 + s * (piece.c2 + s * piece.c3));
+        const double density =
+            (piece.c1 + s * (2.0 * piece.c2 + s * 3.0 * piece.c3)) * plan.inverse_step;
+        return Edge{share, density, t * density};
     };
     auto joint_middle_share = [&](double w, double place_px) -> double {
         const Rows rows = joint_rows_at(place_px);

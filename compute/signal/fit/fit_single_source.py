@@ -39,47 +39,41 @@ FIT_ALONE: Final = f"""
         const float shape_error2 = (float)plan.shape_error2;
         const float prior = (float)plan.prior, prior_log = (float)plan.log_width;
         const float least_log = (float)plan.least_log, most_log = (float)plan.most_log;
-        const float first_knot = (float)plan.first, inverse_step = (float)plan.inverse_step;
-        const float last_knot = (float)(plan.places - 1);
+        const float inverse_step = (float)plan.inverse_step;
+        const float zero_place = (float)(-plan.first * plan.inverse_step);
+        const float last_place = (float)(plan.pieces - 0.5);
         const float middle = (float)(0.5 * (double)(first + last - 2 * origin));
         const float low_end = (float)(first - origin) - 0.5f, high_end = (float)(last - origin) + 0.5f;
 
-        // The two rows of knots about a place along the sensor.
-        const float* near_row = knots_f;
-        const float* far_row = knots_f;
+        // The pieces of the nodes about a place along the sensor.
+        const Piece_f* near_row = pieces_f;
+        const Piece_f* far_row = pieces_f;
         float far_part = 0.0f;
         auto rows_at = [&](float x) {
             if (plan.nodes == 1) return;
             const double node = ((double)origin + (double)x - plan.first_node) / plan.node_step;
             int below = node > 0.0 ? (node < plan.nodes - 2 ? (int)node : plan.nodes - 2) : 0;
             const double part = node - below;
-            near_row = knots_f + below * row_knots;
-            far_row = near_row + row_knots;
+            near_row = pieces_f + below * plan.pieces;
+            far_row = near_row + plan.pieces;
             far_part = (float)(part > 0.0 ? (part < 1.0 ? part : 1.0) : 0.0);
         };
-        // The share of light below t widths, and its density.
+        // The share of light below t widths, and its density by pieces.
         auto edge_at = [&](float t, float* share, float* density) {
-            float place = (t - first_knot) * inverse_step;
-            const bool outside = place < 0.0f || place > last_knot;
-            place = place > 0.0f ? (place < last_knot ? place : last_knot) : 0.0f;
-            int k = (int)place;
-            k = k < plan.places - 2 ? k : plan.places - 2;
+            float place = t * inverse_step + zero_place;
+            place = place > 0.0f ? (place < last_place ? place : last_place) : 0.0f;
+            const int k = (int)place;
             const float s = place - (float)k;
-            const float* knot = near_row + 2 * k;
-            float e0 = knot[0], d0 = knot[1], e1 = knot[2], d1 = knot[3];
+            Piece_f piece = near_row[k];
             if (plan.nodes > 1) {
-                const float* other = far_row + 2 * k;
-                e0 += far_part * (other[0] - e0);
-                d0 += far_part * (other[1] - d0);
-                e1 += far_part * (other[2] - e1);
-                d1 += far_part * (other[3] - d1);
+                const Piece_f far = far_row[k];
+                piece.c0 += far_part * (far.c0 - piece.c0);
+                piece.c1 += far_part * (far.c1 - piece.c1);
+                piece.c2 += far_part * (far.c2 - piece.c2);
+                piece.c3 += far_part * (far.c3 - piece.c3);
             }
-            const float rise = e1 - e0;
-            const float square = d0 + d1 - 2.0f * rise;
-            const float linear = 3.0f * rise - 2.0f * d0 - d1;
-            *share = e0 + s * (d0 + s * (linear + s * square));
-            const float slope = (d0 + s * (2.0f * linear + s * 3.0f * square)) * inverse_step;
-            *density = outside ? 0.0f : slope;
+            *share = piece.c0 + s * (piece.c1 + s * (piece.c2 + s * piece.c3));
+            *density = piece.c1 + s * (2.0f * piece.c2 + s * (3.0f * piece.c3));
         };
         auto middle_share = [&](float w) -> float {
             float below, above, density;
@@ -103,7 +97,9 @@ FIT_ALONE: Final = f"""
             #pragma unroll
             for (int k = 0; k < size; ++k) score[k] = 0.0f;
             chi2 = 0.0f;
-            const float by_width = 1.0f / w, light_by_width = light * by_width;
+            const float by_width = 1.0f / w;
+            const float light_by_piece = light * inverse_step;
+            const float light_by_px = light_by_piece * by_width;
             float t = (low_end - x) * by_width, share, density;
             edge_at(t, &share, &density);
             float moment = t * density;
@@ -115,8 +111,8 @@ FIT_ALONE: Final = f"""
                 float by[size];
                 by[0] = 1.0f;
                 by[light_at] = share - share_before;
-                by[width_at] = light * (before - moment);
-                by[place_at] = light_by_width * (density_before - density);
+                by[width_at] = light_by_piece * (before - moment);
+                by[place_at] = light_by_px * (density_before - density);
                 const float lit = light * by[light_at];
                 float mean = level + lit;
                 if (size == 5) {

@@ -58,15 +58,17 @@ _TYPES = """
         double width_px, log_width, prior, reach, shape_error2;
         double least_start, most_start, least_log, most_log, width_unit, margin;
         double first, inverse_step, first_node, node_step;
-        int max_joint, sloped, width_is_fitted, has_prior, sensors, nodes, places, limits;
+        int max_joint, sloped, width_is_fitted, has_prior, sensors, nodes, pieces, limits;
     };
     const Plan& plan = *(const Plan*)plan_address;
     // By degrees of freedom: the chi-square of less chance than the rate of false splits.
     const double* chi2_limits = (const double*)(plan_address + sizeof(Plan));
-    // Pairs (edge, slope times step), by sensor, node and place; in float64, then in float32.
-    const int row_knots = 2 * plan.places, sensor_knots = plan.nodes * row_knots;
-    const double* all_knots = chi2_limits + plan.limits;
-    const float* all_knots_f = (const float*)(all_knots + plan.sensors * sensor_knots);
+    // Cubics of the shape, by sensor, node and place; in float64, then in float32.
+    struct Piece { double c0, c1, c2, c3; };
+    struct alignas(16) Piece_f { float c0, c1, c2, c3; };
+    const int sensor_pieces = plan.nodes * plan.pieces;
+    const Piece* all_pieces = (const Piece*)(chi2_limits + plan.limits);
+    const Piece_f* all_pieces_f = (const Piece_f*)(all_pieces + plan.sensors * sensor_pieces);
     union Word { unsigned bits; float value; };
     const Word quiet_nan = {0x7fc00000u};
     const float nan_f = quiet_nan.value;
@@ -78,8 +80,8 @@ _OF_LINE = """
     const unsigned short* v = nullptr;
     double dark_variance = 0.0, photon_variance = 0.0, offset = 0.0, line_background = 0.0;
     int full_scale = 0, found = 0;
-    const double* knots = nullptr;
-    const float* knots_f = nullptr;
+    const Piece* pieces = nullptr;
+    const Piece_f* pieces_f = nullptr;
     int* count = nullptr;
     Fitted* records = nullptr;
     Candidate* candidates = nullptr;
@@ -90,8 +92,8 @@ _OF_LINE = """
         photon_variance = ((const double*)photon_variance_address)[sensor];
         offset = ((const double*)offset_address)[sensor];
         full_scale = ((const int*)full_scale_address)[sensor];
-        knots = all_knots + (sensor % plan.sensors) * sensor_knots;
-        knots_f = all_knots_f + (sensor % plan.sensors) * sensor_knots;
+        pieces = all_pieces + (sensor % plan.sensors) * sensor_pieces;
+        pieces_f = all_pieces_f + (sensor % plan.sensors) * sensor_pieces;
         count = (int*)((char*)records_address + (long long)line * record_bytes);
         records = (Fitted*)(count + 2);
         const int* header = (const int*)(records + max_peaks);

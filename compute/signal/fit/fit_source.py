@@ -29,7 +29,7 @@ FIND_CANDIDATES: Final = (
     for (int own = 0; own < slots; ++own)
         if (lane == 0) ((int*)record_of(first_line + own))[1] = line_at[own].background;
 #else
-    count[1] = line.background;
+    ((int*)record_of(number))[1] = line.background;
 #endif
 """
 )

@@ -30,9 +30,10 @@ class DetectionSettings:
         false_alarms_per_line: expected number of detections in a line of noise.
         noise: "line": the deviation measured in each line by ``line_spread``, whatever the
             sensor is said to do; the threshold is higher by what the uncertainty of that measure
-            costs (0.1 to 0.3 deviations). "model": that of LineNoise at the line's background;
-            the lowest threshold, and wrong where the model is. "larger": the larger of the two,
-            with the threshold of "line": fewer false alarms than chosen, never more.
+            costs (0.1 deviations at one false alarm a line, 0.3 at a thousandth). "model": that
+            of LineNoise at the line's background; the lowest threshold, and wrong where the
+            model is. "larger": the larger of the two, with the threshold of "line": fewer false
+            alarms than chosen, never more.
         max_peaks: room for detections of one line; those of the highest answer are kept.
 
     Raises:

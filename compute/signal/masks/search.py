@@ -99,8 +99,8 @@ class ShadowSearch:
         with np.errstate(divide="ignore", invalid="ignore"):
             part = np.where(bend < 0.0, 0.5 * (before - after) / bend, 0.0)
         top = heights[row, best].copy()
-        for step in range(-self.lobe_px, self.lobe_px + 1):
-            heights[row, np.clip(best + step, 0, heights.shape[1] - 1)] = 0.0
+        lobe = np.arange(-self.lobe_px, self.lobe_px + 1)
+        heights[row[:, None], np.clip(best[:, None] + lobe, 0, heights.shape[1] - 1)] = 0.0
         return Found(
             self._shifts[inner] + np.clip(part, -1.0, 1.0),
             top,

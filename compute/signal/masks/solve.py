@@ -14,12 +14,15 @@ Array = NDArray[np.float64]
 
 _ITERATIONS: Final = 30
 _CONVERGED: Final = 0.01
-"""A step that is this part of the standard deviation is the last. Of the one that the misfit
-says, where the template does not explain the line: steps then shrink evenly, not by squares."""
+"""The last step is done when the next will be this part of the standard deviation; of the one
+that the misfit says, where the template does not explain the line and steps shrink slowly."""
 
 _SHIFT, _BRIGHTNESS, _AMBIENT = range(3)
 _LONGEST_PX: Final = 0.5
 _LARGEST_SCALE_STEP: Final = 0.01
+_LEAST_STEP_PX: Final = 1e-12
+_LEAST_DETERMINANT: Final = 1e-9
+"""Of an information scaled to a unit diagonal; below, a parameter is not told from others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,21 +108,27 @@ class _State:
     scale: Array
     last_step_px: Array
 
-    def advance(self, model: Model, lines: NDArray[np.int64], step: Array) -> None:
-        """Take a step of some lines' parameters, (L', K); the scale last.
+    def advance(self, model: Model, lines: NDArray[np.int64], step: Array) -> Array:
+        """Take a step of some lines' parameters, (L', K), the scale last; say what is left.
 
         A long step is of a start far off: shortened, lest it leave the lobe. One that goes back
         is halved: in faint light steps would go to and fro for ever.
+
+        Returns:
+            How long the next step will be at most, as steps have shrunk so far, (L',) [px].
         """
-        turned = np.where(step[:, _SHIFT] * self.last_step_px[lines] < 0.0, 2.0, 1.0)
-        longest = np.maximum(np.abs(step[:, _SHIFT]) / _LONGEST_PX, turned)
-        self.last_step_px[lines] = step[:, _SHIFT]
+        before, now = self.last_step_px[lines], step[:, _SHIFT]
+        turned = np.where(now * before < 0.0, 2.0, 1.0)
+        longest = np.maximum(np.abs(now) / _LONGEST_PX, turned)
         if model.fit_scale:
             longest = np.maximum(longest, np.abs(step[:, -1]) / _LARGEST_SCALE_STEP)
             self.scale[lines] += step[:, -1] / longest
-        self.shift[lines] += step[:, _SHIFT] / longest
+        self.shift[lines] += now / longest
         self.brightness[lines] += step[:, _BRIGHTNESS]
         self.ambient[lines] += step[:, _AMBIENT]
+        self.last_step_px[lines] = now
+        shrunk = np.minimum(np.abs(now) / np.maximum(np.abs(before), _LEAST_STEP_PX), 1.0)
+        return np.asarray(np.abs(now) * np.maximum(shrunk, 1.0 - 1.0 / longest))
 
 
 def solve(
@@ -151,12 +160,12 @@ def solve(
         if model.fit_scale:
             columns.append(light * by_scale)
         step, inverse = _step(columns, weight, rest)
-        state.advance(model, moving, step)
         sigma = np.sqrt(inverse[:, _SHIFT, _SHIFT])
         squares = (weight * rest**2).sum(axis=1)
         degrees = used.sum(axis=1) - model.parameters
         misfit = np.sqrt(np.maximum(squares / np.maximum(degrees, 1), 1.0))
-        last = (np.abs(step[:, _SHIFT]) <= _CONVERGED * sigma * misfit) & (turn > 0)
+        left = state.advance(model, moving, step)
+        last = (left <= _CONVERGED * sigma * misfit) & (turn > 0)
         ended = moving[last]
         done.shift_px[ended], done.sigma_px[ended] = state.shift[ended], sigma[last]
         done.amplitude[ended], done.ambient[ended] = state.brightness[ended], state.ambient[ended]
@@ -200,7 +209,7 @@ def _step(columns: list[Array], weight: Array, rest: Array) -> tuple[Array, Arra
     with np.errstate(divide="ignore", invalid="ignore"):
         unit = information / (root[:, :, None] * root[:, None, :])
     sound = np.isfinite(unit).all(axis=(1, 2))
-    sound[sound] = np.linalg.cond(unit[sound]) < 1e12
+    sound[sound] = np.linalg.det(unit[sound]) > _LEAST_DETERMINANT
     inverse = np.full_like(unit, np.nan)
     inverse[sound] = np.linalg.inv(unit[sound])
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -167,7 +167,7 @@ def test_a_line_belongs_to_its_sensor() -> None:
     [
         (lambda: DetectionSettings(0.0), "false_alarms_per_line is 0.0"),
         (lambda: DetectionSettings(float("nan")), "false_alarms_per_line is nan"),
-        (lambda: DetectionSettings(noise="both"), "noise is 'both'"),  # type: ignore[arg-type]
+        (lambda: DetectionSettings(noise="both"), "noise is 'both'"),
         (lambda: DetectionSettings(max_peaks=0), "max_peaks is 0"),
         (lambda: PeakDetector(MATCHED, 32, DetectionSettings(), NOISE), "32 pixels"),
         (lambda: PeakDetector(gaussian_filter(9.0), 64, DetectionSettings(), NOISE), "145 or"),

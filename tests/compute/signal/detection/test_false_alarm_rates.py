@@ -47,7 +47,7 @@ def test_white_noise_without_a_filter_would_be_n_times_q() -> None:
     assert 0.3 < wide.expected(4.0) / simple < 0.5
 
 
-@pytest.mark.parametrize(("width", "pixels"), [(0.6, 64), (1.0, 512), (2.0, 128), (3.0, 512)])
+@pytest.mark.parametrize(("width", "pixels"), [(0.6, 64), (1.0, 256), (2.0, 128), (3.0, 512)])
 def test_as_many_as_chosen_with_known_noise(width: float, pixels: int) -> None:
     """Short lines too, where the ends count."""
     rng = np.random.default_rng(11)
@@ -83,14 +83,14 @@ def test_a_wrong_model_is_seen_by_the_lines_own_noise() -> None:
     quiet = LineNoise.of(1.0, 15.0, 1200.0)
     assert alarms(lines, 0.01, "model", quiet, 2.0) > 10 * 0.01 * 5000
     for source in ("line", "larger"):
-        assert interval(alarms(lines, 0.01, source, quiet, 2.0))[0] < 0.01 * 5000  # type: ignore[arg-type]
+        assert interval(alarms(lines, 0.01, source, quiet, 2.0))[0] < 0.01 * 5000
 
 
 @pytest.mark.parametrize("electrons", [100, 1000, 10000])
 def test_photon_noise_has_more_by_its_skewness(electrons: int) -> None:
     """Prints how far the tail of photon noise bends the rate, beside Edgeworth's first term."""
     rng = np.random.default_rng(14)
-    lines = rng.poisson(electrons, (16000, 256)).astype(np.uint16)
+    lines = rng.poisson(electrons, (12000, 256)).astype(np.uint16)
     matched = gaussian_filter(2.0)
     skew = (matched.taps.astype(np.float64) ** 3).sum() / matched.norm**3 / np.sqrt(electrons)
     # The noise as it is, for Edgeworth's sake: as read noise, over an offset above the light.
@@ -114,13 +114,13 @@ def test_photon_noise_has_more_by_its_skewness(electrons: int) -> None:
         assert low / slack < expected * chosen < high * slack
 
 
-@pytest.mark.parametrize("sigma", [0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0])
+@pytest.mark.parametrize("sigma", [0.2, 0.3, 0.5, 0.6, 0.8])
 def test_noise_that_counts_hardly_resolve(sigma: float) -> None:
     """Prints the rates of lines whose noise is a count or less, by where the level lies."""
     rng = np.random.default_rng(15)
     rates = (1e-2, 1e-1, 1.0)
     for level in (0.0, 0.25, 0.5):
-        lines = np.rint(rng.normal(1000.0 + level, sigma, (4000, 512))).astype(np.uint16)
+        lines = np.rint(rng.normal(1000.0 + level, sigma, (3000, 512))).astype(np.uint16)
         found = [alarms(lines, rate, "line", LineNoise.of(1.0, 0.0), 2.0) for rate in rates]
         shares = ", ".join(f"{n / len(lines) / r:.2f}" for n, r in zip(found, rates, strict=True))
         print(f"noise {sigma} counts, level {level} counts above a whole one: {shares} of chosen")

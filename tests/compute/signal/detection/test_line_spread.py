@@ -46,7 +46,7 @@ def test_whole_numbers_of_the_definition(pixels: int, seed: int) -> None:
 
 @pytest.mark.parametrize("pixels", [64, 130, 512, 2048])
 def test_the_variance_is_unbiased_and_as_uncertain_as_stated(pixels: int) -> None:
-    lines = 20000
+    lines = 10000
     spread = line_spread(noise(lines, pixels))
     ratio = spread.variance() / (SIGMA**2 + 1.0 / 12.0)
     stated = np.sqrt(2.0 / spread_degrees(spread.groups))
@@ -69,7 +69,7 @@ def test_a_slope_of_the_background_is_no_noise() -> None:
 
 def test_what_peaks_in_the_line_add() -> None:
     """Prints the deviation's bias by the share of the groups that lie on peaks."""
-    lines = noise(3000, 2048)
+    lines = noise(1500, 2048)
     for peaks in (3, 8, 12):
         bright = lines.astype(np.float64)
         for at in np.array(sample_starts(2048))[:: 32 // peaks][:peaks] + 3.3:

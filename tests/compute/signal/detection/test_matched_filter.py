@@ -51,9 +51,12 @@ def test_a_gaussian_filter_is_symmetric_and_blind_to_slopes_inside(width: float)
     np.testing.assert_array_equal(matched.taps, matched.taps[::-1])
     assert matched.taps @ np.arange(len(matched.taps)) == 0
     np.testing.assert_array_equal(matched.right, matched.left[:, ::-1])
-    # A running sum and a core no longer than the line.
-    core = np.flatnonzero(matched.taps != -matched.level) - matched.half_px
-    assert abs(core).max() <= np.ceil(6.0 * width) + 1
+    # A running sum and a core no longer than the line, both within 32 bits.
+    core = matched.taps + matched.level
+    assert abs(np.flatnonzero(core) - matched.half_px).max() <= np.ceil(6.0 * width) + 1
+    assert (core >= 0).all()
+    assert core.sum() * 65535 < 2**31
+    assert core.sum() == matched.level * len(core)
 
 
 @pytest.mark.parametrize("width", [0.6, 2.0, 6.0])

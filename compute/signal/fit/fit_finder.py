@@ -1,5 +1,7 @@
 """FitFinder: fits the peaks of batches of lines on one device, in buffers of its own."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,7 +53,7 @@ class FitFinder:
         record = fitted_line_record(search.max_peaks)
         self.settings = settings
         # Kept: the launches have its address.
-        self._plan = wp.array(
+        self._plan: Any = wp.array(
             pack_plan(settings, LineShape.gaussian() if shape is None else shape),
             dtype=wp.uint64,
             device=warp_device(wp, device),

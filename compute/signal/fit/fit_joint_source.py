@@ -13,13 +13,13 @@ from compute.signal.fit.settings import (
     STEP_WIDTHS,
 )
 
-_TYPES = (
-    f"""
+_STEP_LIMITS: Final = f"""
     const double step_widths = {STEP_WIDTHS!r}, step_log_width = {STEP_LOG_WIDTH!r};
     const double split_widths = {SPLIT_WIDTHS!r}, split_log_width = {SPLIT_LOG_WIDTH!r};
     const double least_pivot = {LEAST_PIVOT!r};
 """
-    + """
+
+_TYPES: Final = """
     const int most_parameters = 3 + 2 * joint_peaks;
     struct Window { int first, last, used; };
     struct Model {
@@ -33,9 +33,8 @@ _TYPES = (
     // The pieces of the nodes about a place along the sensor.
     struct Rows { const Piece* near; const Piece* far; double far_part; };
 """
-)
 
-_SHAPE = """
+_SHAPE: Final = """
     auto joint_rows_at = [&](double place_px) -> Rows {
         if (plan.nodes == 1) return Rows{pieces, pieces, 0.0};
         const double node = (place_px - plan.first_node) / plan.node_step;
@@ -72,7 +71,7 @@ _SHAPE = """
 """
 
 # `at_width` is the logarithm of the width, the last. Without it one parameter less.
-_EVALUATE = """
+_EVALUATE: Final = """
     auto parameters_of = [&](int peaks) -> int {
         return 1 + plan.sloped + 2 * peaks + plan.width_is_fitted;
     };
@@ -115,7 +114,7 @@ _EVALUATE = """
     };
 """
 
-_STEPS = """
+_STEPS: Final = """
     auto limit_of = [&](const Model& m, const Window& in) -> double {
         return chi2_limits[in.used - parameters_of(m.peaks) + plan.has_prior];
     };
@@ -255,7 +254,7 @@ _STEPS = """
     };
 """
 
-_CHOICE = """
+_CHOICE: Final = """
     // The best of what one peak more can do: false where nothing ends.
     auto add_peak = [&](const Model& m, const Window& in, Model* best) -> bool {
         const double w = exp_of(m.log_w);
@@ -298,7 +297,7 @@ _CHOICE = """
     };
 """
 
-_RESULT = """
+_RESULT: Final = """
     auto write_joint = [&](
         const Model& m, const Candidate* c, int candidate_count, const Window& in, Fitted* out) {
         int order[joint_peaks];
@@ -384,4 +383,4 @@ _RESULT = """
     };
 """
 
-FIT_JOINTLY: Final = _TYPES + _SHAPE + _EVALUATE + _STEPS + _CHOICE + _RESULT
+FIT_JOINTLY: Final = _STEP_LIMITS + _TYPES + _SHAPE + _EVALUATE + _STEPS + _CHOICE + _RESULT

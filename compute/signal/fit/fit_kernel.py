@@ -18,6 +18,9 @@ wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
 # Without fused multiply-adds, CUDA rounds as the CPU does.
 wp.set_module_options({"enable_backward": False, "fast_math": False, "fuse_fp": False})
 
+LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 512 // BLOCK_THREADS)
+"""128 registers a thread: the fit of one peak keeps its sums in them."""
+
 FITTED_RECORD: Final = np.dtype(
     [
         ("position_px", "<f8"),
@@ -86,7 +89,7 @@ def _fit_peaks(
 ) -> None: ...
 
 
-@wp.kernel(launch_bounds=(BLOCK_THREADS, 4))
+@wp.kernel(launch_bounds=LAUNCH_BOUNDS)  # type: ignore[untyped-decorator]
 def fit_peaks(
     lanes: int,
     lines_address: wp.uint64,

@@ -2,17 +2,20 @@
 
 It gives an answer only where there is no doubt: the fit has converged in few steps, the peak is
 whole and not so bright that float32 would tell, and the misfit is clear of its limit. Else it
-returns 0, and the fit in float64 decides. Counts are taken from the line's background, positions from the
-candidate's pixel: float32 then keeps 1e-6 px.
+returns 0, and the fit in float64 decides. Counts are taken from the line's background, positions
+from the candidate's pixel: float32 then keeps 1e-6 px.
 """
 
 from typing import Final
 
 from compute.signal.fit.settings import STEP_LOG_WIDTH, STEP_WIDTHS
 
-FIT_ALONE: Final = f"""
+_STEPS: Final = f"""
     const float step_widths_f = {STEP_WIDTHS!r}f, step_log_width_f = {STEP_LOG_WIDTH!r}f;
-""" + """
+"""
+
+# What is known before the first pass, and the shape.
+_BEGIN: Final = """
     // Parameters: level, [slope,] light, logarithm of the width, position: with the position
     // last, its variance is that of the last pivot.
     struct Level { enum { parameters = 4 }; };
@@ -21,7 +24,7 @@ FIT_ALONE: Final = f"""
         auto background, const Candidate& c, int first, int last, Fitted* out) -> int {
         const int size = decltype(background)::parameters;
         const int light_at = size - 3, width_at = size - 2, place_at = size - 1;
-        const int least_passes = 8;
+        const int most_passes = 8;
         // Beyond a thousand deviations float32 would tell.
         const double by_light = photon_variance * (double)c.amplitude;
         if ((double)c.amplitude * (double)c.amplitude > 1e6 * (dark_variance + by_light)) return 0;
@@ -43,7 +46,8 @@ FIT_ALONE: Final = f"""
         const float zero_place = (float)(-plan.first * plan.inverse_step);
         const float last_place = (float)(plan.pieces - 0.5);
         const float middle = (float)(0.5 * (double)(first + last - 2 * origin));
-        const float low_end = (float)(first - origin) - 0.5f, high_end = (float)(last - origin) + 0.5f;
+        const float low_end = (float)(first - origin) - 0.5f;
+        const float high_end = (float)(last - origin) + 0.5f;
 
         // The pieces of the nodes about a place along the sensor.
         const Piece_f* near_row = pieces_f;
@@ -82,6 +86,10 @@ FIT_ALONE: Final = f"""
             return above - below;
         };
 
+"""
+
+# Fisher scoring.
+_PASSES: Final = """
         float w = (float)start_width(c), log_w = (float)log_of(start_width(c));
         float x = (float)(c.position - (double)origin);
         rows_at(x);
@@ -89,7 +97,7 @@ FIT_ALONE: Final = f"""
         float level = (float)(line_background - (double)base), slope = 0.0f;
         bool ended = false;
         float sigma2 = 0.0f, chi2 = 0.0f;
-        for (int pass = 0; pass < least_passes && !ended; ++pass) {
+        for (int pass = 0; pass < most_passes && !ended; ++pass) {
             rows_at(x);
             float information[size * (size + 1) / 2], score[size];
             #pragma unroll
@@ -134,6 +142,10 @@ FIT_ALONE: Final = f"""
                     for (int b = 0; b <= a; ++b, ++k) information[k] += by_a * by[b];
                 }
             }
+"""
+
+# The width's prior, then the step by L D L', with the pivots' inverses on its diagonal.
+_STEP: Final = """
             const float away = prior_log - log_w;
             const int width_row = width_at * (width_at + 1) / 2;
             const int place_row = place_at * (place_at + 1) / 2;
@@ -150,7 +162,6 @@ FIT_ALONE: Final = f"""
                 information[width_row + width_at] = 1.0f;
                 information[place_row + width_at] = 0.0f;
             }
-            // L D L', in place; the pivots' inverses on the diagonal. The step solves it.
             bool regular = true;
             float length2 = 0.0f;
             #pragma unroll
@@ -208,14 +219,17 @@ FIT_ALONE: Final = f"""
             if (ended) {
                 // The light's variance: its column of the inverse of L, by the pivots.
                 const float by_width_row = information[width_row + light_at];
-                const float by_place_row =
-                    information[place_row + light_at] - information[place_row + width_at] * by_width_row;
+                const float by_place_row = information[place_row + light_at]
+                    - information[place_row + width_at] * by_width_row;
                 const float variance = information[light_at * (light_at + 1) / 2 + light_at]
                     + by_width_row * by_width_row * information[width_row + width_at]
                     + by_place_row * by_place_row * sigma2;
                 if (!(light * light > 1.01f * variance)) return 0;
             }
         }
+"""
+
+_END: Final = """
         if (!ended || !(chi2 < chi2_limit)) return 0;
 
         rows_at(x);
@@ -223,8 +237,7 @@ FIT_ALONE: Final = f"""
         if (position - reach < -0.5 || position + reach > pixels - 0.5) return 0;
         *out = Fitted{
             position, sqrtf(sigma2), light * middle_share(w), w * (float)plan.width_unit,
-            c.flags & merged,
-            chi2 / (float)freedom, {0.0f, 0.0f, 0.0f}};
+            c.flags & merged, chi2 / (float)freedom, {0.0f, 0.0f, 0.0f}};
         return 1;
     };
     auto fit_alone = [&](const Candidate& c, int first, int last, Fitted* out) -> int {
@@ -232,3 +245,5 @@ FIT_ALONE: Final = f"""
                            : fit_alone_by(Level{}, c, first, last, out);
     };
 """
+
+FIT_ALONE: Final = _STEPS + _BEGIN + _PASSES + _STEP + _END

@@ -34,7 +34,7 @@ FIND_CANDIDATES: Final = (
 """
 )
 
-_CONSTANTS = f"""
+_CONSTANTS: Final = f"""
     const int joint_peaks = {JOINT_PEAKS}, max_window = {MAX_WINDOW_PX};
     const int max_iterations = {MAX_ITERATIONS};
     const double converged2 = {CONVERGED_SIGMA**2!r};
@@ -46,7 +46,7 @@ _CONSTANTS = f"""
     const int starts_group = 1 << 16, after_cut = 1 << 17, begin_bits = 18;
 """
 
-_TYPES = """
+_TYPES: Final = """
     struct Candidate { double position; float sigma, amplitude, width; int flags; };
     struct Fitted {
         double position;
@@ -76,7 +76,7 @@ _TYPES = """
 
 # What is known of the line that the fits are in. Its record: how many peaks, then these, then how
 # many candidates, the background, and the candidates.
-_OF_LINE = """
+_OF_LINE: Final = """
     const unsigned short* v = nullptr;
     double dark_variance = 0.0, photon_variance = 0.0, offset = 0.0, line_background = 0.0;
     int full_scale = 0, found = 0;
@@ -104,7 +104,7 @@ _OF_LINE = """
 """
 
 # The logarithm and the exponential of our own: a library's differ in the last digit by device.
-_MATHS = """
+_MATHS: Final = """
     auto log_of = [](double value) -> double {
         union { double value; unsigned long long bits; } word = {value};
         int power = (int)(word.bits >> 52) - 1023;
@@ -128,7 +128,7 @@ _MATHS = """
 """
 
 # Fits the group that starts with candidate `begin` into `out`; returns the number of peaks.
-_FIT_GROUP = """
+_FIT_GROUP: Final = """
     auto fit_group = [&](int begin, Fitted* out) -> int {
         const int end = end_of_group(begin);
         int first = 0, last = 0;
@@ -155,7 +155,7 @@ _FIT_GROUP = """
 
 # Peaks come in the order of their positions. Where there is no room, the faintest goes (the last of
 # equals), the others move up. Those before it keep their covariances with those behind it.
-_PLACE = """
+_PLACE: Final = """
     auto forget = [&](int place) {
         for (int back = 1; back < joint_peaks && back <= place; ++back) {
             float* covariance = records[place - back].covariance;
@@ -189,7 +189,7 @@ _PLACE = """
     };
 """
 
-_CPU = """
+_CPU: Final = """
     if (number >= lines) return;
     take_line(number);
     count[0] = count[1] = 0;
@@ -203,7 +203,7 @@ _CPU = """
 """
 
 # Each lane marks the groups of one of the warp's lines; then each takes one group, in their order.
-_CUDA = """
+_CUDA: Final = """
     const int lane = threadIdx.x % 32;
     const unsigned every = 0xffffffffu, before = (1u << lane) - 1u;
     const int first_line = number * lines_per_warp;

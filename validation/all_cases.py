@@ -9,8 +9,10 @@ from validation.aberrations_polynomials import CASE as TABLES_3_1_3_2
 from validation.aberrations_seidel import CASE as SEIDEL
 from validation.attenuation import CASE as ATTENUATION
 from validation.cases import CASES, Case
+from validation.close_peaks import CASE as CLOSE_PEAKS
 from validation.distortion_tables import TABLE_A1, TABLE_A2
 from validation.passive_detection import CASE as PASSIVE_DETECTION
+from validation.peak_efficiency import CASE as PEAK_EFFICIENCY
 from validation.signal_ordering import TABLE_4_1, TABLE_4_2, TABLE_4_3
 from validation.signal_scenes import CASE as TABLE_4_5
 from validation.signal_separation import CASE as TABLE_4_4
@@ -44,6 +46,8 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     _drawn(STOP_AND_FOCUS, "stop_picture"),
     ATTENUATION,
     _drawn(PASSIVE_DETECTION, "passive_picture"),
+    _drawn(PEAK_EFFICIENCY, "peak_efficiency_picture"),
+    _drawn(CLOSE_PEAKS, "close_peaks_picture"),
     TABLES_3_1_3_2,
     TABLE_4_1,
     TABLE_4_2,

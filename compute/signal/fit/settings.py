@@ -119,7 +119,8 @@ class FitSettings:
     def __post_init__(self) -> None:
         low, high = WIDTH_LIMITS_PX
         self._require("width_px", low <= self.width_px <= high, f"in {low} .. {high}")
-        self._require("width_spread", self.width_spread >= 0.0, "zero or more")
+        spread = self.width_spread
+        self._require("width_spread", spread == 0.0 or spread >= 1e-6, "zero, or 1e-6 or more")
         self._require("reach", 2.0 <= self.reach <= 8.0, "in 2 .. 8")
         self._require("shape_error", 0.0 <= self.shape_error <= 0.5, "in 0 .. 0.5")
         self._require("max_joint", 1 <= self.max_joint <= JOINT_PEAKS, f"in 1 .. {JOINT_PEAKS}")

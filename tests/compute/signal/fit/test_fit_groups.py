@@ -123,6 +123,8 @@ def test_every_candidate_is_in_one_window_and_no_pixel_in_two(place, width, max_
         {"width_px": 0.1},
         {"width_px": np.nan},
         {"width_spread": -0.1},
+        {"width_spread": 1e-200},
+        {"width_spread": np.nan},
         {"reach": 1.0},
         {"shape_error": 0.6},
         {"max_joint": 5},

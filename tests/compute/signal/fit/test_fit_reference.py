@@ -130,7 +130,7 @@ def test_pairs_have_their_joint_covariance(apart):
 
 
 def test_single_peaks_are_split_as_rarely_as_the_settings_say():
-    lines = 20_000
+    lines = 10_000
     options = FitSettings(width_px=1.5, width_spread=0.0, false_split_rate=1e-3)
     rng = np.random.default_rng(5)
     place = 47.5 + rng.uniform(0.0, 1.0, (lines, 1))

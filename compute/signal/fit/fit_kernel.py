@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 import warp as wp
 
-from compute.signal.fit.fit_source import FIND_CANDIDATES, FIT_PEAKS
+from compute.signal.fit.fit_source import FIT_PEAKS
+from compute.signal.native.centroid import FIND_PEAKS
 from compute.signal.native.cuda_warp import BLOCK_THREADS
 from compute.signal.native.prelude import line_record
 from compute.signal.peaks import JOINT_PEAKS
@@ -47,7 +48,7 @@ def fitted_line_record(max_peaks: int) -> np.dtype[np.void]:
     )
 
 
-@wp.func_native(FIND_CANDIDATES)  # type: ignore[untyped-decorator]
+@wp.func_native(FIND_PEAKS)  # type: ignore[untyped-decorator]
 def _find_candidates(
     number: int,
     lines_address: wp.uint64,

@@ -17,22 +17,8 @@ from compute.signal.fit.fit_groups_source import GROUPS
 from compute.signal.fit.fit_joint_source import FIT_JOINTLY
 from compute.signal.fit.fit_single_source import FIT_ALONE
 from compute.signal.fit.settings import CONVERGED_SIGMA, MAX_ITERATIONS, MAX_WINDOW_PX
-from compute.signal.native.centroid import FIND_PEAKS
 from compute.signal.peaks import JOINT_PEAKS, PeakFlag
 from compute.signal.settings import LEVEL_UNIT
-
-# The search, and the lines' backgrounds, from which the fits start.
-FIND_CANDIDATES: Final = (
-    FIND_PEAKS
-    + """
-#if defined(__CUDA_ARCH__)
-    for (int own = 0; own < slots; ++own)
-        if (lane == 0) ((int*)record_of(first_line + own))[1] = line_at[own].background;
-#else
-    ((int*)record_of(number))[1] = line.background;
-#endif
-"""
-)
 
 _CONSTANTS: Final = f"""
     const int joint_peaks = {JOINT_PEAKS}, max_window = {MAX_WINDOW_PX};

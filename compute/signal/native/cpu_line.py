@@ -6,7 +6,8 @@ from typing import Final
 # maximum is what the compiler vectorises.
 CPU_LINE: Final = """
     if (number >= lines) return;
-    const unsigned short* v = (const unsigned short*)lines_address + (long long)number * pixels;
+    Line line = line_of(number, number % sensors);
+    const unsigned short* v = line.v;
     int keys[sample_groups];
     for (int g = 0; g < sample_groups; ++g) keys[g] = g < groups ? group_key(v, g) : no_key;
     int quartile = 0, sixteenth = 0;
@@ -16,7 +17,6 @@ CPU_LINE: Final = """
         if (rank == rank_quartile) quartile = keys[g];
         if (rank == rank_sixteenth) sixteenth = keys[g];
     }
-    Line line = line_of(number, 0);
     const Level level = level_of(line, quartile, sixteenth);
     line.background = level.background;
     const int limit = level.limit;
@@ -31,14 +31,14 @@ CPU_LINE: Final = """
         while (p < pixels && v[p] < limit) ++p;
         return p;
     };
-    int* count = (int*)record_of(number);
+    int* head = (int*)record_of(number);
     Record* records = (Record*)(record_of(number) + 8);
     int found = 0, lost = 0;
     for (int p = search(0); p < pixels; p = search(p)) {
         // Up to the next maximum: what is on the way down has a higher neighbour.
         while (p + 1 < pixels && v[p + 1] > v[p]) ++p;
         Run run;
-        if (is_peak(line, p, run)) {
+        if (is_peak(v, line.background, p, run)) {
             const Record record = measure(line, run);
             if (found < max_peaks) {
                 records[found++] = record;
@@ -52,7 +52,8 @@ CPU_LINE: Final = """
         ++p;
         while (p < pixels && v[p] <= v[p - 1]) ++p;
     }
-    *count = found;
+    head[0] = found;
+    head[1] = line.background;
     const Record none = no_record();
     for (int k = 0; k < max_peaks; ++k) {
         if (k >= found) records[k] = none;

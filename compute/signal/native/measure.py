@@ -4,9 +4,8 @@ from typing import Final
 
 # `top` is a peak's maximum when no pixel of its run is higher, nor one to the left as high.
 RUN: Final = """
-    auto is_peak = [&](const Line& line, int top, Run& run) -> bool {
-        const unsigned short* v = line.v;
-        const int highest = v[top], cut = cut_of(line, highest);
+    auto is_peak = [&](const unsigned short* v, int background, int top, Run& run) -> bool {
+        const int highest = v[top], cut = cut_of(background, highest);
         int right = top, left = top;
         while (right + 1 < pixels) {
             const int value = v[right + 1];
@@ -26,116 +25,138 @@ RUN: Final = """
     };
 """
 
+# Positions are float64, what tells how good they are is float32.
 MEASURE: Final = """
-    struct Edge { double beyond_px, slope, excess; };
-    struct Lever { double weight, slope; };
-    // Where the signal crosses the threshold beyond the run's last pixel, how steeply, and what
-    // the sum over the run lacks of the integral because it ends between two pixels (there the
-    // profile has a kink): the first term of Euler and Maclaurin, -B2(d)/2 f', d px inside.
-    auto edge_of = [&](const Line& line, int pixel, int side, double cut) -> Edge {
-        const int outside = pixel + side;
-        if (outside < 0 || outside >= pixels) return Edge{0.5, 0.0, 0.0};
-        const double slope = double(line.v[pixel] - line.v[outside]);
-        const double d = (double(line.v[pixel]) - cut) / slope;
-        return Edge{d, slope, slope * 0.5 * (d * d - d + 1.0 / 6.0)};
-    };
+    struct Edge { float beyond_px, slope, half_b2; };
+    struct Lever { float weight, slope; };
     // Derivatives of excess * (position - centre) by the last pixel's weight and by the slope;
     // `arm` is the last pixel's position less the centre.
-    auto lever_of = [&](Edge edge, int side, double arm) -> Lever {
-        if (edge.slope == 0.0) return Lever{0.0, 0.0};
-        const double d = edge.beyond_px, half_b2 = 0.5 * (d * d - d + 1.0 / 6.0);
-        const double from_centre = arm + side * d;
+    auto lever_of = [&](Edge edge, float side, float arm) -> Lever {
+        if (edge.slope == 0.0f) return Lever{0.0f, 0.0f};
+        const float d = edge.beyond_px, from_centre = arm + side * d;
         return Lever{
-            from_centre * (d - 0.5) + side * half_b2,
-            from_centre * 0.5 * (1.0 / 6.0 - d * d) - side * d * half_b2,
+            from_centre * (d - 0.5f) + side * edge.half_b2,
+            from_centre * 0.5f * (1.0f / 6.0f - d * d) - side * d * edge.half_b2,
         };
     };
     // Error of the centre, times the total, by where the run's end falls between two pixels: the
     // next term of the formula, with d anywhere in 0 .. 1 (variances of B1, B2, B3: 1/12, 1/180,
     // 1/840), doubled after the correction for the interpolation's own error.
-    auto phase_error = [&](Edge edge, double arm, double step) -> double {
-        if (correct_edges) return edge.slope * (2.0 / 3.0) * 0.034503277967117714;
-        if (weigh_above_threshold) return edge.slope * arm * 0.5 * 0.07453559924999299;
-        return edge.slope == 0.0 ? 0.0 : step * arm * 0.28867513459481287;
+    auto phase_error = [&](Edge edge, float arm, float step) -> float {
+        if (correct_edges) return edge.slope * (2.0f / 3.0f) * 0.034503277967f;
+        if (weigh_above_threshold) return edge.slope * arm * 0.5f * 0.074535599250f;
+        return edge.slope == 0.0f ? 0.0f : step * arm * 0.288675134595f;
+    };
+    // A fall from the highest so far, then a rise from the lowest since, both more than noise
+    // explains: a decision, in float64 and then in whole counts.
+    auto has_valley = [&](const Line& line, Run run) -> bool {
+        const double above_top = double(line.v[run.top]) - line.offset;
+        const double valley2 = detection_sigma * detection_sigma * 2.0
+            * (line.dark + (above_top > 0.0 ? line.photon * above_top : 0.0));
+        int valley = valley2 < 4294836225.0 ? (int)sqrt(valley2) : 65535;
+        if (double(valley) * valley > valley2) --valley;
+        else if (double(valley + 1) * (valley + 1) <= valley2) ++valley;
+        int high = 0, low = -1;
+        for (int p = run.left; p <= run.right; ++p) {
+            const int value = line.v[p];
+            if (low < 0) {
+                if (value > high) high = value;
+                if (high - value > valley) low = value;
+            } else {
+                if (value < low) low = value;
+                if (value - low > valley) return true;
+            }
+        }
+        return false;
     };
     auto measure = [&](const Line& line, Run run) -> Record {
         const unsigned short* v = line.v;
         const int top = run.top, left = run.left, right = run.right;
         const int width_px = right - left + 1;
-        const int threshold = threshold_of(line, v[top]);
+        const int threshold = threshold_of(line.background, v[top]);
+        const float dark = (float)line.dark, photon = (float)line.photon;
+        const float offset = (float)line.offset;
+        auto variance_of = [&](int value) -> float {
+            const float above = (float)(value) - offset;
+            return dark + (above > 0.0f ? photon * above : 0.0f);
+        };
         // Moments relative to the maximum, exact in 64-bit integers.
         const int base = weigh_above_threshold ? threshold : line.background;
         long long weight_sum = 0, moment = 0, pixel_sum = 0;
         for (int p = left; p <= right; ++p) {
-            const long long weight = (long long)v[p] * level_unit - base;
+            const int weight = v[p] * level_unit - base;
             weight_sum += weight;
-            moment += weight * (p - top);
+            moment += (long long)weight * (p - top);
             pixel_sum += p - top;
         }
         const double cut = double(threshold) / level_unit;
-        const Edge at_left = edge_of(line, left, -1, cut), at_right = edge_of(line, right, 1, cut);
         double total = double(weight_sum) / level_unit;
         double first_moment = double(moment) / level_unit;
-        if (correct_edges) {
-            const double left_px = double(left - top) - at_left.beyond_px;
-            const double right_px = double(right - top) + at_right.beyond_px;
-            total += at_left.excess + at_right.excess;
-            first_moment += at_left.excess * left_px + at_right.excess * right_px;
-        }
-        const double centre = first_moment / total;
+        // Where the signal crosses the threshold beyond the run's last pixel, how steeply, and
+        // what the sum over the run lacks of the integral because it ends between two pixels
+        // (there the profile has a kink): the first term of Euler and Maclaurin, -B2(d)/2 f',
+        // d px inside.
+        auto edge_of = [&](int pixel, int side) -> Edge {
+            const int outside = pixel + side;
+            if (outside < 0 || outside >= pixels) return Edge{0.5f, 0.0f, 0.0f};
+            const double slope = double(v[pixel] - v[outside]);
+            const double d = (double(v[pixel]) - cut) / slope;
+            const double half_b2 = 0.5 * (d * d - d + 1.0 / 6.0);
+            if (correct_edges) {
+                total += slope * half_b2;
+                first_moment += slope * half_b2 * (double(pixel - top) + side * d);
+            }
+            return Edge{(float)d, (float)slope, (float)half_b2};
+        };
+        const Edge at_left = edge_of(left, -1), at_right = edge_of(right, 1);
+        const double centre_px = first_moment / total;
+        const float centre = (float)centre_px;
+        const float left_arm = (float)(left - top) - centre;
+        const float right_arm = (float)(right - top) - centre;
         // How the centre, times the total, moves with each value: the edges' pixels first.
-        Lever by_left = {0.0, 0.0}, by_right = {0.0, 0.0};
+        Lever by_left = {0.0f, 0.0f}, by_right = {0.0f, 0.0f};
         if (correct_edges) {
-            by_left = lever_of(at_left, -1, double(left - top) - centre);
-            by_right = lever_of(at_right, 1, double(right - top) - centre);
+            by_left = lever_of(at_left, -1.0f, left_arm);
+            by_right = lever_of(at_right, 1.0f, right_arm);
         }
         // The maximum moves the threshold, and with it every weight.
-        double by_threshold = 0.0;
+        float by_threshold = 0.0f;
         if (weigh_above_threshold)
             by_threshold =
-                -(double(pixel_sum) - width_px * centre) - by_left.weight - by_right.weight;
-        const double by_top = by_threshold * double(fraction_units) / fraction_unit;
-        const double valley2 = detection_sigma * detection_sigma * 2.0 * variance_of(line, v[top]);
-        double variance = 0.0;
+                -((float)(pixel_sum) - width_px * centre) - by_left.weight - by_right.weight;
+        const float by_top = by_threshold * (float)(fraction_units) / fraction_unit;
+        float variance = 0.0f;
         int flags = left == 0 || right == pixels - 1 ? clipped : 0;
-        int high = 0, low = -1;
+        bool fell = false, dips = false;
         for (int p = left; p <= right; ++p) {
             const int value = v[p];
-            double lever = double(p - top) - centre;
+            float lever = (float)(p - top) - centre;
             if (p == left) lever += by_left.weight + by_left.slope;
             if (p == right) lever += by_right.weight + by_right.slope;
             if (p == top) lever += by_top;
-            variance += lever * lever * variance_of(line, value);
-            // A fall from the highest so far, then a rise from the lowest since.
-            if (low < 0) {
-                if (value > high) high = value;
-                const double fall = double(high - value);
-                if (fall * fall > valley2) low = value;
-            } else {
-                if (value < low) low = value;
-                const double rise = double(value - low);
-                if (rise * rise > valley2) flags |= merged;
-            }
+            variance += lever * lever * variance_of(value);
+            const int before = p > left ? v[p - 1] : 0;
+            if (value < before) fell = true;
+            else if (value > before && fell) dips = true;
         }
+        if (dips && has_valley(line, run)) flags |= merged;
         // The pixels just outside set the slopes.
         if (left > 0)
-            variance += by_left.slope * by_left.slope * variance_of(line, v[left - 1]);
+            variance += by_left.slope * by_left.slope * variance_of(v[left - 1]);
         if (right < pixels - 1)
-            variance += by_right.slope * by_right.slope * variance_of(line, v[right + 1]);
+            variance += by_right.slope * by_right.slope * variance_of(v[right + 1]);
         if (v[top] >= line.full_scale) flags |= saturated;
-        const double step = cut - double(base) / level_unit;
-        const double by_phase_left =
-            phase_error(at_left, double(left - top) - at_left.beyond_px - centre, step);
-        const double by_phase_right =
-            phase_error(at_right, double(right - top) + at_right.beyond_px - centre, step);
+        const float step = (float)(cut - double(base) / level_unit);
+        const float by_phase_left = phase_error(at_left, left_arm - at_left.beyond_px, step);
+        const float by_phase_right = phase_error(at_right, right_arm + at_right.beyond_px, step);
         variance += by_phase_left * by_phase_left + by_phase_right * by_phase_right;
         Record record;
-        record.position = double(top) + centre;
+        record.position = double(top) + centre_px;
         // One pixel: anywhere in it.
-        record.sigma = width_px == 1 ? 0.28867513f : (float)(sqrt(variance) / total);
+        record.sigma = width_px == 1 ? 0.28867513f : sqrtf(variance) / (float)total;
         record.amplitude =
             (float)(double(v[top] * level_unit - line.background) / level_unit);
-        record.width = (float)(double(right - left) + at_left.beyond_px + at_right.beyond_px);
+        record.width = (float)(right - left) + at_left.beyond_px + at_right.beyond_px;
         record.flags = flags;
         return record;
     };

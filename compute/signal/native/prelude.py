@@ -20,8 +20,9 @@ PEAK_RECORD: Final = np.dtype(
 
 
 def line_record(max_peaks: int) -> np.dtype[np.void]:
-    """Return the type of one line's record: the count, then room for its peaks."""
-    return np.dtype([("count", "<i4"), ("spare", "<i4"), ("peaks", PEAK_RECORD, (max_peaks,))])
+    """Return the type of one line's record: count, background [1/64 count], room for peaks."""
+    head = [("count", "<i4"), ("background", "<i4")]
+    return np.dtype([*head, ("peaks", PEAK_RECORD, (max_peaks,))])
 
 
 CONSTANTS: Final = f"""
@@ -34,8 +35,7 @@ CONSTANTS: Final = f"""
     const int no_key = 0x7fffffff;
 """
 
-# Pixel: unsigned short. A line, the noise of its sensor, its background, and from where on a
-# pixel is bright.
+# A pixel is an unsigned short. Line: its pixels, the noise of its sensor, its background.
 TYPES: Final = """
     struct Record { double position; float sigma, amplitude, width; int flags; };
     struct Run { int top, left, right; };
@@ -45,31 +45,24 @@ TYPES: Final = """
         double dark, photon, offset;
         int full_scale, background;
     };
-    const double* dark_variances = (const double*)dark_variance_address;
-    const double* photon_variances = (const double*)photon_variance_address;
-    const double* offsets = (const double*)offset_address;
-    const int* full_scales = (const int*)full_scale_address;
     auto record_of = [&](int line) -> char* {
         return (char*)records_address + (long long)line * record_bytes;
     };
-    auto line_of = [&](int number, int background) -> Line {
-        const int sensor = number % sensors;
+    auto line_of = [&](int line, int sensor) -> Line {
         return Line{
-            (const unsigned short*)lines_address + (long long)number * pixels,
-            dark_variances[sensor], photon_variances[sensor], offsets[sensor],
-            full_scales[sensor], background};
+            (const unsigned short*)lines_address + (long long)line * pixels,
+            ((const double*)dark_variance_address)[sensor],
+            ((const double*)photon_variance_address)[sensor],
+            ((const double*)offset_address)[sensor],
+            ((const int*)full_scale_address)[sensor], 0};
     };
     // A peak's own threshold, in 1/level_unit counts, and the least count above it.
-    auto threshold_of = [&](const Line& line, int value) -> int {
-        const long long excess = (long long)value * level_unit - line.background;
-        return line.background + (int)(excess * fraction_units / fraction_unit);
+    auto threshold_of = [&](int background, int value) -> int {
+        const int excess = value * level_unit - background;
+        return background + (int)((long long)excess * fraction_units / fraction_unit);
     };
-    auto cut_of = [&](const Line& line, int value) -> int {
-        return threshold_of(line, value) / level_unit + 1;
-    };
-    auto variance_of = [&](const Line& line, int value) -> double {
-        const double above = double(value) - line.offset;
-        return line.dark + (above > 0.0 ? line.photon * above : 0.0);
+    auto cut_of = [&](int background, int value) -> int {
+        return threshold_of(background, value) / level_unit + 1;
     };
     auto lesser = [](int a, int b) -> int { return a < b ? a : b; };
 """

@@ -17,35 +17,21 @@ from validation.peak_efficiency_figures import (
     efficiency,
 )
 from validation.peak_scenes import AMBIENT, GAIN
-from validation.peak_shapes import (
-    ALLOWING,
-    AS_GAUSSIAN,
-    AS_MEASURED,
-    LIGHTS,
-    OPTICS,
-    READ_NOISE,
-    SHAPE_ERROR,
-    ShapeFigures,
-    optical_line,
-    shape_figures,
-)
+from validation.peak_shapes_tables import shape_tables
 from validation.tables import Cell, ResultTable, TablesCase
 
 LINES: Final = 6000
 """Exposures of each setting: errors of an RMS of 0.9 %, of a mean square of 1.8 %."""
-SHAPE_LINES: Final = 120
-"""Exposures of each shape at each of 16 places in a pixel."""
-_SHORT: Final = {AS_GAUSSIAN: "Gaussian", ALLOWING: "5 %", AS_MEASURED: "own"}
 USEFUL_PX: Final = 0.2
 """Up to which bound estimators are compared."""
 
 
 def work_out() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
-    """Return the tables of Gaussian lines and of others, and what they show."""
+    """Return the tables of Gaussian lines and of lines of other shapes, and what they show."""
     lines = [efficiency(setting, LINES) for setting in SETTINGS]
-    shapes = [shape_figures(optics, light, SHAPE_LINES) for optics in OPTICS for light in LIGHTS]
-    tables = (_known(lines), _others(lines), _gravity(lines), _shapes(shapes), _knowing(shapes))
-    return tables, (*_findings(lines), *_shape_findings(shapes))
+    shapes, shape_findings = shape_tables()
+    tables = (_known(lines), _others(lines), _gravity(lines), *shapes)
+    return tables, (*_findings(lines), *shape_findings)
 
 
 def useful(lines: Sequence[Efficiency]) -> list[Efficiency]:
@@ -112,48 +98,6 @@ def _beside(line: Efficiency, errors: Errors) -> tuple[Cell, ...]:
         errors.square,
     )
     return tuple(None if isnan(figure) else round(figure, 4) for figure in figures)
-
-
-def _shapes(shapes: Sequence[ShapeFigures]) -> ResultTable:
-    return ResultTable(
-        "lines that are no Gaussians: fitted as one of any width, as one with 5 % of error of "
-        "its shape, and by their own shape: RMS by the bound, square",
-        (
-            "line", "bound", *(f"RMS {name}" for name in _SHORT.values()),
-            *(f"square {name}" for name in _SHORT.values()),
-        ),
-        tuple(
-            (
-                f"{shape.optics.title}, {shape.light:.0e}".replace("+0", ""),
-                shape.bound_px,
-                *(round(shape.errors[name].rms_px / shape.bound_px, 3) for name in _SHORT),
-                *(round(shape.errors[name].square, 3) for name in _SHORT),
-            )
-            for shape in shapes
-        ),
-    )  # fmt: skip
-
-
-def _knowing(shapes: Sequence[ShapeFigures]) -> ResultTable:
-    names = {AS_GAUSSIAN: _SHORT[AS_GAUSSIAN], AS_MEASURED: _SHORT[AS_MEASURED]}
-    return ResultTable(
-        "the same lines: constant offset from the centre of gravity [px], share of poor fits, "
-        "and peaks seen where four may be",
-        (
-            "line", *(f"offset {name}" for name in names.values()),
-            *(f"poor {name}" for name in names.values()),
-            *(f"peaks {name}" for name in names.values()),
-        ),
-        tuple(
-            (
-                f"{shape.optics.title}, {shape.light:.0e}".replace("+0", ""),
-                *(round(shape.errors[name].offset_px, 4) for name in names),
-                *(round(shape.errors[name].poor, 3) for name in names),
-                *(round(shape.errors[name].peaks, 2) for name in names),
-            )
-            for shape in shapes
-        ),
-    )  # fmt: skip
 
 
 def _findings(lines: Sequence[Efficiency]) -> tuple[str, ...]:
@@ -231,35 +175,6 @@ def _findings(lines: Sequence[Efficiency]) -> tuple[str, ...]:
 
 def _nuisance(lines: Sequence[Efficiency]) -> float:
     return max(line.bound_px / line.strict_px for line in lines)
-
-
-def _shape_findings(shapes: Sequence[ShapeFigures]) -> tuple[str, ...]:
-    def ratios(name: str) -> list[float]:
-        return [shape.errors[name].rms_px / shape.bound_px for shape in shapes]
-
-    offset = max(abs(shape.errors[AS_GAUSSIAN].offset_px) for shape in shapes)
-    skewness = max(abs(optical_line(shape.optics).skewness) for shape in shapes)
-    peaks = max(shape.errors[AS_GAUSSIAN].peaks for shape in shapes)
-    own = [shape.errors[AS_MEASURED] for shape in shapes]
-    return (
-        (
-            f"Lines traced through the lens of section 3.4, read noise {READ_NOISE:g}: fitted by "
-            f"their own shape they have {min(ratios(AS_MEASURED)):.3f} to "
-            f"{max(ratios(AS_MEASURED)):.3f} of their bound, and squares of "
-            f"{min(errors.square for errors in own):.2f} to "
-            f"{max(errors.square for errors in own):.2f}. A Gaussian of any width has "
-            f"{min(ratios(AS_GAUSSIAN)):.2f} to {max(ratios(AS_GAUSSIAN)):.1f}, and a skewed line "
-            f"(skewness {skewness:.2f}) lies up to {offset:.2f} px from its centre of gravity, by "
-            "an amount that changes with the light."
-        ),
-        (
-            "Where a Gaussian is not the shape and further peaks may be tried, a bright line is "
-            f"taken for up to {peaks:.1f} peaks: its misfit is real. Allowing {SHAPE_ERROR:.0%} of "
-            "error of the shape does not cure that, and weighs the pixels worse: "
-            f"{max(ratios(ALLOWING)):.1f} of the bound at worst. Measure the shape "
-            "(LineShape.measured), or let one peak be fitted (max_joint = 1)."
-        ),
-    )
 
 
 CASE: Final = TablesCase(

@@ -61,10 +61,10 @@ class Optics:
 
 
 OPTICS: Final = (
-    Optics("narrow, diffraction", 2.0, "8 mm in front", -0.75, 0.3, 0.0),
-    Optics("disc, LED of 6 mm", 2.0, "8 mm in front", -0.75, 6.0, 0.0),
-    Optics("flat, out of focus", 4.0, "8 mm in front", -1.0, 0.3, 0.0),
-    Optics("skewed by coma", 2.0, "on the plane face", -0.5, 3.0, 0.5),
+    Optics("diffraction", 2.0, "8 mm in front", -0.75, 0.3, 0.0),
+    Optics("LED of 6 mm", 2.0, "8 mm in front", -0.75, 6.0, 0.0),
+    Optics("out of focus", 4.0, "8 mm in front", -1.0, 0.3, 0.0),
+    Optics("coma", 2.0, "on the plane face", -0.5, 3.0, 0.5),
 )
 
 

@@ -39,6 +39,7 @@ from validation.peak_shapes import (
     optical_line,
     shape_figures,
 )
+from validation.peak_shapes_by_place import BY_PLACE, GAUSSIAN, PLACES, place_figures
 from validation.signal_separation import close_markers
 
 LINES = 2000
@@ -114,6 +115,20 @@ def test_lines_that_are_no_gaussians_are_at_the_bound_by_their_shape(optics, lig
     assert gaussian.peaks > 1.5
     if optical_line(optics).skewness > 0.1:
         assert abs(gaussian.offset_px) > 0.03
+
+
+@pytest.mark.parametrize("field", PLACES)
+def test_shapes_by_place_follow_the_line(field):
+    each = 64
+    found = place_figures(field, each, SEED)
+    own = found.errors[BY_PLACE]
+    allowance = 1 + 4 / np.sqrt(2 * 16 * each)
+    assert own.rms_px < 1.05 * found.bound_px * allowance
+    assert abs(own.offset_px) < 0.004 + 4 * found.bound_px / np.sqrt(16 * each)
+    if field > 0.2:
+        assert found.errors[GAUSSIAN].poor > 0.99
+    if field > 0.5:
+        assert abs(found.errors[GAUSSIAN].offset_px) > 10 * abs(own.offset_px)
 
 
 CLOSE = [

@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import PchipInterpolator
 from scipy.special import ndtr
 
 from compute.errors import InvalidParameter
@@ -121,6 +122,68 @@ class LineShape:
         slope = np.zeros_like(edge)
         slope[..., 1:-1] = (share[..., 1:] + share[..., :-1]) / (2.0 * step)
         return cls(edge, slope, first, step, first_node_px, node_step_px)
+
+    @classmethod
+    def from_lines(
+        cls,
+        light: ArrayLike,
+        first_px: ArrayLike,
+        position_px: ArrayLike,
+        cells_per_pixel: int,
+        *,
+        reach_px: float = 24.0,
+        unit_px: float = 1.0,
+    ) -> "LineShape":
+        """Make it, for one sensor, from lines at places all along it: traced or measured ones.
+
+        As many nodes as there are lines, evenly from the first position to the last. Between two
+        lines both count, by distance.
+
+        Args:
+            light: of N lines in cells finer than pixels, shape (N, G); zero or more.
+            first_px: the pixels with which the cells begin, at their left edges, shape (N,).
+            position_px: what is to be read where the line falls so: the line's centre of gravity,
+                or the reading of a camera model, shape (N,); N different ones.
+            cells_per_pixel: cells in a pixel.
+            reach_px: light farther from the position is left out.
+            unit_px: what a width is to be [px]; see ``measured``.
+
+        Raises:
+            InvalidParameter: shapes that do not agree, equal positions, a negative value, no light.
+        """
+        cells = np.asarray(light, dtype=np.float64)
+        first, position = (np.asarray(each, dtype=np.float64) for each in (first_px, position_px))
+        if cells.ndim != 2 or first.shape != (len(cells),) or position.shape != (len(cells),):
+            raise InvalidParameter(
+                f"light has the shape {cells.shape}, first_px {first.shape} and position_px "
+                f"{position.shape}; they must be (N, G), (N,) and (N,)",
+                light=cells.shape,
+            )
+        if cells_per_pixel < 1 or len(cells) == 0:
+            raise InvalidParameter(
+                f"there are {len(cells)} lines of {cells_per_pixel} cells in a pixel; both must be "
+                "1 or more",
+                cells_per_pixel=cells_per_pixel,
+            )
+        order = np.argsort(position)
+        cells, first, position = cells[order], first[order], position[order]
+        gaps = np.diff(position)
+        if not (np.isfinite(position).all() and (gaps > 0.0).all()):
+            raise InvalidParameter("position_px holds equal positions, or one that is not finite")
+        step = 1.0 / cells_per_pixel
+        away = np.arange(-round(reach_px / step), round(reach_px / step)) * step
+        shares = np.empty((len(cells), len(away)))
+        for number, line in enumerate(cells):
+            edges = first[number] - 0.5 + np.arange(len(line) + 1) * step - position[number]
+            below = PchipInterpolator(edges, np.concatenate([[0.0], np.cumsum(line)]))
+            # Beyond the cells there is no light: all is below, or nothing.
+            ends = np.clip(np.append(away, away[-1] + step), edges[0], edges[-1])
+            shares[number] = np.maximum(np.diff(below(ends)), 0.0)
+        nodes = np.linspace(position[0], position[-1], len(position))
+        total = np.maximum(shares.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+        even = np.stack([np.interp(nodes, position, one) for one in (shares / total).T], axis=1)
+        node_step = float(nodes[1] - nodes[0]) if len(nodes) > 1 else 1.0
+        return cls.measured(even[None], float(away[0]), step, float(nodes[0]), node_step, unit_px)
 
     @property
     def reach(self) -> float:

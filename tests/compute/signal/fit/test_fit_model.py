@@ -108,6 +108,13 @@ def test_bounds_of_two_lines_meet_those_of_one_when_far_and_grow_when_near():
         pair = position_bounds([[20.0, 20.0 + apart]], [1e4, 1e4], 200.0, PIXELS, known, NOISE)[0]
         wide = position_bounds([[20.0, 20.0 + apart]], [1e4, 1e4], 200.0, PIXELS, free, NOISE)[0]
         assert wide[0, 0] >= pair[0, 0]
+        for spread, low, high in ((1e-5, 0.0, 0.01), (0.02, 0.1, 0.9)):
+            prior = FitSettings(width_px=2.0, width_spread=spread)
+            some = position_bounds([[20.0, 20.0 + apart]], [1e4, 1e4], 200.0, PIXELS, prior, NOISE)[
+                0, 0, 0
+            ]
+            assert pair[0, 0] + low * (wide - pair)[0, 0] <= some * (1 + 1e-9)
+            assert some <= pair[0, 0] + high * (wide - pair)[0, 0] + 1e-9
         variances.append(pair[0, 0])
     assert variances[0] == pytest.approx(single, rel=0.01)
     assert variances == sorted(variances)

@@ -50,7 +50,15 @@ def same(found, expected):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)
 
 
-@pytest.mark.parametrize("options", [KNOWN, FITTED, FitSettings(width_px=2.0, background="slope")])
+@pytest.mark.parametrize(
+    "options",
+    [
+        KNOWN,
+        FITTED,
+        FitSettings(width_px=2.0, background="slope"),
+        FitSettings(width_px=2.1, width_spread=0.01),
+    ],
+)
 def test_it_is_the_root_of_the_score(options):
     """Beside SciPy's least squares with the variances of the last model, again and again."""
     rng = np.random.default_rng(2)
@@ -78,7 +86,11 @@ def test_it_is_the_root_of_the_score(options):
             spread = options.width_spread if options.width_spread > 0 else 1e-9
             held = q[6:] if options.background == "level" else [0.0]
             return np.concatenate(
-                [(group.values - mean(q)) / sigma, [(q[4] - np.log(2.0)) / spread], held]
+                [
+                    (group.values - mean(q)) / sigma,
+                    [(q[4] - np.log(options.width_px)) / spread],
+                    held,
+                ]
             )
 
         p = least_squares(residual, p, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14).x
@@ -158,20 +170,29 @@ def test_saturated_peaks_are_fitted_by_their_flanks():
     assert np.std(gravity - place[:200, 0]) > 2 * error.std()
 
 
-def test_lines_over_the_end_are_flagged_and_not_drawn_inwards():
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_lines_over_the_end_are_flagged_and_not_drawn_inwards(side):
     lines = 1000
     rng = np.random.default_rng(7)
-    place = rng.uniform(0.0, 1.0, (lines, 1))
+    inwards = rng.uniform(0.0, 1.0, (lines, 1))
+    sign, place = (1.0, inwards) if side == "left" else (-1.0, PIXELS - 1 - inwards)
     pixels = measured(scene(place, [500.0]), rng, AMBIENT)
     found = fit_lines(pixels, KNOWN, NOISE)
-    error = found.position_px[:, 0] - place[:, 0]
+    error = sign * (found.position_px[:, 0] - place[:, 0])
     fitted = (found.flags[:, 0] & PeakFlag.UNFITTED) == 0
     assert fitted.mean() > 0.99
     assert (found.flags[fitted, 0] & PeakFlag.CLIPPED != 0).all()
     square = np.mean((error / found.sigma_px[:, 0])[fitted] ** 2)
     assert abs(square - 1.0) < 0.05 + 4 * np.sqrt(2 / lines)
     centre = find_peaks_reference(pixels, CentroidSettings(), NOISE).position_px[:, 0]
-    assert np.mean(centre - place[:, 0]) > 20 * abs(error[fitted].mean())
+    assert np.mean(sign * (centre - place[:, 0])) > 20 * abs(error[fitted].mean())
+
+
+def test_whole_lines_near_the_end_are_not_flagged():
+    rng = np.random.default_rng(12)
+    line = measured(scene([[4.0, PIXELS - 5.0]], [500.0, 500.0]), rng, AMBIENT)
+    found = fit_lines(line, KNOWN, NOISE)
+    assert found.flags[0, :2].tolist() == [0, 0]
 
 
 def test_one_line_tells_what_the_batch_does_and_more():

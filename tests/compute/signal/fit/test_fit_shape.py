@@ -58,6 +58,26 @@ def test_between_nodes_both_count_by_distance_and_each_sensor_has_its_own():
         np.testing.assert_array_equal(many[1][:, k], one[k][1])
 
 
+def test_lines_along_a_sensor_give_shapes_by_place():
+    """Gaussians that become wider along the sensor, on cells of 1/16 px at any fraction."""
+    place = np.array([400.37, 100.0, 250.61])
+    width = 1.0 + place / 400.0
+    first = np.floor(place).astype(int) - 30
+    edges = first[:, None] - 0.5 + np.arange(60 * 16 + 1) / 16
+    light = np.diff(ndtr((edges - place[:, None]) / width[:, None]), axis=1)
+    shape = LineShape.from_lines(light * [[3.0], [1.0], [2.0]], first, place, 16, unit_px=2.0)
+    assert shape.edge.shape[:2] == (1, 3)
+    t = np.linspace(-4.0, 4.0, 161)
+    for at, own in zip(place[:2], width[:2], strict=True):
+        np.testing.assert_allclose(shape.at(t, 0, at)[0], ndtr(t * 2.0 / own), atol=2e-4)
+        np.testing.assert_allclose(
+            shape.at(t, 0, at)[1], norm.pdf(t * 2.0 / own) * 2.0 / own, atol=2e-3
+        )
+    middle = shape.at(t, 0, 0.5 * (100.0 + 400.37))[0]
+    low, high = ndtr(t * 2.0 / width[1]), ndtr(t * 2.0 / width[2])
+    assert ((middle - low) * (middle - high) <= 1e-4).all()
+
+
 @pytest.mark.parametrize(
     "make",
     [
@@ -68,6 +88,12 @@ def test_between_nodes_both_count_by_distance_and_each_sensor_has_its_own():
         lambda: LineShape.measured([1.0, 1.0, 1.0], 0.0, 0.0),
         lambda: LineShape.measured([1.0, 1.0, 1.0], 0.0, 0.1, unit_px=0.0),
         lambda: LineShape.measured([1.0, 1.0, 1.0], 0.0, 0.1, node_step_px=0.0),
+        lambda: LineShape.from_lines(np.ones((2, 8)), [0, 0], [3.0, 3.0], 4),
+        lambda: LineShape.from_lines(np.ones((2, 8)), [0, 0], [3.0, np.nan], 4),
+        lambda: LineShape.from_lines(np.ones((2, 8)), [0], [3.0, 4.0], 4),
+        lambda: LineShape.from_lines(np.ones((2, 8)), [0, 0], [3.0, 4.0], 0),
+        lambda: LineShape.from_lines(np.ones((0, 8)), [], [], 4),
+        lambda: LineShape.from_lines(np.zeros((2, 8)), [0, 0], [3.0, 4.0], 4),
         lambda: LineShape(np.zeros((1, 1, 4)), np.zeros((1, 1, 5)), 0.0, 0.1),
         lambda: LineShape(np.full((1, 1, 4), np.nan), np.zeros((1, 1, 4)), 0.0, 0.1),
     ],

@@ -41,10 +41,15 @@ def useful(lines: Sequence[Efficiency]) -> list[Efficiency]:
 
 def _known(lines: Sequence[Efficiency]) -> ResultTable:
     return _table(
-        "the fit, width known, by deviation [px] / light / read noise [electrons]; bounds in px",
-        ("found", "bound", "RMS/bound", "bias/bound", "+-", "square"),
+        "the fit, width known, by deviation [px] / light / read noise [electrons]: share found, "
+        "bound [px], RMS and bias by the bound, square",
+        ("found", "bound", "RMS", "bias", "+-", "square"),
         lines,
-        lambda line: (line.found, line.strict_px, *_beside(line, line.errors[KNOWN])),
+        lambda line: (
+            round(line.found, 4),
+            round(line.strict_px, 4),
+            *_beside(line, line.errors[KNOWN]),
+        ),
     )
 
 
@@ -167,8 +172,8 @@ def _findings(lines: Sequence[Efficiency]) -> tuple[str, ...]:
             f"Exposures: Poisson light and {AMBIENT:g} electrons of ambient light, read noise, "
             f"{GAIN:g} electrons a count, rounded; positions evenly over a pixel; {LINES} lines a "
             "setting. From the errors whose mean is the bias the first-order error by the known "
-            "noise is subtracted, whose mean is zero: the bias's standard error (+-) is a tenth of "
-            "what it would be. Of the bias the largest of 16 places in a pixel counts."
+            "noise is subtracted, whose mean is zero: the bias's standard error (+-) becomes an "
+            "eighth or less. Of the bias the largest of 16 places in a pixel counts."
         ),
     )
 

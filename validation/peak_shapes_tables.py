@@ -36,24 +36,39 @@ def shape_tables() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     """Return the tables and the findings."""
     shapes = [shape_figures(optics, light, SHAPE_LINES) for optics in OPTICS for light in LIGHTS]
     places = [place_figures(field, SHAPE_LINES) for field in PLACES]
-    tables = (_shapes(shapes), _knowing(shapes), _by_place(places))
+    tables = (_shapes(shapes), _squares(shapes), _knowing(shapes), *_by_place(places))
     return tables, (*_shape_findings(shapes), _place_finding(places))
 
 
 def _shapes(shapes: Sequence[ShapeFigures]) -> ResultTable:
     return ResultTable(
-        "lines that are no Gaussians: fitted as one of any width, as one with 5 % of error of "
-        "its shape, and by their own shape: RMS by the bound, square",
+        "lines that are no Gaussians: bound [px]; RMS by the bound, fitted as a Gaussian of any "
+        "width, as one with 5 % of error of its shape, and by their own shape",
+        ("line", "bound", *(f"RMS {name}" for name in _SHORT.values())),
+        tuple(
+            (
+                _label(shape),
+                round(shape.bound_px, 5),
+                *(round(shape.errors[name].rms_px / shape.bound_px, 3) for name in _SHORT),
+            )
+            for shape in shapes
+        ),
+    )
+
+
+def _squares(shapes: Sequence[ShapeFigures]) -> ResultTable:
+    names = (AS_GAUSSIAN, AS_MEASURED)
+    return ResultTable(
+        "the same lines: square, and constant offset from the centre of gravity [px]",
         (
-            "line", "bound", *(f"RMS {name}" for name in _SHORT.values()),
-            *(f"square {name}" for name in _SHORT.values()),
+            "line", *(f"square {name}" for name in _SHORT.values()),
+            *(f"offset {_SHORT[name]}" for name in names),
         ),
         tuple(
             (
-                f"{shape.optics.title}, {shape.light:.0e}".replace("+0", ""),
-                shape.bound_px,
-                *(round(shape.errors[name].rms_px / shape.bound_px, 3) for name in _SHORT),
+                _label(shape),
                 *(round(shape.errors[name].square, 3) for name in _SHORT),
+                *(round(shape.errors[name].offset_px, 4) for name in names),
             )
             for shape in shapes
         ),
@@ -61,19 +76,16 @@ def _shapes(shapes: Sequence[ShapeFigures]) -> ResultTable:
 
 
 def _knowing(shapes: Sequence[ShapeFigures]) -> ResultTable:
-    names = {AS_GAUSSIAN: _SHORT[AS_GAUSSIAN], AS_MEASURED: _SHORT[AS_MEASURED]}
+    names = (AS_GAUSSIAN, AS_MEASURED)
     return ResultTable(
-        "the same lines: constant offset from the centre of gravity [px], share of poor fits, "
-        "and peaks seen where four may be",
+        "the same lines: share of poor fits, and peaks seen where four may be",
         (
-            "line", *(f"offset {name}" for name in names.values()),
-            *(f"poor {name}" for name in names.values()),
-            *(f"peaks {name}" for name in names.values()),
+            "line", *(f"poor {_SHORT[name]}" for name in names),
+            *(f"peaks {_SHORT[name]}" for name in names),
         ),
         tuple(
             (
-                f"{shape.optics.title}, {shape.light:.0e}".replace("+0", ""),
-                *(round(shape.errors[name].offset_px, 4) for name in names),
+                _label(shape),
                 *(round(shape.errors[name].poor, 3) for name in names),
                 *(round(shape.errors[name].peaks, 2) for name in names),
             )
@@ -82,26 +94,41 @@ def _knowing(shapes: Sequence[ShapeFigures]) -> ResultTable:
     )  # fmt: skip
 
 
-def _by_place(places: Sequence[PlaceFigures]) -> ResultTable:
-    names = {GAUSSIAN: "Gauss", FROM_MIDDLE: "middle", BY_PLACE: "own"}
-    return ResultTable(
+def _label(shape: ShapeFigures) -> str:
+    return f"{shape.optics.title}, {shape.light:.0e}".replace("+0", "")
+
+
+def _by_place(places: Sequence[PlaceFigures]) -> tuple[ResultTable, ResultTable]:
+    names = {GAUSSIAN: "Gauss", FROM_MIDDLE: "middle", BY_PLACE: "by place"}
+    line = (
         f"a line of {LIGHT:.0f} electrons whose shape changes along the sensor, by its place as a "
-        "part of the field, fitted by a Gaussian, the shape of the middle and the shape by place; "
-        "RMS by the bound, offset [px]",
-        (
-            "place", "bound", *(f"RMS {name}" for name in names.values()),
-            *(f"offset {name}" for name in names.values()),
+        "part of the field, fitted as a Gaussian, by the shape of the middle and by that by place"
+    )
+    return (
+        ResultTable(
+            f"{line}: bound [px], RMS by the bound",
+            ("place", "bound", *(f"RMS {name}" for name in names.values())),
+            tuple(
+                (
+                    f"{place.field:g}",
+                    round(place.bound_px, 5),
+                    *(round(place.errors[name].rms_px / place.bound_px, 3) for name in names),
+                )
+                for place in places
+            ),
         ),
-        tuple(
-            (
-                f"{place.field:g}",
-                place.bound_px,
-                *(round(place.errors[name].rms_px / place.bound_px, 3) for name in names),
-                *(round(place.errors[name].offset_px, 4) for name in names),
-            )
-            for place in places
+        ResultTable(
+            "the same line: offset from the centre of gravity [px]",
+            ("place", *(f"offset {name}" for name in names.values())),
+            tuple(
+                (
+                    f"{place.field:g}",
+                    *(round(place.errors[name].offset_px, 4) for name in names),
+                )
+                for place in places
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _place_finding(places: Sequence[PlaceFigures]) -> str:

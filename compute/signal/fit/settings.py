@@ -98,8 +98,10 @@ class FitSettings:
         width_spread: deviation of the logarithm of the width; 0: it is known, inf: nothing is.
         reach: half a window, in starting widths. A Gaussian keeps 0.9989 of its information in 4.
         background: what the background is within a window.
-        shape_error: error of the shape as a part of each pixel's light, deviation; lets bright
-            lines keep a fair chi-square and an honest deviation where the true shape is not E.
+        shape_error: error of each pixel's light as a part of it, deviation, another in each
+            pixel: uneven pixels. A line of another shape than E is no such thing: a bright one
+            is taken for several peaks, whatever is allowed here. Measure its shape
+            (``LineShape.measured``), or let ``max_joint`` be 1.
         max_joint: most peaks that are fitted together, 1 to JOINT_PEAKS.
         false_split_rate: chance of fitting two peaks where there is one.
 

@@ -6,12 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import least_squares
+from scipy.special import ndtr
 
 from compute.errors import InvalidParameter
 from compute.signal.fit.bounds import position_bounds
 from compute.signal.fit.group_fit import fit_line
 from compute.signal.fit.reference import fit_lines
 from compute.signal.fit.settings import FitSettings
+from compute.signal.fit.shape import LineShape
 from compute.signal.noise import LineNoise
 from compute.signal.peaks import PeakFlag
 from compute.signal.reference import find_peaks_reference
@@ -186,6 +188,49 @@ def test_lines_over_the_end_are_flagged_and_not_drawn_inwards(side):
     assert abs(square - 1.0) < 0.05 + 4 * np.sqrt(2 / lines)
     centre = find_peaks_reference(pixels, CentroidSettings(), NOISE).position_px[:, 0]
     assert np.mean(sign * (centre - place[:, 0])) > 20 * abs(error[fitted].mean())
+
+
+def test_each_sensor_has_its_own_shape():
+    rng = np.random.default_rng(13)
+    edges = np.arange(-160, 161) / 16.0
+    cells = np.stack([np.diff(ndtr(edges / width)) for width in (1.2, 2.4)])[:, None]
+    shape = LineShape.measured(cells, edges[0], 1 / 16, unit_px=2.0)
+    lines = 400
+    place = 47.5 + rng.uniform(0.0, 1.0, (lines, 1))
+    means = np.where(
+        np.arange(lines)[:, None] % 2 == 0,
+        scene(place, [1000.0], 1.2),
+        scene(place, [1000.0], 2.4),
+    )
+    noise = LineNoise.of([GAIN, GAIN], READ, OFFSET)
+    found = fit_lines(measured(means, rng, AMBIENT), KNOWN, noise, shape)
+    assert (found.count == 1).all()
+    assert (found.flags == 0).mean() > 0.998
+    square = np.mean(((found.position_px - place)[:, 0] / found.sigma_px[:, 0]) ** 2)
+    assert abs(square - 1.0) < 0.05 + 4 * np.sqrt(2 / lines)
+    # The other way round it does not fit.
+    wrong = LineShape.measured(cells[::-1], edges[0], 1 / 16, unit_px=2.0)
+    one = FitSettings(width_px=2.0, width_spread=0.0, max_joint=1)
+    bad = fit_lines(measured(means, rng, AMBIENT), one, noise, wrong)
+    assert (bad.flags[:, 0] & (PeakFlag.POOR_FIT | PeakFlag.UNFITTED) != 0).all()
+
+
+def test_uneven_pixels_are_allowed_for():
+    rng = np.random.default_rng(14)
+    lines, error = 1500, 0.05
+    place = 47.5 + rng.uniform(0.0, 1.0, (lines, 1))
+    means = scene(place, [3000.0]) * (1.0 + error * rng.standard_normal((lines, PIXELS)))
+    pixels = measured(means, rng, AMBIENT)
+    squares = []
+    for allowed in (error, 0.0):
+        options = FitSettings(width_px=2.0, width_spread=0.0, shape_error=allowed, max_joint=1)
+        found = fit_lines(pixels, options, NOISE)
+        difference = (found.position_px[:, 0] - place[:, 0]) / found.sigma_px[:, 0]
+        squares.append(np.mean(difference**2))
+        poor = (found.flags[:, 0] & PeakFlag.POOR_FIT) != 0
+        assert poor.mean() < 0.005 if allowed else poor.mean() > 0.9
+    assert abs(squares[0] - 1.0) < 0.05 + 4 * np.sqrt(2 / lines)
+    assert squares[1] > 2.0
 
 
 def test_whole_lines_near_the_end_are_not_flagged():

@@ -1,0 +1,99 @@
+"""How peaks are found in posted lines: compute's own settings, told apart by `method`."""
+
+from dataclasses import field
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass as checked_dataclass
+
+from compute.signal.detection.detector import DetectionSettings, NoiseSource
+from compute.signal.fit.settings import WIDTH_LIMITS_PX, BackgroundModel, FitSettings
+from compute.signal.peaks import JOINT_PEAKS
+from compute.signal.settings import MAX_PIXELS, CentroidSettings, Weighting
+from service.line_scans.chain_steps import STRICT, ChainMethod
+
+MethodName = Literal["centroid", "fit", "chain", "matched"]
+
+_SEARCH: Final = FitSettings().search
+_LOW_PX, _HIGH_PX = WIDTH_LIMITS_PX
+
+Fraction = Annotated[float, Field(ge=0.05, le=0.95)]
+Sigmas = Annotated[float, Field(ge=3.0, le=1000.0)]
+Pixels = Annotated[int, Field(ge=1, le=MAX_PIXELS)]
+Room = Annotated[int, Field(ge=1, le=1024)]
+
+
+@checked_dataclass(frozen=True, config=STRICT)
+class CentroidMethod(CentroidSettings):
+    """Threshold and centre of gravity."""
+
+    method: Literal["centroid"] = "centroid"
+    threshold_fraction: Fraction = CentroidSettings.threshold_fraction
+    detection_sigma: Sigmas = CentroidSettings.detection_sigma
+    min_width_px: Pixels = CentroidSettings.min_width_px
+    weighting: Weighting = CentroidSettings.weighting
+    max_peaks: Room = CentroidSettings.max_peaks
+
+
+@checked_dataclass(frozen=True, config=STRICT)
+class FitSearch(CentroidSettings):
+    """How candidates for fits are found."""
+
+    threshold_fraction: Fraction = _SEARCH.threshold_fraction
+    detection_sigma: Sigmas = _SEARCH.detection_sigma
+    min_width_px: Pixels = _SEARCH.min_width_px
+    weighting: Weighting = _SEARCH.weighting
+    max_peaks: Room = _SEARCH.max_peaks
+
+
+@checked_dataclass(frozen=True, config=STRICT)
+class FitMethod(FitSettings):
+    """Weighted fit of Gaussian lines integrated over the pixels, overlapping ones together."""
+
+    method: Literal["fit"] = "fit"
+    search: FitSearch = field(default_factory=FitSearch)
+    width_px: Annotated[
+        float, Field(ge=_LOW_PX, le=_HIGH_PX, description="Standard deviation of the lines [px].")
+    ] = FitSettings.width_px
+    width_spread: Annotated[
+        float,
+        Field(
+            ge=0.0,
+            le=100.0,
+            description="Deviation of the width's logarithm. 0: the width is known; 1e-6 or more "
+            "otherwise; from 10 on next to nothing is known.",
+        ),
+    ] = FitSettings.width_spread
+    reach: Annotated[float, Field(ge=2.0, le=8.0)] = FitSettings.reach
+    background: BackgroundModel = FitSettings.background
+    shape_error: Annotated[float, Field(ge=0.0, le=0.5)] = FitSettings.shape_error
+    max_joint: Annotated[int, Field(ge=1, le=JOINT_PEAKS)] = FitSettings.max_joint
+    false_split_rate: Annotated[float, Field(ge=1e-12, le=0.1)] = FitSettings.false_split_rate
+
+
+@checked_dataclass(frozen=True, config=STRICT)
+class MatchedMethod(DetectionSettings):
+    """Matched filter at a chosen rate of false alarms: faint peaks, to the pixel only."""
+
+    method: Literal["matched"] = "matched"
+    false_alarms_per_line: Annotated[float, Field(gt=0.0, le=MAX_PIXELS)] = (
+        DetectionSettings.false_alarms_per_line
+    )
+    noise: NoiseSource = DetectionSettings.noise
+    max_peaks: Room = DetectionSettings.max_peaks
+    width_px: Annotated[
+        float, Field(ge=0.2, le=100.0, description="Standard deviation of the lines [px].")
+    ] = FitSettings.width_px
+    length_px: Annotated[
+        int | None,
+        Field(
+            ge=3,
+            le=MAX_PIXELS,
+            description="Pixels of the filter, odd, four widths and one or more; null: sixteen.",
+        ),
+    ] = None
+
+
+Method = Annotated[
+    CentroidMethod | FitMethod | ChainMethod | MatchedMethod, Field(discriminator="method")
+]

@@ -1,0 +1,279 @@
+"""Finds the peaks of posted lines with compute's plain methods, and tells what they did."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import lru_cache
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.flags import flag_names
+from compute.signal.chain.result import ChainResult
+from compute.signal.detection.detections import DetectionBatch
+from compute.signal.detection.detector import PeakDetector
+from compute.signal.detection.line_spread import line_spread
+from compute.signal.detection.matched_filter import MatchedFilter, gaussian_filter
+from compute.signal.fit.group_fit import GroupFit, fit_line
+from compute.signal.fit.reference import fit_lines
+from compute.signal.noise import LineNoise
+from compute.signal.peaks import PeakBatch, PeakFlag
+from compute.signal.reference import find_peaks_reference
+from compute.signal.settings import LEVEL_UNIT, CentroidSettings
+from service.line_scans.chain_steps import ChainMethod
+from service.line_scans.methods import CentroidMethod, FitMethod, MatchedMethod, Method
+from service.line_scans.noise import guessed_noise, line_noise, noise_at, search_limits
+from service.line_scans.schema import (
+    CHAIN_PIXELS,
+    DETAIL_PIXELS,
+    MOST_PIXELS,
+    FittedWindow,
+    LinePeak,
+    LineScan,
+    LineScans,
+    NewLineScans,
+    PixelNoise,
+    Stage,
+)
+
+Lines = NDArray[np.uint16]
+
+
+def posted_lines(request: NewLineScans) -> Lines:
+    """Return the lines of a request, shape (L, P).
+
+    Raises:
+        InvalidParameter: lines of different lengths, or more values than one request may have.
+    """
+    length = len(request.lines[0])
+    for number, line in enumerate(request.lines):
+        if len(line) != length:
+            raise InvalidParameter(
+                f"lines.{number} has {len(line)} values and lines.0 has {length}; all lines must "
+                "be of one length",
+                line=number,
+                length=len(line),
+            )
+    values = length * len(request.lines)
+    most = DETAIL_PIXELS if request.detail else MOST_PIXELS
+    if values > most:
+        how = "with detail" if request.detail else "at once"
+        raise InvalidParameter(
+            f"the lines have {values} values; {how} they may have {most}: send them in several "
+            "requests",
+            values=values,
+        )
+    if isinstance(request.method, ChainMethod) and length > CHAIN_PIXELS:
+        raise InvalidParameter(
+            f"the lines have {length} values; for the method chain they may have {CHAIN_PIXELS}",
+            length=length,
+        )
+    return np.array(request.lines, dtype=np.uint16)
+
+
+def find_peaks(
+    lines: Lines, method: Method, noise: PixelNoise | None = None, *, detail: bool = False
+) -> LineScans:
+    """Find the peaks of lines of one sensor.
+
+    Args:
+        lines: counts, shape (L, P), P from 64 to 65536.
+        method: how.
+        noise: of the sensor; None: it is guessed from the lines.
+        detail: tell also about pixels.
+
+    Raises:
+        InvalidParameter: a value above full scale, or settings that do not fit the lines.
+    """
+    assumed: list[str] = []
+    if noise is None:
+        noise, assumed = guessed_noise(lines)
+    _check_full_scale(lines, noise)
+    match method:
+        case ChainMethod():
+            found = _by_chain(lines, method, noise, detail=detail)
+        case MatchedMethod():
+            found = _by_filter(lines, method, noise, detail=detail)
+        case _:
+            found = _by_search(lines, method, noise, detail=detail)
+    return LineScans(method=method.method, noise=noise, assumed=assumed, lines=found)
+
+
+def _check_full_scale(lines: Lines, noise: PixelNoise) -> None:
+    above = lines > noise.full_scale_counts
+    if above.any():
+        line, pixel = (int(index) for index in np.argwhere(above)[0])
+        raise InvalidParameter(
+            f"lines.{line}.{pixel} is {lines[line, pixel]}, above full_scale_counts, "
+            f"{noise.full_scale_counts}; a saturated pixel has that, none has more",
+            line=line,
+            pixel=pixel,
+            value=int(lines[line, pixel]),
+        )
+
+
+def _by_search(
+    lines: Lines, method: CentroidMethod | FitMethod, noise: PixelNoise, *, detail: bool
+) -> list[LineScan]:
+    model = line_noise(noise)
+    search: CentroidSettings
+    if isinstance(method, FitMethod):
+        search, batch = method.search, fit_lines(lines, method, model)
+    else:
+        search, batch = method, find_peaks_reference(lines, method, model)
+    limits = search_limits(lines, search, noise)
+    return [
+        LineScan(
+            **_levels(lines[line], noise),
+            line=line,
+            limit_counts=float(limits[line]),
+            limit_sigma=None,
+            peaks=_peaks(batch, line),
+            covariance_px2=_covariance(batch, line),
+            windows=_windows(lines[line], method, model) if detail else None,
+            stages=None,
+        )
+        for line in range(len(lines))
+    ]
+
+
+def _by_chain(
+    lines: Lines, method: ChainMethod, noise: PixelNoise, *, detail: bool
+) -> list[LineScan]:
+    count = 1 if method.average is None else method.average
+    if len(lines) % count:
+        raise InvalidParameter(
+            f"there are {len(lines)} lines, and average is {count}; the number of lines must be a "
+            "multiple of it",
+            lines=len(lines),
+            average=count,
+        )
+    found = []
+    # One after another: a result keeps a line of values for each of its peaks.
+    for first in range(0, len(lines), count):
+        result = method.run(lines[first : first + count], line_noise(noise))
+        found.append(
+            LineScan(
+                **_levels(lines[first], noise),
+                line=first,
+                limit_counts=None,
+                limit_sigma=None,
+                peaks=_peaks(result.peaks, 0),
+                covariance_px2=None,
+                windows=None,
+                stages=_stages(result) if detail else None,
+            )
+        )
+    return found
+
+
+def _by_filter(
+    lines: Lines, method: MatchedMethod, noise: PixelNoise, *, detail: bool
+) -> list[LineScan]:
+    matched = _filter(method.width_px, method.length_px)
+    detector = PeakDetector(matched, lines.shape[1], method, line_noise(noise))
+    batch = detector.detect(lines)
+    answers = matched.respond(lines) / matched.norm if detail else None
+    return [
+        LineScan(
+            **_levels(lines[line], noise),
+            line=line,
+            limit_counts=None,
+            limit_sigma=detector.threshold_sigma,
+            peaks=_detections(batch, line),
+            covariance_px2=None,
+            windows=None,
+            stages=None
+            if answers is None
+            else [
+                Stage(
+                    name="matched filter",
+                    unit="deviations",
+                    shift_px=0.0,
+                    values=(answers[line] / batch.noise_counts[line]).tolist(),
+                )
+            ],
+        )
+        for line in range(len(lines))
+    ]
+
+
+@lru_cache(maxsize=8)
+def _filter(width_px: float, length_px: int | None) -> MatchedFilter:
+    return gaussian_filter(width_px, length_px)
+
+
+def _levels(line: NDArray[np.uint16], noise: PixelNoise) -> dict[str, Any]:
+    spread = line_spread(line[None])
+    background = spread.background / LEVEL_UNIT
+    return {
+        "background_counts": float(background[0]),
+        "noise_counts": float(noise_at(noise, background)[0]),
+        "measured_noise_counts": float(np.sqrt(spread.variance()[0])),
+    }
+
+
+def _peaks(batch: PeakBatch, line: int) -> list[LinePeak]:
+    found = []
+    for peak in batch.peaks(line, ""):
+        values = {name: _plain(value) for name, value in asdict(peak).items() if name != "sensor"}
+        found.append(LinePeak(**values, response_sigma=None))
+    return found
+
+
+def _detections(batch: DetectionBatch, line: int) -> list[LinePeak]:
+    return [
+        LinePeak(
+            position_px=float(batch.place_px[line, k]),
+            sigma_px=None,
+            amplitude=_plain(float(batch.amplitude[line, k])),
+            width_px=None,
+            reduced_chi2=None,
+            response_sigma=_plain(float(batch.response_sigma[line, k])),
+            flags=flag_names(PeakFlag(int(batch.flags[line, k]))),
+        )
+        for k in range(int(batch.count[line]))
+    ]
+
+
+def _covariance(batch: PeakBatch, line: int) -> list[list[float]] | None:
+    count = int(batch.count[line])
+    if not (batch.flags[line, :count] & PeakFlag.JOINT).any():
+        return None
+    found: list[list[float]] = batch.covariance(line).tolist()
+    return found
+
+
+def _windows(
+    line: NDArray[np.uint16], method: CentroidMethod | FitMethod, noise: LineNoise
+) -> list[FittedWindow] | None:
+    if not isinstance(method, FitMethod):
+        return None
+    return [_window(group) for group in fit_line(line, method, noise)]
+
+
+def _window(group: GroupFit) -> FittedWindow:
+    values = {name: _plain(getattr(group, name)) for name in FittedWindow.model_fields}
+    return FittedWindow(**values)
+
+
+def _stages(result: ChainResult) -> list[Stage]:
+    return [
+        Stage(
+            name=stage.name, unit="counts", shift_px=stage.shift_px, values=stage.lines[0].tolist()
+        )
+        for stage in result.stages
+    ]
+
+
+def _plain(value: Any) -> Any:
+    """Return a value without NumPy's types, and without what JSON has no number for."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(item) for item in value]
+    return value

@@ -1,0 +1,154 @@
+"""Line scans as clients send them, and what was found in them."""
+
+from typing import Annotated, Final
+
+from pydantic import FailFast, Field
+
+from compute.signal.settings import MAX_PIXELS, MIN_PIXELS
+from service.line_scans.methods import Method, MethodName
+from service.schema import Document, Given
+
+MOST_LINES: Final = 256
+MOST_PIXELS: Final = 512 * 1024
+"""Pixels of all lines of one request: 256 lines of 2048, 8 of 65536."""
+
+DETAIL_PIXELS: Final = 65536
+"""Pixels of all lines of a request in detail, whose answer has every pixel several times."""
+
+CHAIN_PIXELS: Final = 8192
+"""Pixels of a line for the chain, which keeps a line of values for each peak of a line."""
+
+FULL_SCALE: Final = 65535
+
+# The first wrong value is enough: a report on each of a million would fill the memory.
+Counts = Annotated[
+    list[Annotated[int, Field(ge=0, le=FULL_SCALE)]],
+    Field(min_length=MIN_PIXELS, max_length=MAX_PIXELS),
+    FailFast(),
+]
+
+
+class PixelNoise(Given):
+    """Conversion and noise of the sensor that the lines come from."""
+
+    electrons_per_count: float = Field(ge=1e-3, le=1e6, description="Gain of the conversion.")
+    read_noise_electrons: float = Field(
+        ge=0.0, le=1e6, description="Standard deviation of the read noise."
+    )
+    offset_counts: float = Field(
+        default=0.0, ge=-FULL_SCALE, le=FULL_SCALE, description="The count without light."
+    )
+    full_scale_counts: int = Field(
+        default=FULL_SCALE, ge=1, le=FULL_SCALE, description="The count of a saturated pixel."
+    )
+
+
+class NewLineScans(Given):
+    """Lines to look for peaks in."""
+
+    lines: Annotated[
+        list[Counts],
+        Field(
+            min_length=1,
+            max_length=MOST_LINES,
+            description=f"Counts, one list for each line, all of one length; {MOST_PIXELS} "
+            f"values at most, {DETAIL_PIXELS} in detail.",
+        ),
+        FailFast(),
+    ]
+    method: Method
+    noise: PixelNoise | None = Field(
+        default=None, description="Null: guessed from the lines; `assumed` says how."
+    )
+    detail: bool = Field(
+        default=False,
+        description="Also the fitted model and residuals of each pixel, the lines after each step "
+        "of the chain, or the matched filter's answer.",
+    )
+
+
+class LinePeak(Document):
+    """One peak; what the method does not give is null."""
+
+    position_px: float = Field(description="0 is the centre of the first pixel.")
+    sigma_px: float | None = Field(description="Standard deviation by the noise model.")
+    amplitude: float | None = Field(description="Height above the background [counts].")
+    width_px: float | None = Field(description="Full width at the peak's threshold.")
+    reduced_chi2: float | None = Field(description="Misfit per degree of freedom; null: no fit.")
+    response_sigma: float | None = Field(
+        description="The matched filter's answer in standard deviations."
+    )
+    flags: tuple[str, ...] = Field(
+        description="`saturated`, `clipped`, `merged`, `truncated`, `joint`, `poor-fit`, "
+        "`unfitted`."
+    )
+
+
+class FittedWindow(Document):
+    """Pixels that were fitted together, and the lines in them; null where no fit was possible."""
+
+    first_px: int
+    values: list[float]
+    used: list[bool] = Field(description="False: at full scale, left out.")
+    model: list[float | None] = Field(description="Expected counts.")
+    residual_sigma: list[float | None] = Field(
+        description="Values less model, in standard deviations."
+    )
+    position_px: list[float]
+    sigma_px: list[float | None]
+    light_counts: list[float | None] = Field(description="Light of each line.")
+    light_electrons: list[float | None]
+    width_px: float | None = Field(description="Standard deviation of the lines.")
+    width_sigma_px: float | None
+    background_counts: float | None = Field(description="In the window's middle.")
+    slope_counts_per_px: float | None
+    parameters: list[str] = Field(description="Of the covariance's rows.")
+    covariance: list[list[float | None]] = Field(
+        description="Lights in counts, the width as its logarithm."
+    )
+    chi2: float | None
+    freedom: int
+
+
+class Stage(Document):
+    """A line on its way."""
+
+    name: str
+    unit: str = Field(description="`counts`, or `deviations` of the noise.")
+    shift_px: float = Field(description="By how much filters have moved it to the right so far.")
+    values: list[float]
+
+
+class LineScan(Document):
+    """What was found in one line."""
+
+    line: int = Field(description="Its number; of averaged lines the first.")
+    background_counts: float = Field(description="Between the peaks.")
+    noise_counts: float = Field(
+        description="Standard deviation of a pixel at the background, by the noise model."
+    )
+    measured_noise_counts: float = Field(
+        description="The same, measured between the peaks; 0.58 is the least that is measured."
+    )
+    limit_counts: float | None = Field(
+        description="A peak's highest pixel reaches at least this; null: the method has no such "
+        "limit."
+    )
+    limit_sigma: float | None = Field(
+        description="The matched filter's answer is above this; null for other methods."
+    )
+    peaks: list[LinePeak]
+    covariance_px2: list[list[float]] | None = Field(
+        description="Of the peaks' positions; null where none were fitted together."
+    )
+    windows: list[FittedWindow] | None
+    stages: list[Stage] | None
+
+
+class LineScans(Document):
+    """What was found in lines."""
+
+    method: MethodName
+    noise: PixelNoise = Field(description="As given, or as guessed.")
+    assumed: list[str] = Field(description="What was guessed, and how; empty: nothing.")
+    lines: list[LineScan]

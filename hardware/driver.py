@@ -11,6 +11,11 @@ Readout = Literal["lines", "coded-window", "gray-tracks"]
 window, or the outputs of the detectors behind a plate's Gray tracks."""
 
 
+PeakMethod = Literal["fit", "centroid"]
+"""How the peaks of light lines are measured: by a weighted fit of the line's shape, or by threshold
+and centre of gravity."""
+
+
 @dataclass(frozen=True)
 class SensorDescription:
     """One line sensor of a device: its name, number of pixels and pixel pitch [um]."""
@@ -34,6 +39,10 @@ class DeviceDescription:
         offset_counts: electronic offset, the count without light.
         markers: number of strobed markers, 0 when the markers are lit together.
         readout: what the pixels of a line show.
+        peaks: how the peaks of light lines are measured; nothing else reads by it.
+        line_sigma_px: standard deviation of all light lines, where they are Gaussian and it is
+            known; None: it is not, or differs from place to place.
+        profile: name of the device's profile, from which more is known of its lines; None: none.
     """
 
     name: str
@@ -45,6 +54,9 @@ class DeviceDescription:
     offset_counts: float
     markers: int
     readout: Readout = "lines"
+    peaks: PeakMethod = "fit"
+    line_sigma_px: float | None = None
+    profile: str | None = None
 
 
 class Driver(Protocol):

@@ -2,6 +2,7 @@
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Final
 
 from anyio.to_thread import run_sync
@@ -12,8 +13,10 @@ from service.calibrations.router import router as calibrations
 from service.cross_origin import CrossOriginGuard
 from service.database.engine import Database
 from service.devices.operation import Operation
+from service.devices.profiles import find_profile
 from service.devices.router import router as devices
 from service.head import HeadAsGet
+from service.line_scans.router import router as line_scans
 from service.live.manager import LiveManager
 from service.openapi import install_openapi
 from service.planning.router import router as device_profiles
@@ -53,7 +56,10 @@ def create_app(
         database = Database(settings.effective_database_url)
         try:
             named = await run_sync(prepare, settings, database)
-            manager = live if live is not None else LiveManager(settings.compute_device)
+            manager = live
+            if manager is None:
+                own = partial(find_profile, profiles_dir=settings.folders.profiles)
+                manager = LiveManager(settings.compute_device, own)
             try:
                 operation = Operation(database, manager, settings.folders)
                 app.state.database, app.state.live = database, manager
@@ -81,7 +87,15 @@ def create_app(
     app.add_middleware(HeadAsGet)
     app.add_middleware(CrossOriginGuard)
     install_problem_handlers(app)
-    for router in (devices, calibrations, reconstructions, device_profiles, stream, server):
+    for router in (
+        devices,
+        calibrations,
+        reconstructions,
+        line_scans,
+        device_profiles,
+        stream,
+        server,
+    ):
         app.include_router(router)
     app.add_api_websocket_route("/{path:path}", no_such_websocket)  # the last to be tried
     install_openapi(app)

@@ -95,6 +95,7 @@ def _greeting(live: LiveManager, subscription: Subscription) -> dict[str, Any]:
         "frame_rate_hz": None,
         "markers": None,
         "readout": None,
+        "method": None,
     }
     return {
         "type": "hello",

@@ -131,5 +131,7 @@ class SimulatedDriver(RenderedDriver):
             read_noise_electrons=settings.read_noise_electrons,
             offset_counts=settings.offset_counts,
             markers=settings.strobed_markers,
+            peaks=settings.peaks,
+            line_sigma_px=settings.spot_sigma_px,
         )
         super().__init__(description, FrameRenderer(settings), settings.timing)

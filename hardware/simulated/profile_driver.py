@@ -42,6 +42,8 @@ class ProfileDriver(RenderedDriver):
             offset_counts=detector.offset_counts,
             markers=timing.strobed_markers,
             readout=readout_of(profile),
+            peaks=settings.peaks,
+            profile=profile.name,
         )
         super().__init__(description, ProfileRenderer(profile, settings, timing), timing)
 

@@ -9,6 +9,7 @@ from compute.errors import InvalidParameter
 from compute.optics.masks.window import CodedWindow
 from compute.optics.profiles.build import OpticsMode
 from compute.optics.profiles.profile import DeviceProfile
+from hardware.driver import PeakMethod
 from hardware.simulated.bounds import check_bounds
 from hardware.simulated.scenes import RotatingBar, Scene
 
@@ -36,6 +37,8 @@ class ProfileSettings:
         illumination: "strobed" or "simultaneous"; None: as the profile says.
         seed: seed of the noise.
         pattern_seed: seed of the pixels' differences: another device of the kind.
+        peaks: "fit" measures the lines' peaks by a fit of their shape, "centroid" by threshold and
+            centre of gravity.
         duration_s: length of the scene [s], at least one exposure; None: endless.
         realtime: True: a frame is delivered when it is exposed; False: as soon as it is asked
             for. The lines are the same.
@@ -50,6 +53,7 @@ class ProfileSettings:
     illumination: Literal["strobed", "simultaneous"] | None = None
     seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
     pattern_seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
+    peaks: PeakMethod = "fit"
     duration_s: Annotated[float, Field(gt=0.0, le=1e7)] | None = None
     realtime: bool = True
 
@@ -66,6 +70,10 @@ class ProfileSettings:
             raise InvalidParameter(
                 f"illumination is {self.illumination!r}; it must be 'strobed' or 'simultaneous'",
                 illumination=self.illumination,
+            )
+        if self.peaks not in get_args(PeakMethod):
+            raise InvalidParameter(
+                f"peaks is {self.peaks!r}; it must be 'fit' or 'centroid'", peaks=self.peaks
             )
 
     def scene_in(self, profile: DeviceProfile) -> Scene:

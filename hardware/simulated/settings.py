@@ -1,11 +1,12 @@
 """Settings of the simulated device."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
+from hardware.driver import PeakMethod
 from hardware.simulated.batch import Timing
 from hardware.simulated.bounds import check_bounds
 from hardware.simulated.scenes import RotatingBar, Scene
@@ -30,6 +31,8 @@ class SimulationSettings:
         offset_counts: the count without light.
         bits: resolution of the conversion.
         seed: seed of the noise; the same settings and seed give the same frames, bit by bit.
+        peaks: "fit" measures the lines' peaks by a fit of their shape, "centroid" by threshold and
+            centre of gravity.
         duration_s: length of the scene [s], at least one exposure; None: endless.
         realtime: True: a frame is delivered when it is exposed; False: as soon as it is asked
             for. The lines are the same.
@@ -51,6 +54,7 @@ class SimulationSettings:
     offset_counts: Annotated[float, Field(ge=0.0, le=200.0)] = 64.0
     bits: Annotated[int, Field(ge=8, le=16)] = 12
     seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
+    peaks: PeakMethod = "fit"
     duration_s: Annotated[float, Field(gt=0.0, le=1e7)] | None = None
     realtime: bool = True
 
@@ -62,6 +66,10 @@ class SimulationSettings:
             raise InvalidParameter(
                 f"illumination is {self.illumination!r}; it must be 'strobed' or 'simultaneous'",
                 illumination=self.illumination,
+            )
+        if self.peaks not in get_args(PeakMethod):
+            raise InvalidParameter(
+                f"peaks is {self.peaks!r}; it must be 'fit' or 'centroid'", peaks=self.peaks
             )
 
     @property

@@ -11,6 +11,7 @@ from compute.calibration.result import Calibration
 from compute.calibration.run import calibrate
 from compute.camera.model import SensorGeometry
 from compute.errors import InvalidParameter, LumilineError
+from compute.optics.masks.mask_optics import MaskOptics
 from compute.optics.profiles.build import profile_optics
 from compute.optics.profiles.profile import DeviceProfile
 from compute.planning.line_bound import centroids
@@ -34,7 +35,7 @@ class ProfileDevice:
     Args:
         device: the device.
         sensors: its sensors.
-        calibration: that of its traced optics; None where lines are not images of markers.
+        calibration: that of its traced optics; None where its lines are not read, as Gray tracks'.
     """
 
     device: NewDevice
@@ -72,7 +73,7 @@ def profile_device(profile: DeviceProfile) -> ProfileDevice:
     """Return the device of a profile; takes seconds.
 
     Its calibration is fitted to traced readings without noise of points all over the working
-    volume; what the lenses distort beyond the camera model stays in its residuals.
+    volume; what the optics distort beyond the camera model stays in its residuals.
 
     Raises:
         InvalidParameter: it cannot be a device here, or does not see its volume well enough.
@@ -91,7 +92,8 @@ def profile_device(profile: DeviceProfile) -> ProfileDevice:
             f"profile {profile.name}: {where} is {first['input']!r}: {first['msg']}", field=where
         ) from None
     sensors = usable_sensors(described.sensors)
-    calibration = nominal_calibration(profile) if described.readout == "lines" else None
+    read = described.readout != "gray-tracks"
+    calibration = nominal_calibration(profile) if read else None
     return ProfileDevice(device, sensors, calibration)
 
 
@@ -108,7 +110,7 @@ def store_profile_device(session: Session, made: ProfileDevice) -> None:
     left_over = max(fit.rms_px for fit in result.sensors)
     note = (
         "Cameras fitted to the profile's traced optics over its working volume; nothing was "
-        f"measured. The lenses' distortion beyond them is up to {left_over:.2g} px RMS."
+        f"measured. The optics' distortion beyond them is up to {left_over:.2g} px RMS."
     )
     content = calibration_content(identity, "nominal", [], result)
     errors = ControlPointErrors(fitted=None, leave_one_out=None)
@@ -120,6 +122,9 @@ def store_profile_device(session: Session, made: ProfileDevice) -> None:
 def nominal_calibration(profile: DeviceProfile) -> Calibration:
     """Return the cameras that fit the profile's traced optics best over its working volume.
 
+    A reading is a whole light line's centre of gravity, or where the shadow of the middle of a
+    window's code falls.
+
     Raises:
         InvalidParameter: the sensors do not see their volume well enough.
     """
@@ -127,8 +132,13 @@ def nominal_calibration(profile: DeviceProfile) -> Calibration:
     share = np.linspace(-0.5, 0.5, _GRID)
     grid = np.stack(np.meshgrid(share, share, share, indexing="ij"), axis=-1).reshape(-1, 3)
     points = np.array(profile.volume.centre_mm) + grid * np.array(profile.volume.size_mm)
-    readings, light = centroids(profile_optics(profile, "exact").footprints(points), pixels)
-    on_row = (readings >= -0.5) & (readings <= pixels - 0.5) & (light > 0.0)
+    optics = profile_optics(profile, "exact")
+    if isinstance(optics, MaskOptics):
+        readings = optics.readings(points)
+        on_row = (readings >= -0.5) & (readings <= pixels - 0.5)
+    else:
+        readings, light = centroids(optics.footprints(points), pixels)
+        on_row = (readings >= -0.5) & (readings <= pixels - 0.5) & (light > 0.0)
     geometry = [SensorGeometry(sensor.name, pixels) for sensor in profile.sensors]
     try:
         return calibrate(points, np.where(on_row, readings, np.nan), geometry)

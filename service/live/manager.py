@@ -8,6 +8,7 @@ from compute.errors import InvalidParameter, LumilineError
 from hardware.driver import DeviceDescription, Driver
 from service.live.compute_thread import ComputeThread
 from service.live.hub import Hub
+from service.live.line_model import FindProfile, LineModel, built_in_profile, line_model
 from service.live.messages import describe_message, status_message
 from service.live.processor import DeviceProcessor
 from service.live.reader import Reader
@@ -23,10 +24,16 @@ RING_LEAST = 256
 class LiveManager:
     """Starts and stops devices; all methods may be called from any thread."""
 
-    def __init__(self, compute_device: str | None = None) -> None:
-        """Start the compute thread; ``compute_device`` is "cpu", "cuda:0" or None for the best."""
+    def __init__(
+        self, compute_device: str | None = None, find_profile: FindProfile = built_in_profile
+    ) -> None:
+        """Start the compute thread; ``compute_device`` is "cpu", "cuda:0" or None for the best.
+
+        ``find_profile`` returns the device profiles that descriptions name.
+        """
         self.hub = Hub()
         self._compute_device = compute_device
+        self._find_profile = find_profile
         self._compute = ComputeThread()
         self._compute.start()
         # Read without the lock, which may be held while a driver is opened or closed.
@@ -80,7 +87,11 @@ class LiveManager:
         driver.open()
         try:
             description = driver.description
-            session = self._compute.submit(lambda: self._prepare(device_id, description)).result()
+            # Here and not in the compute thread: it takes about a second.
+            model = line_model(description, self._find_profile)
+            session = self._compute.submit(
+                lambda: self._prepare(device_id, description, model)
+            ).result()
             session.processor.set_calibration(calibration_id, calibration)
         except BaseException:
             driver.close()
@@ -151,11 +162,13 @@ class LiveManager:
             for reader in readers:
                 reader.stop()
 
-    def _prepare(self, device_id: str, description: DeviceDescription) -> DeviceSession:
+    def _prepare(
+        self, device_id: str, description: DeviceDescription, model: LineModel
+    ) -> DeviceSession:
         """Make the device's buffers; runs in the compute thread."""
         capacity = max(RING_LEAST, int(RING_SECONDS * description.frame_rate_hz))
         ring = FrameRing(capacity, self._compute.wake)
-        processor = DeviceProcessor(device_id, description, self._compute_device)
+        processor = DeviceProcessor(device_id, description, self._compute_device, model)
         return DeviceSession(device_id, description, processor, ring, self.hub)
 
     def _ended(self, session: DeviceSession) -> None:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from math import isfinite
 from typing import Any, Final, Literal, get_args
 
 import msgpack
@@ -9,6 +10,7 @@ import msgpack
 from compute.flags import flag_names
 from hardware.driver import DeviceDescription
 from service.live.batch import FrameBatch
+from service.live.peak_finding import peak_method
 
 Content = Literal["points", "peaks"]
 Encoding = Literal["msgpack", "json"]
@@ -29,7 +31,8 @@ def encode(message: dict[str, Any], encoding: Encoding) -> Payload:
 def frame_messages(batch: FrameBatch, content: frozenset[Content]) -> Iterator[dict[str, Any]]:
     """Yield one message for each frame of a batch, with the chosen content.
 
-    A point has the fields of ``PointEstimate`` and its marker; a peak those of ``Peak``.
+    A point has the fields of ``PointEstimate`` and its marker; a peak those of ``Peak``,
+    with None where a value is not a number.
     """
     starts = batch.owner.searchsorted(range(len(batch.frames) + 1)).tolist()
     names = batch.sensor_names
@@ -53,11 +56,16 @@ def frame_messages(batch: FrameBatch, content: frozenset[Content]) -> Iterator[d
         if "peaks" in content:
             first = index * len(names)
             message["peaks"] = [
-                vars(peak)
+                {**vars(peak), "reduced_chi2": _number(peak.reduced_chi2)}
                 for sensor, name in enumerate(names)
                 for peak in batch.peaks.peaks(first + sensor, name)
             ]
         yield message
+
+
+def _number(value: float) -> float | None:
+    """Return None for what is not a number, which JSON has no word for."""
+    return value if isfinite(value) else None
 
 
 def status_message(device_id: str, state: str, reason: str | None) -> dict[str, Any]:
@@ -72,6 +80,7 @@ def describe_message(description: DeviceDescription) -> dict[str, Any]:
         "frame_rate_hz": description.frame_rate_hz,
         "markers": description.markers,
         "readout": description.readout,
+        "method": peak_method(description),
     }
 
 

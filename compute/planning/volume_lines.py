@@ -1,0 +1,114 @@
+"""VolumeLines: noiseless lines of points all over a profile's volume, and their true readings.
+
+An estimator that takes the lines for something else than they are errs by place, by the same
+amount in every exposure; here it is measured.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.optics.footprints import line_electrons
+from compute.optics.masks.mask_optics import MaskOptics
+from compute.optics.profiles.build import gray_plate, light_source, profile_optics
+from compute.optics.profiles.profile import DeviceProfile
+from compute.planning.line_bound import centroids
+from compute.signal.peaks import PeakBatch, PeakFlag
+
+Array = NDArray[np.float64]
+
+_FULL_SIGMA: Final = 4.0  # of the read noise, below the mean count of a full well
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeLines:
+    """Lines of N points evenly spread over a volume, on S sensors.
+
+    Args:
+        lines: counts without noise, uint16, shape (N x S, P), point by point.
+        readings_px: the true readings, shape (N, S) [px]: the centres of gravity of whole light
+            lines, or where the shadow of a code's middle falls; NaN where nothing is seen.
+        full_counts: the count from which on a pixel says "at least" only.
+    """
+
+    lines: NDArray[np.uint16]
+    readings_px: Array
+    full_counts: int
+
+    def parts(self, points: int) -> Iterator["VolumeLines"]:
+        """Yield them by so many points at a time."""
+        sensors = self.readings_px.shape[1]
+        for first in range(0, len(self.readings_px), points):
+            part = slice(first, first + points)
+            lines = self.lines[first * sensors : (first + points) * sensors]
+            yield VolumeLines(lines, self.readings_px[part], self.full_counts)
+
+    def errors_px(self, peaks: PeakBatch, *, clipped: bool = False) -> Array:
+        """Return how far the brightest peaks of these lines are off, shape (N, S) [px].
+
+        NaN where there is none, of lines with full pixels, and of clipped peaks.
+
+        Args:
+            peaks: what was found in ``lines``.
+            clipped: take the clipped ones too.
+        """
+        points, sensors = self.readings_px.shape
+        found = np.isfinite(peaks.position_px)
+        row = np.arange(points * sensors)
+        brightest = np.where(found, peaks.amplitude, -1.0).argmax(axis=1)
+        error = peaks.position_px[row, brightest] - self.readings_px.ravel()
+        left_out = self.lines.max(axis=1) >= self.full_counts
+        if not clipped:
+            left_out |= (peaks.flags[row, brightest] & PeakFlag.CLIPPED) != 0
+        error[left_out] = np.nan
+        return np.asarray(error.reshape(points, sensors))
+
+
+def volume_lines(profile: DeviceProfile, per_side: int = 5) -> VolumeLines:
+    """Trace the noiseless lines of a profile's markers; takes up to a second.
+
+    Args:
+        profile: the device.
+        per_side: points along each side of its volume, in the middles of equal parts.
+
+    Raises:
+        InvalidParameter: no point, or the profile has plates with Gray tracks, whose outputs
+            are no lines.
+    """
+    if gray_plate(profile) is not None:
+        raise InvalidParameter(
+            f"profile {profile.name} has plates with Gray tracks; volume lines are of lenses or "
+            "coded windows",
+            profile=profile.name,
+        )
+    if per_side < 1:
+        raise InvalidParameter(f"per_side is {per_side}; it must be 1 or more", per_side=per_side)
+    share = (np.arange(per_side) + 0.5) / per_side - 0.5
+    grid = np.stack(np.meshgrid(share, share, share, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = np.array(profile.volume.centre_mm) + grid * np.array(profile.volume.size_mm)
+    optics, pixels = profile_optics(profile, "exact"), profile.pixels.count
+    footprints = optics.footprints(points)
+    if isinstance(optics, MaskOptics):
+        readings = optics.readings(points)
+    else:
+        readings, light = centroids(footprints, pixels)
+        readings = np.where(light > 0.0, readings, np.nan)
+    exposure_s = profile.rates.exposure_s
+    photons = light_source(profile).photons_per_sr(
+        points, None, np.array([sensor.position_mm for sensor in profile.sensors]), exposure_s
+    )
+    known = profile.detector
+    signal = line_electrons(footprints, photons * known.quantum_efficiency, 1, pixels)
+    detector = known.detector(exposure_s)
+    electrons = signal + detector.ambient_electrons + detector.dark_electrons
+    counts = electrons / known.electrons_per_count + known.offset_counts
+    well = known.full_well_electrons - _FULL_SIGMA * known.read_noise_electrons
+    full = min(
+        2**known.bits - 1, max(int(well / known.electrons_per_count + known.offset_counts), 1)
+    )
+    lines = np.rint(np.clip(counts, 0, full)).astype(np.uint16).reshape(-1, pixels)
+    return VolumeLines(lines, readings, full)

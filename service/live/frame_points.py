@@ -1,0 +1,104 @@
+"""Points of frames from the peaks of their lines: who belongs together, and where it is."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.result import Calibration
+from compute.calibration.weights import reading_sigma
+from compute.camera.stack import CameraStack
+from compute.reconstruction.correspondence import match_peaks
+from compute.reconstruction.estimate import PointBatch, PointFlag
+from compute.reconstruction.points import reconstruct
+from compute.signal.peaks import PeakBatch, PeakFlag
+from hardware.frame import LineFrame
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ActiveCalibration:
+    """A calibration in the form that the live path uses."""
+
+    calibration_id: str
+    calibration: Calibration
+    cameras: CameraStack
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class PeakUse:
+    """What flags of peaks mean for points.
+
+    Args:
+        unusable: such a peak is taken as not seen.
+        doubtful: a point of such a peak is flagged.
+    """
+
+    unusable: PeakFlag
+    doubtful: PeakFlag
+
+
+def no_points(sensors: int) -> PointBatch:
+    """Return the batch of no points, of so many sensors."""
+    return PointBatch(
+        np.empty((0, 3)),
+        np.empty((0, 3, 3)),
+        np.empty(0),
+        np.empty((0, sensors), dtype=np.bool_),
+        np.empty(0, dtype=np.int32),
+    )
+
+
+def frame_points(
+    active: ActiveCalibration, frames: Sequence[LineFrame], peaks: PeakBatch, use: PeakUse
+) -> tuple[PointBatch, NDArray[np.intp]]:
+    """Return the points of all frames and the frame that each belongs to.
+
+    Args:
+        active: the calibration in force, of S sensors.
+        frames: F frames.
+        peaks: of their F x S lines.
+        use: which of them are used, and which doubted.
+    """
+    sensors = len(active.calibration.sensors)
+    shape = (len(frames), sensors, -1)
+    position = peaks.position_px.reshape(shape).astype(np.float64)
+    flags = np.where(np.isfinite(position), peaks.flags.reshape(shape), 0)
+    position[(flags & use.unusable) != 0] = np.nan
+    doubtful = position[(flags & use.doubtful) != 0]
+    # By frame, peak and sensor for the calibration's figures, which are by sensor.
+    own = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
+    spread = reading_sigma(active.calibration, own, own).transpose(0, 2, 1)
+    amplitude = peaks.amplitude.reshape(shape)
+    rows: list[Array] = []
+    sigmas: list[Array] = []
+    owner: list[int] = []
+    ambiguous: list[bool] = []
+    # A strobed exposure shows one marker: the brightest peak is it, weaker ones are reflections.
+    brightest = np.where(np.isfinite(position), amplitude, -1.0).argmax(axis=2)[..., None]
+    strobed = np.take_along_axis(position, brightest, axis=2)[..., 0]
+    strobed_sigma = np.take_along_axis(spread, brightest, axis=2)[..., 0]
+    for index, frame in enumerate(frames):
+        if frame.marker is not None:
+            rows.append(strobed[index])
+            sigmas.append(strobed_sigma[index])
+            owner.append(index)
+            ambiguous.append(False)
+            continue
+        found = match_peaks(active.cameras, position[index], spread[index], active.covariance)
+        rows.extend(found.readings_px)
+        sigmas.extend(found.sigma_px)
+        owner.extend([index] * len(found.readings_px))
+        ambiguous.extend(found.ambiguous.tolist())
+    if not rows:
+        return no_points(sensors), np.empty(0, dtype=np.intp)
+    readings, deviations = np.array(rows), np.array(sigmas)
+    points = reconstruct(active.cameras, readings, deviations, active.covariance)
+    found_flags = np.where(ambiguous, int(PointFlag.AMBIGUOUS), 0)
+    from_doubtful = np.isin(readings, doubtful).any(axis=1)
+    found_flags |= np.where(from_doubtful, int(PointFlag.DOUBTFUL_PEAK), 0)
+    points = replace(points, flags=(points.flags | found_flags).astype(np.int32))
+    return points, np.array(owner, dtype=np.intp)

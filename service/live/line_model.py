@@ -1,0 +1,98 @@
+"""LineModel: what a device's profile tells of its lines, for the measurement of its peaks."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from compute.errors import LumilineError
+from compute.optics.masks.fine_shadow import fine_shadow
+from compute.optics.profiles.build import light_source, mask_optics
+from compute.optics.profiles.loader import load_profile, profile_names
+from compute.optics.profiles.profile import DeviceProfile
+from compute.planning.volume_lines import VolumeLines, volume_lines
+from compute.signal.masks.template import ShadowTemplate
+from hardware.driver import DeviceDescription
+from service.errors import UnknownDeviceProfile
+
+_log = logging.getLogger(__name__)
+
+_PER_SIDE: Final = 5
+_PER_SIDE_SHADOWS: Final = 4  # a shadow takes a thousand times as long to work out and read
+
+FindProfile = Callable[[str], DeviceProfile]
+
+
+@dataclass(frozen=True, eq=False)
+class LineModel:
+    """What is known of a device's lines beyond its description.
+
+    Args:
+        volume: noiseless lines of its volume with their true readings; None: not known.
+        templates: shadows of its coded windows, by sensor; none where it has none.
+    """
+
+    volume: VolumeLines | None = None
+    templates: tuple[ShadowTemplate, ...] = ()
+
+
+def built_in_profile(name: str) -> DeviceProfile:
+    """Return a built-in profile; a recording's name for one is no path.
+
+    Raises:
+        UnknownDeviceProfile: there is none of the name.
+    """
+    if name not in profile_names():
+        raise UnknownDeviceProfile(
+            f'there is no built-in device profile "{name}"; there are {", ".join(profile_names())}',
+            name=name,
+        )
+    return load_profile(name)
+
+
+def line_model(
+    description: DeviceDescription, find_profile: FindProfile = built_in_profile
+) -> LineModel:
+    """Return what the device's profile tells; takes about a second, and no Warp.
+
+    A profile that is gone, or of another device meanwhile, tells nothing: the log says so.
+    """
+    if description.profile is None or description.readout == "gray-tracks":
+        return LineModel()
+    try:
+        profile = find_profile(description.profile)
+        if not _is_of(profile, description):
+            _log.warning("device %s: profile %s is of other sensors, and not used",
+                         description.name, profile.name)  # fmt: skip
+            return LineModel()
+        templates = _templates(profile)
+        per_side = _PER_SIDE_SHADOWS if templates else _PER_SIDE
+        return LineModel(volume_lines(profile, per_side), templates)
+    except LumilineError as error:
+        _log.warning("device %s: its profile tells nothing of its lines: %s",
+                     description.name, error.detail)  # fmt: skip
+        return LineModel()
+
+
+def _is_of(profile: DeviceProfile, description: DeviceDescription) -> bool:
+    pixels = {sensor.pixels for sensor in description.sensors}
+    names = [sensor.name for sensor in description.sensors]
+    return names == [sensor.name for sensor in profile.sensors] and pixels == {profile.pixels.count}
+
+
+def _templates(profile: DeviceProfile) -> tuple[ShadowTemplate, ...]:
+    """Return the shadow of a marker in the middle of the volume on each sensor."""
+    optics = mask_optics(profile, light_source(profile))
+    if optics is None:
+        return ()
+    return tuple(
+        fine_shadow(
+            optics,
+            np.array(profile.volume.centre_mm),
+            sensor=number,
+            direction=sensor.measured_direction,
+        )
+        for number, sensor in enumerate(profile.sensors)
+    )

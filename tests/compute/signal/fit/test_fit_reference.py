@@ -143,6 +143,25 @@ def test_pairs_have_their_joint_covariance(apart):
     assert (rms < 1.05 * np.sqrt(np.diag(bounds)) * (1 + 4 / np.sqrt(2 * lines))).all()
 
 
+@pytest.mark.parametrize(("apart", "height"), [(1.5, 80.0), (2.0, 40.0), (2.5, 30.0)])
+def test_pairs_are_told_apart_as_soon_as_the_light_allows(apart, height):
+    """Where the misfit of one line is four deviations more than chance and the criterion ask."""
+    lines = 300
+    rng = np.random.default_rng(15)
+    place = 45.0 + rng.uniform(0.0, 1.0, (lines, 1)) + [0.0, 2.0 * apart]
+    mean = scene(place, [height, height])
+    one = FitSettings(width_px=2.0, width_spread=0.0, max_joint=1)
+    exact = np.rint(mean[:1] + AMBIENT + OFFSET).astype(np.uint16)
+    (alone,) = fit_line(exact[0], one, NOISE)
+    needed = 2.0 * np.log(len(alone.values)) + KNOWN.split_margin
+    misfit = alone.chi2
+    assert misfit - 4.0 * 2.0 * np.sqrt(misfit) > needed
+    chance = alone.freedom + misfit - 4.0 * np.sqrt(2 * alone.freedom + 4 * misfit)
+    assert chance > KNOWN.misfit_limits()[alone.freedom]
+    found = fit_lines(measured(mean, rng, AMBIENT), KNOWN, NOISE)
+    assert np.mean(found.count == 2) > 0.98
+
+
 def test_single_peaks_are_split_as_rarely_as_the_settings_say():
     lines = 10_000
     options = FitSettings(width_px=1.5, width_spread=0.0, false_split_rate=1e-3)

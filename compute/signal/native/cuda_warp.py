@@ -1,10 +1,13 @@
-"""Native source for CUDA: a warp takes a few lines, then their bright groups, then their peaks."""
+"""Native source for CUDA: a warp takes a few lines, then their bright groups, then their peaks.
+
+Lines that a warp takes together are a batch; it may take several, one after another.
+"""
 
 from typing import Final
 
-MAX_LINES_PER_WARP: Final = 3
+LINES_PER_BATCH: Final = 3
 BLOCK_THREADS: Final = 64
-STAGED_PIXELS: Final = MAX_LINES_PER_WARP * 2048
+STAGED_PIXELS: Final = LINES_PER_BATCH * 2048
 LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 8)
 _CHUNKS: Final = 31 + 256
 _TOPS: Final = 31 + 128
@@ -18,30 +21,30 @@ _QUEUES: Final = f"""
     __shared__ uint4 all_staged[warps][{STAGED_PIXELS} / 8];
     __shared__ unsigned short all_chunks[warps][chunk_room];
     __shared__ unsigned all_tops[warps][top_room];
-    __shared__ Line all_lines[warps][{MAX_LINES_PER_WARP}];
-    __shared__ int all_limits[warps][{MAX_LINES_PER_WARP}];
-    __shared__ int all_found[warps][{MAX_LINES_PER_WARP}];
-    __shared__ int all_lost[warps][{MAX_LINES_PER_WARP}];
+    __shared__ Line all_lines[warps][{LINES_PER_BATCH}];
+    __shared__ int all_limits[warps][{LINES_PER_BATCH}];
+    __shared__ int all_found[warps][{LINES_PER_BATCH}];
+    __shared__ int all_lost[warps][{LINES_PER_BATCH}];
     const int lane = threadIdx.x % 32, warp = threadIdx.x / 32;
     const unsigned every = 0xffffffffu, before = (1u << lane) - 1u;
-    const int slot_shift = 13;
+    const int slot_shift = 13, batch_lines = {LINES_PER_BATCH};
     unsigned short* chunk_queue = all_chunks[warp];
     unsigned* top_queue = all_tops[warp];
     Line* line_at = all_lines[warp];
     int* limits = all_limits[warp];
     int* found = all_found[warp];
     int* lost = all_lost[warp];
-    const int first_line = number * lines_per_warp;
-    if (first_line >= lines) return;
-    const int slots = lesser(lines_per_warp, lines - first_line);
-    const int chunks = (pixels + 7) / 8;
+    const int end_line = lesser(lines, (number + 1) * lines_per_warp);
+    int first_line = number * lines_per_warp, slots = 0;
     const unsigned short* first_v =
         (const unsigned short*)lines_address + (long long)first_line * pixels;
+    const int chunks = (pixels + 7) / 8;
     // 16-byte copies, where every line begins on a boundary.
     const bool whole = ((lines_address | (unsigned long long)(pixels * 2)) & 15ull) == 0;
-    const bool short_lines = slots * chunks <= {STAGED_PIXELS} / 8;
+    const bool short_lines = chunks <= {STAGED_PIXELS} / 8 / {LINES_PER_BATCH};
     const int stride = short_lines ? chunks * 8 : pixels;
     uint4* staged = all_staged[warp];
+    const unsigned short* seen_v = short_lines ? (const unsigned short*)staged : first_v;
     int chunk_first = 0, chunk_end = 0, top_first = 0, top_end = 0;
     // Brings chunks of one line, or of all where they lie without a gap.
     auto stage = [&](uint4* to, const unsigned short* from, int count) {{
@@ -74,17 +77,16 @@ _QUEUES: Final = f"""
 #endif
         __syncwarp();
     }};
-    // Where lines are looked at after the search for bright chunks.
-    const unsigned short* seen_v = first_v;
-    if (short_lines) {{
+    // The lines of a batch, where they are looked at after the search for bright chunks.
+    auto stage_batch = [&]() {{
+        if (!short_lines) return;
         if (whole) stage(staged, first_v, slots * chunks);
         else
             for (int slot = 0; slot < slots; ++slot)
                 stage(staged + slot * chunks, first_v + slot * pixels, chunks);
         end_of_stage();
         await_stage(false);
-        seen_v = (const unsigned short*)staged;
-    }}
+    }};
     auto load_chunk = [&](const unsigned short* v, int chunk) -> uint4 {{
         if (whole || short_lines) return ((const uint4*)v)[chunk];
         unsigned value[8];
@@ -115,11 +117,11 @@ _BEGIN: Final = f"""
         return (words.x & low) + (words.x >> 16) + (words.y & low) + (words.y >> 16)
             + (words.z & low) + (words.z >> 16) + (words.w & low) + (words.w >> 16);
     }};
-    {{
-        int keys[{MAX_LINES_PER_WARP}];
+    auto begin = [&]() {{
+        int keys[{LINES_PER_BATCH}];
         const int group_chunk = lane * group_step / group_pixels;
         #pragma unroll
-        for (int slot = 0; slot < {MAX_LINES_PER_WARP}; ++slot) {{
+        for (int slot = 0; slot < {LINES_PER_BATCH}; ++slot) {{
             keys[slot] = no_key;
             if (slot < slots && lane < groups)
                 keys[slot] =
@@ -128,7 +130,7 @@ _BEGIN: Final = f"""
         }}
         int own_quartile = 0, own_sixteenth = 0;
         #pragma unroll
-        for (int slot = 0; slot < {MAX_LINES_PER_WARP}; ++slot) {{
+        for (int slot = 0; slot < {LINES_PER_BATCH}; ++slot) {{
             if (slot >= slots) break;
             int quartile = 0, sixteenth = 0;
             if (groups == sample_groups) {{
@@ -161,7 +163,7 @@ _BEGIN: Final = f"""
             lost[lane] = 0;
         }}
         __syncwarp();
-    }}
+    }};
 """
 
 # Each lane looks at 8 neighbouring chunks; a block is 2048 pixels. A pair of pixels is bright when
@@ -192,14 +194,19 @@ _SCAN: Final = """
         const unsigned below = (unsigned)(limit - 1) * 0x10001u;
         unsigned bright = 0u;
         const uint4* own = block + lane * 8;
-        #pragma unroll
-        for (int i = 0; i < 8; ++i) {
-            const int k = (i + lane) % 8;
+        auto look = [&](int i, bool there) {
             uint4 words = make_uint4(0u, 0u, 0u, 0u);
-            if (first + lane * 8 + k < chunks) words = own[k];
+            if (there) words = own[(i + lane) % 8];
             const unsigned most = __vmaxu2(__vmaxu2(words.x, words.y),
                 __vmaxu2(__vmaxu2(words.z, words.w), below));
             if (most != below) bright |= 1u << i;
+        };
+        if (first + 256 <= chunks) {
+            #pragma unroll
+            for (int i = 0; i < 8; ++i) look(i, true);
+        } else {
+            #pragma unroll
+            for (int i = 0; i < 8; ++i) look(i, first + lane * 8 + (i + lane) % 8 < chunks);
         }
         // Back into the order of chunks.
         bright = (bright << lane % 8 | bright >> (8 - lane % 8)) & 0xffu;
@@ -310,42 +317,50 @@ _MEASURE_TOPS: Final = """
 # A step runs when all lanes have work, or when no step before it has any left. What a queue holds
 # then moves to its beginning.
 _LOOP: Final = """
-    int scan_slot = 0, scan_chunk = 0;
-    for (;;) {
-        const bool scanned = scan_slot == slots;
-        const int chunks_left = chunk_end - chunk_first, tops_left = top_end - top_first;
-        if (tops_left >= 32 || (scanned && chunks_left == 0 && tops_left > 0)) {
-            measure_tops();
-        } else if (chunks_left >= 32 || (scanned && chunks_left > 0)) {
-            unsigned entry = 0u;
-            if (lane < tops_left) entry = top_queue[top_first + lane];
-            __syncwarp();
-            if (lane < tops_left) top_queue[lane] = entry;
-            top_first = 0;
-            top_end = tops_left;
-            search_chunks();
-        } else if (!scanned) {
-            unsigned short entry = 0;
-            if (lane < chunks_left) entry = chunk_queue[chunk_first + lane];
-            __syncwarp();
-            if (lane < chunks_left) chunk_queue[lane] = entry;
-            chunk_first = 0;
-            chunk_end = chunks_left;
-            scan(scan_slot, scan_chunk);
-            scan_chunk += 256;
-            if (scan_chunk >= chunks) { scan_chunk = 0; ++scan_slot; }
-        } else {
-            break;
+    for (; first_line < end_line; first_line += batch_lines) {
+        slots = lesser(batch_lines, end_line - first_line);
+        stage_batch();
+        begin();
+        int scan_slot = 0, scan_chunk = 0;
+        for (;;) {
+            const bool scanned = scan_slot == slots;
+            const int chunks_left = chunk_end - chunk_first, tops_left = top_end - top_first;
+            if (tops_left >= 32 || (scanned && chunks_left == 0 && tops_left > 0)) {
+                measure_tops();
+            } else if (chunks_left >= 32 || (scanned && chunks_left > 0)) {
+                unsigned entry = 0u;
+                if (lane < tops_left) entry = top_queue[top_first + lane];
+                __syncwarp();
+                if (lane < tops_left) top_queue[lane] = entry;
+                top_first = 0;
+                top_end = tops_left;
+                search_chunks();
+            } else if (!scanned) {
+                unsigned short entry = 0;
+                if (lane < chunks_left) entry = chunk_queue[chunk_first + lane];
+                __syncwarp();
+                if (lane < chunks_left) chunk_queue[lane] = entry;
+                chunk_first = 0;
+                chunk_end = chunks_left;
+                scan(scan_slot, scan_chunk);
+                scan_chunk += 256;
+                if (scan_chunk >= chunks) { scan_chunk = 0; ++scan_slot; }
+            } else {
+                break;
+            }
         }
-    }
-    for (int slot = 0; slot < slots; ++slot) {
-        char* record = record_of(first_line + slot);
-        Record* records = (Record*)(record + 8);
-        const int count = found[slot];
-        if (lane == 0) *(int2*)record = make_int2(count, line_at[slot].background);
-        for (int k = count + lane; k < max_peaks; k += 32) records[k] = no_record();
-        if (lost[slot] != 0)
-            for (int k = lane; k < count; k += 32) records[k].flags |= lost[slot];
+        for (int slot = 0; slot < slots; ++slot) {
+            char* record = record_of(first_line + slot);
+            Record* records = (Record*)(record + 8);
+            const int count = found[slot];
+            if (lane == 0) *(int2*)record = make_int2(count, line_at[slot].background);
+            for (int k = count + lane; k < max_peaks; k += 32) records[k] = no_record();
+            if (lost[slot] != 0)
+                for (int k = lane; k < count; k += 32) records[k].flags |= lost[slot];
+        }
+        __syncwarp();
+        first_v += (long long)batch_lines * pixels;
+        if (!short_lines) seen_v = first_v;
     }
 """
 

@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.signal.native.cuda_warp import BLOCK_THREADS, MAX_LINES_PER_WARP
+from compute.signal.native.cuda_warp import BLOCK_THREADS, LINES_PER_BATCH
 from compute.signal.noise import LineNoise
 from compute.signal.settings import MAX_PIXELS, MIN_PIXELS
 from compute.warp_host import host_memory, warp_device
 
 WARP_LANES: Final = 32
-MANY_LINES: Final = 16_384
-"""From so many lines on a warp takes several: enough of them to fill a large GPU."""
+FILLING_WARPS: Final = 8192
+"""So many warps fill a large GPU a few times over; of more lines each takes a batch or several."""
+MAX_BATCHES: Final = 8
 PIXELS_PER_THREAD: Final = 131_072
 """A further CPU thread must have so many pixels to be worth its start (tens of microseconds)."""
 MAX_GRAPHS: Final = 64
@@ -222,7 +223,8 @@ class LineRunner:
 
     def _launch_cuda(self, count: int) -> None:
         launch = self._launches[0]
-        per_warp = MAX_LINES_PER_WARP if count >= MANY_LINES else 1
+        batches = count // (FILLING_WARPS * LINES_PER_BATCH)
+        per_warp = LINES_PER_BATCH * min(batches, MAX_BATCHES) if batches > 0 else 1
         launch.set_param_at_index(2, count)
         launch.set_param_at_index(4, per_warp)
         launch.set_dim(-(-count // per_warp) * WARP_LANES)

@@ -38,6 +38,7 @@ TAGS: Final = [
         "retire.",
     },
     {"name": "reconstructions", "description": "3D points from readings that you post."},
+    {"name": "line-scans", "description": "Peaks of lines that you post, and their picture."},
     {
         "name": "device-profiles",
         "description": "Tracking devices as published, and what they would reach: planning before "

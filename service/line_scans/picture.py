@@ -59,18 +59,20 @@ def draw_line(values: Counts, found: LineScans, method: Method, title: str) -> b
     beyond = 0 if scan.limit_sigma is not None else 1
     stage = scan.stages[-1] if scan.stages and len(scan.stages) > beyond else None
     rows = -(-len(panels) // _COLUMNS)
-    heights = [3.2, *([2.4] if stage else []), *([4.2 if scan.windows else 3.0] * rows)]
+    above = [3.2, 2.4] if stage else [3.2]
+    heights = [sum(above), *([4.2 if scan.windows else 3.0] * rows)]
     with mpl.rc_context({"font.size": 9, "axes.titlesize": 9}):
         figure = Figure(figsize=(14.0, 0.8 + sum(heights)), layout="constrained")
         FigureCanvasAgg(figure)
         figure.suptitle(f"{title}: {_summary(scan, found, panels)}", fontsize=12)
         grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
         parts = [figure.add_subfigure(grid[row]) for row in range(len(heights))]
-        _whole_line(parts[0].subplots(), values, scan, found)
+        whole = parts[0].subplots(len(above), squeeze=False, height_ratios=above)[:, 0]
+        _whole_line(whole[0], values, scan, found)
         if stage is not None:
-            _last_stage(parts[1].subplots(), stage, scan)
+            _last_stage(whole[1], stage, scan)
         columns = _COLUMNS if rows > 1 else max(len(panels), 2)
-        for row, part in enumerate(parts[len(heights) - rows :]):
+        for row, part in enumerate(parts[1:]):
             some = panels[row * columns : (row + 1) * columns]
             _panels(part, values, scan, some, columns, method)
         drawn, small = io.BytesIO(), io.BytesIO()
@@ -144,11 +146,8 @@ def _last_stage(axes: Axes, stage: Stage, scan: LineScan) -> None:
     axes.plot(place, stage.values, color=MODEL, lw=0.8)
     if scan.limit_sigma is not None:
         axes.axhline(scan.limit_sigma, ls="--", color=LEVEL, lw=1.0)
-        axes.set_yscale("symlog", linthresh=2.0 * scan.limit_sigma)
-        decades = [sign * 10.0**power for sign in (-1, 1) for power in range(1, 6)]
-        axes.set_yticks([0.0, *(one for one in decades if abs(one) > 1.5 * scan.limit_sigma)])
-        axes.set_yticks([], minor=True)
-        axes.set_ylim(*_margin(stage.values, scan.limit_sigma))
+        if max(stage.values) > 5.0 * scan.limit_sigma:
+            _logarithmic(axes, stage.values, scan.limit_sigma)
         text = f"answer of the matched filter; threshold {scan.limit_sigma:.2f} deviations"
     else:
         moved = f", moved back by {stage.shift_px:.3g} px" if stage.shift_px else ""
@@ -163,9 +162,13 @@ def _last_stage(axes: Axes, stage: Stage, scan: LineScan) -> None:
     axes.set_title(text, loc="left")
 
 
-def _margin(values: list[float], limit: float) -> tuple[float, float]:
-    """Return the ends of an axis on a logarithmic scale that hold all values and the limit."""
-    return 1.5 * min(min(values), -limit), 2.0 * max(max(values), limit)
+def _logarithmic(axes: Axes, values: list[float], limit: float) -> None:
+    """Show answers of a thousand deviations and noise on one axis."""
+    axes.set_yscale("symlog", linthresh=2.0 * limit)
+    decades = [sign * 10.0**power for sign in (-1, 1) for power in range(1, 6)]
+    axes.set_yticks([0.0, *(one for one in decades if abs(one) > 1.5 * limit)])
+    axes.set_yticks([], minor=True)
+    axes.set_ylim(1.5 * min(min(values), -limit), 2.0 * max(values))
 
 
 def _panels(

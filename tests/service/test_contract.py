@@ -24,6 +24,8 @@ RULES_BEYOND_THE_SCHEMA = {
     "create-reconstruction",
     "create-device",
     "change-device",
+    "find-peaks",
+    "draw-peaks",
 }
 
 

@@ -166,6 +166,57 @@ def plan(
     run(profile, grid=grid, markers=markers, output=output, as_json=as_json)
 
 
+@app.command()
+def peaks(
+    file: Annotated[
+        Path, typer.Argument(help="CSV (one line of counts a row), .npy (L, P), or a recording.")
+    ],
+    line: Annotated[int | None, typer.Option(min=0, help="Only this line, from 0.")] = None,
+    frame: Annotated[int | None, typer.Option(min=0, help="Of a recording, from 0.")] = None,
+    sensor: Annotated[str | None, typer.Option(help="Of a recording: only this one.")] = None,
+    method: Annotated[str, typer.Option(help="centroid, fit, chain or matched.")] = "fit",
+    width: Annotated[
+        float | None, typer.Option(help="Deviation of the lines \\[px]: fit, matched.")
+    ] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="Method and settings as JSON, as REST takes them.")
+    ] = None,
+    gain: Annotated[float | None, typer.Option(help="Electrons per count.")] = None,
+    read_noise: Annotated[float | None, typer.Option(help="Read noise, electrons.")] = None,
+    offset: Annotated[float | None, typer.Option(help="The count without light.")] = None,
+    full_scale: Annotated[int | None, typer.Option(help="The count of a saturated pixel.")] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Draw the (first) line: a PNG to write.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+    detail: Annotated[
+        bool, typer.Option("--detail", help="In JSON: also model, residuals, steps.")
+    ] = False,
+) -> None:
+    """Find the peaks of line scans. Noise that is not given is guessed, or the recording's."""
+    from service.cli.peaks import run
+
+    noise = {
+        "electrons_per_count": gain,
+        "read_noise_electrons": read_noise,
+        "offset_counts": offset,
+        "full_scale_counts": full_scale,
+    }
+    run(
+        file,
+        line=line,
+        frame=frame,
+        sensor=sensor,
+        method=method,
+        width_px=width,
+        settings=settings,
+        noise=noise,
+        output=output,
+        as_json=as_json,
+        detail=detail,
+    )
+
+
 def main() -> None:
     """Run the command line."""
     app()

@@ -22,8 +22,10 @@ def guessed_noise(lines: Lines) -> tuple[PixelNoise, list[str]]:
     spread = line_spread(lines)
     variance = float(np.median(spread.variance())) - QUANTISATION_VARIANCE
     background = float(np.median(spread.background)) / LEVEL_UNIT
-    gain = max(background / variance, 1.0)
-    read = gain * max(variance - background / gain, 0.0) ** 0.5
+    gain = background / variance
+    read = 0.0
+    if gain < 1.0:
+        gain, read = 1.0, (variance - background) ** 0.5
     largest = int(lines.max())
     full = 2 ** max(largest.bit_length(), 8) - 1
     noise = PixelNoise(electrons_per_count=gain, read_noise_electrons=read, full_scale_counts=full)

@@ -1,0 +1,195 @@
+"""`lumiline peaks`: the peaks of lines from a file, as a table, JSON or a picture."""
+
+from pathlib import Path
+from typing import Any, get_args
+
+import typer
+from pydantic import TypeAdapter, ValidationError
+from rich.markup import escape
+from rich.table import Table
+
+from compute.errors import LumilineError
+from service.cli.line_files import LineFile, read_lines
+from service.cli.output import console, fail
+from service.line_scans.chain_steps import passive_chain
+from service.line_scans.methods import (
+    Method,
+    MethodName,
+)
+from service.line_scans.run import find_peaks
+from service.line_scans.schema import LinePeak, LineScan, LineScans, PixelNoise
+
+METHOD: TypeAdapter[Method] = TypeAdapter(Method)
+
+
+def run(
+    path: Path,
+    *,
+    line: int | None,
+    frame: int | None,
+    sensor: str | None,
+    method: str,
+    width_px: float | None,
+    settings: Path | None,
+    noise: dict[str, float | None],
+    output: Path | None,
+    as_json: bool,
+    detail: bool,
+) -> None:
+    """Find and print the peaks of a file's lines; draw the first of them where wanted."""
+    if output is not None and not output.parent.is_dir():
+        raise fail(f"{output} cannot be written: there is no folder {output.parent}")
+    try:
+        chosen = _from_file(settings) if settings else _named(method, width_px)
+        read = read_lines(path, line=line, frame=frame, sensor=sensor)
+        found = find_peaks(
+            read.lines, chosen, _noise(noise) or read.noise, detail=detail and as_json
+        )
+        if output is not None:
+            _draw(read, chosen, found, output)
+    except LumilineError as error:
+        raise fail(escape(error.detail)) from error
+    if as_json:
+        numbered = [
+            scan.model_copy(update={"line": read.first + scan.line}) for scan in found.lines
+        ]
+        typer.echo(found.model_copy(update={"lines": numbered}).model_dump_json(indent=2))
+        return
+    _print(found, read.names)
+    if output is not None:
+        console.print(f"written: {output}")
+
+
+def _named(name: str, width_px: float | None) -> Method:
+    """Return a method with its defaults.
+
+    The chain is the one for passive markers, which takes the background away: others leave it
+    to whoever knows that there is none.
+    """
+    if name not in get_args(MethodName):
+        raise fail(f'the method is "{name}"; it must be one of {", ".join(get_args(MethodName))}')
+    if width_px is not None and name not in ("fit", "matched"):
+        raise fail(f"--width is for the methods fit and matched, not for {name}")
+    if name == "chain":
+        return passive_chain()
+    width = {} if width_px is None else {"width_px": width_px}
+    return _valid({"method": name, **width}, "--width")
+
+
+def _from_file(path: Path) -> Method:
+    try:
+        return METHOD.validate_json(path.read_bytes(), strict=True)
+    except (OSError, ValidationError) as error:
+        raise fail(escape(_message(error, str(path)))) from error
+
+
+def _valid(values: dict[str, Any], name: str) -> Method:
+    try:
+        return METHOD.validate_python(values)
+    except ValidationError as error:
+        raise fail(escape(_message(error, name))) from error
+
+
+def _noise(given: dict[str, float | None]) -> PixelNoise | None:
+    """Return the noise that options tell; None where they do not."""
+    values = {name: value for name, value in given.items() if value is not None}
+    if not values:
+        return None
+    try:
+        return PixelNoise.model_validate(values)
+    except ValidationError as error:
+        text = _message(error, "noise")
+        raise fail(escape(f"{text}; give --gain and --read-noise, or none of these")) from error
+
+
+def _message(error: Exception, where: str) -> str:
+    if not isinstance(error, ValidationError):
+        return f"{where}: {error.strerror if isinstance(error, OSError) else error}"
+    parts = (
+        f"{'.'.join(map(str, one['loc'])) or 'the whole'}: {one['msg']}" for one in error.errors()
+    )
+    return f"{where}: {'; '.join(parts)}"
+
+
+def _draw(read: LineFile, method: Method, found: LineScans, output: Path) -> None:
+    from service.line_scans.picture import draw_line
+
+    count = getattr(method, "average", None) or 1
+    detailed = find_peaks(read.lines[:count], method, found.noise, detail=True)
+    first = found.model_copy(update={"lines": detailed.lines})
+    try:
+        output.write_bytes(draw_line(read.lines[0], first, method, read.names[0]))
+    except OSError as error:
+        raise fail(f"{output} cannot be written: {error.strerror}") from error
+
+
+def _print(found: LineScans, names: tuple[str, ...]) -> None:
+    for scan in found.lines:
+        console.print(_heading(scan, names[scan.line]), highlight=False)
+        if scan.peaks:
+            console.print(_table(scan))
+        console.print()
+    noise = found.noise
+    console.print(
+        f"noise: {noise.electrons_per_count:.3g} electrons per count, read noise "
+        f"{noise.read_noise_electrons:.3g} electrons, offset {noise.offset_counts:g} counts, full "
+        f"scale {noise.full_scale_counts} counts",
+        highlight=False,
+    )
+    for text in found.assumed:
+        console.print(f"- guessed: {text}", highlight=False)
+
+
+def _heading(scan: LineScan, name: str) -> str:
+    count = len(scan.peaks)
+    limit = ""
+    if scan.limit_counts is not None:
+        limit = f"; peaks must reach {scan.limit_counts:.4g} counts"
+    elif scan.limit_sigma is not None:
+        limit = f"; answers must be above {scan.limit_sigma:.3g} deviations"
+    return (
+        f"[bold]{escape(name)}: {count or 'no'} peak{'' if count == 1 else 's'}[/bold]; background "
+        f"{scan.background_counts:.5g} counts, noise {scan.noise_counts:.3g} counts (measured "
+        f"{scan.measured_noise_counts:.3g}){limit}"
+    )
+
+
+def _table(scan: LineScan) -> Table:
+    table = Table()
+    columns = _columns(scan)
+    table.add_column("", justify="right")
+    for heading in columns:
+        table.add_column(heading, justify="left" if heading == "flags" else "right")
+    for number, peak in enumerate(scan.peaks, start=1):
+        table.add_row(str(number), *(_cell(peak, field) for field in columns.values()))
+    return table
+
+
+def _columns(scan: LineScan) -> dict[str, str]:
+    """Return headings and fields, without those of which this line's peaks have nothing."""
+    every = {
+        "position,\npx": "position_px",
+        "deviation,\npx": "sigma_px",
+        "answer,\ndeviations": "response_sigma",
+        "height,\ncounts": "amplitude",
+        "width,\npx": "width_px",
+        "chi2 /\nfreedom": "reduced_chi2",
+        "flags": "flags",
+    }
+    return {
+        heading: field
+        for heading, field in every.items()
+        if field in ("position_px", "flags")
+        or any(getattr(peak, field) is not None for peak in scan.peaks)
+    }
+
+
+def _cell(peak: LinePeak, field: str) -> str:
+    value = getattr(peak, field)
+    match field:
+        case "flags":
+            return ", ".join(value)
+        case "position_px":
+            return f"{value:.4f}" if peak.sigma_px is not None else f"{value:g}"
+        case _:
+            return "-" if value is None else f"{value:.4g}" if value < 1e4 else f"{value:.0f}"

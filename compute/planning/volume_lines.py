@@ -1,4 +1,4 @@
-"""VolumeLines: noiseless lines of points all over a profile's volume, and their true readings.
+"""VolumeLines: noiseless light lines of points all over a profile's volume, and their readings.
 
 An estimator that takes the lines for something else than they are errs by place, by the same
 amount in every exposure; here it is measured.
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from compute.errors import InvalidParameter
 from compute.optics.footprints import line_electrons
 from compute.optics.masks.mask_optics import MaskOptics
-from compute.optics.profiles.build import gray_plate, light_source, profile_optics
+from compute.optics.masks.plate_optics import TrackOptics
+from compute.optics.profiles.build import light_source, profile_optics
 from compute.optics.profiles.profile import DeviceProfile
 from compute.planning.line_bound import centroids
 from compute.signal.peaks import PeakBatch, PeakFlag
@@ -30,8 +31,8 @@ class VolumeLines:
 
     Args:
         lines: counts without noise, uint16, shape (N x S, P), point by point.
-        readings_px: the true readings, shape (N, S) [px]: the centres of gravity of whole light
-            lines, or where the shadow of a code's middle falls; NaN where nothing is seen.
+        readings_px: the true readings, the centres of gravity of whole light lines, shape (N, S)
+            [px]; NaN where nothing is seen.
         full_counts: the count from which on a pixel says "at least" only.
     """
 
@@ -47,24 +48,18 @@ class VolumeLines:
             lines = self.lines[first * sensors : (first + points) * sensors]
             yield VolumeLines(lines, self.readings_px[part], self.full_counts)
 
-    def errors_px(self, peaks: PeakBatch, *, clipped: bool = False) -> Array:
+    def errors_px(self, peaks: PeakBatch) -> Array:
         """Return how far the brightest peaks of these lines are off, shape (N, S) [px].
 
         NaN where there is none, of lines with full pixels, and of clipped peaks.
-
-        Args:
-            peaks: what was found in ``lines``.
-            clipped: take the clipped ones too.
         """
         points, sensors = self.readings_px.shape
         found = np.isfinite(peaks.position_px)
         row = np.arange(points * sensors)
         brightest = np.where(found, peaks.amplitude, -1.0).argmax(axis=1)
         error = peaks.position_px[row, brightest] - self.readings_px.ravel()
-        left_out = self.lines.max(axis=1) >= self.full_counts
-        if not clipped:
-            left_out |= (peaks.flags[row, brightest] & PeakFlag.CLIPPED) != 0
-        error[left_out] = np.nan
+        full = self.lines.max(axis=1) >= self.full_counts
+        error[full | ((peaks.flags[row, brightest] & PeakFlag.CLIPPED) != 0)] = np.nan
         return np.asarray(error.reshape(points, sensors))
 
 
@@ -76,13 +71,13 @@ def volume_lines(profile: DeviceProfile, per_side: int = 5) -> VolumeLines:
         per_side: points along each side of its volume, in the middles of equal parts.
 
     Raises:
-        InvalidParameter: no point, or the profile has plates with Gray tracks, whose outputs
-            are no lines.
+        InvalidParameter: no point, or the profile has no lenses, or Gray tracks behind them.
     """
-    if gray_plate(profile) is not None:
+    optics = profile_optics(profile, "exact")
+    if isinstance(optics, MaskOptics | TrackOptics):
         raise InvalidParameter(
-            f"profile {profile.name} has plates with Gray tracks; volume lines are of lenses or "
-            "coded windows",
+            f"profile {profile.name} has coded windows or Gray tracks; light lines are the images "
+            "of lenses on pixels",
             profile=profile.name,
         )
     if per_side < 1:
@@ -90,13 +85,10 @@ def volume_lines(profile: DeviceProfile, per_side: int = 5) -> VolumeLines:
     share = (np.arange(per_side) + 0.5) / per_side - 0.5
     grid = np.stack(np.meshgrid(share, share, share, indexing="ij"), axis=-1).reshape(-1, 3)
     points = np.array(profile.volume.centre_mm) + grid * np.array(profile.volume.size_mm)
-    optics, pixels = profile_optics(profile, "exact"), profile.pixels.count
+    pixels = profile.pixels.count
     footprints = optics.footprints(points)
-    if isinstance(optics, MaskOptics):
-        readings = optics.readings(points)
-    else:
-        readings, light = centroids(footprints, pixels)
-        readings = np.where(light > 0.0, readings, np.nan)
+    readings, light = centroids(footprints, pixels)
+    readings = np.where(light > 0.0, readings, np.nan)
     exposure_s = profile.rates.exposure_s
     photons = light_source(profile).photons_per_sr(
         points, None, np.array([sensor.position_mm for sensor in profile.sensors]), exposure_s

@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from service.errors import UnknownDeviceProfile
 
 _log = logging.getLogger(__name__)
 
-_PER_SIDE: Final = 5
-_PER_SIDE_SHADOWS: Final = 4  # a shadow takes a thousand times as long to work out and read
-
 FindProfile = Callable[[str], DeviceProfile]
 
 
@@ -30,8 +26,8 @@ class LineModel:
     """What is known of a device's lines beyond its description.
 
     Args:
-        volume: noiseless lines of its volume with their true readings; None: not known.
-        templates: shadows of its coded windows, by sensor; none where it has none.
+        volume: noiseless light lines of its volume with their true readings; None: not known.
+        templates: shadows of its coded windows, by sensor; empty where it has none.
     """
 
     volume: VolumeLines | None = None
@@ -55,7 +51,7 @@ def built_in_profile(name: str) -> DeviceProfile:
 def line_model(
     description: DeviceDescription, find_profile: FindProfile = built_in_profile
 ) -> LineModel:
-    """Return what the device's profile tells; takes about a second, and no Warp.
+    """Return what the device's profile tells; takes tenths of a second, and no Warp.
 
     A profile that is gone, or of another device meanwhile, tells nothing: the log says so.
     """
@@ -67,9 +63,9 @@ def line_model(
             _log.warning("device %s: profile %s is of other sensors, and not used",
                          description.name, profile.name)  # fmt: skip
             return LineModel()
-        templates = _templates(profile)
-        per_side = _PER_SIDE_SHADOWS if templates else _PER_SIDE
-        return LineModel(volume_lines(profile, per_side), templates)
+        if description.readout == "coded-window":
+            return LineModel(templates=_templates(profile))
+        return LineModel(volume_lines(profile))
     except LumilineError as error:
         _log.warning("device %s: its profile tells nothing of its lines: %s",
                      description.name, error.detail)  # fmt: skip

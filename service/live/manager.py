@@ -87,7 +87,7 @@ class LiveManager:
         driver.open()
         try:
             description = driver.description
-            # Here and not in the compute thread: it takes about a second.
+            # Here and not in the compute thread: it takes tenths of a second.
             model = line_model(description, self._find_profile)
             session = self._compute.submit(
                 lambda: self._prepare(device_id, description, model)

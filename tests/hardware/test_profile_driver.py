@@ -223,3 +223,13 @@ def test_a_full_well_below_full_scale_is_saturated() -> None:
         frame = next(driver.frames())
         assert frame.lines.max() < 4095
         assert frame.flags == flags
+
+
+def test_how_its_peaks_are_measured():
+    for peaks in ("fit", "centroid"):
+        description, _ = frames_of(count=1, peaks=peaks)
+        assert (description.peaks, description.profile) == (peaks, "bar")
+        # Traced lines are of another width at every place.
+        assert description.line_sigma_px is None
+    with pytest.raises(InvalidParameter, match="peaks is 'median'; it must be 'fit' or 'centroid'"):
+        settings_of(peaks="median")

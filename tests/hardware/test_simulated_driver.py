@@ -53,6 +53,9 @@ def test_the_description_tells_the_settings() -> None:
     assert (description.bits, description.markers, description.frame_rate_hz) == (10, 2, 1000.0)
     together = replace(SimulationSettings(), illumination="simultaneous")
     assert SimulatedDriver("bar", together).description.markers == 0
+    wide = SimulationSettings(peaks="centroid", spot_sigma_px=3.0)
+    known = SimulatedDriver("bar", wide).description
+    assert (known.peaks, known.line_sigma_px, known.profile) == ("centroid", 3.0, None)
 
 
 def test_frames_come_in_order_with_the_device_clock_and_end_with_the_scene() -> None:

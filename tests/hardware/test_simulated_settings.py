@@ -29,6 +29,7 @@ OUT_OF_BOUNDS = [
     ("seed", -1),
     ("duration_s", 0.0),
     ("illumination", "alternating"),
+    ("peaks", "median"),
 ]
 
 

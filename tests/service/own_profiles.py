@@ -3,7 +3,7 @@
 from importlib import resources
 
 WINDOW = "coda-mpx30"
-"""Behind coded windows: worked out in closed form, and not calibrated."""
+"""Behind coded windows: worked out in closed form."""
 LENS = "thesis-5.9"
 """Behind lenses: calibrated from its traced optics in seconds."""
 

@@ -204,12 +204,17 @@ def test_a_file_is_taken_into_the_data_directory_once(
     assert prepare(named(settings, "window-1"), database) == ("window-1",)
 
 
-def test_a_device_without_images_of_markers_is_not_calibrated(
+GRAY = "mitchelson-1971"
+
+
+def test_a_device_that_is_not_read_is_not_calibrated(
     settings: Settings, database: Database
 ) -> None:
+    assert prepare(named(settings, GRAY), database) == (GRAY,)
     assert prepare(named(settings, WINDOW), database) == (WINDOW,)
     with database.read() as session:
-        assert calibrations.active_id(session, WINDOW) is None
+        assert calibrations.active_id(session, GRAY) is None
+        assert calibrations.active_id(session, WINDOW) == f"{WINDOW}-nominal"
         assert result_of(calibrations.get_calibration(session, "sim-nominal").content)
 
 

@@ -86,19 +86,21 @@ def away(point: dict[str, Any], truth: tuple[float, ...]) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("profile", "readout"), [(WINDOW, "coded-window"), ("mitchelson-1971", "gray-tracks")]
+    ("profile", "readout", "method"),
+    [(WINDOW, "coded-window", "shadow"), ("mitchelson-1971", "gray-tracks", None)],
 )
-def test_lines_that_are_no_images_have_neither_peaks_nor_points(
-    api: httpx.Client, profile: str, readout: str
+def test_shadows_are_read_and_tracks_are_not(
+    api: httpx.Client, profile: str, readout: str, method: str | None
 ) -> None:
     settings = {"optics": "exact", "frame_rate_hz": 20}
     source = {"kind": "profile", "profile": profile, "settings": settings}
     body = {"id": profile, "title": profile, "source": source}
     api.post("/api/v1/devices", json=body).raise_for_status()
     hello, *frames = messages(api, profile, 4)
-    assert hello["readout"] == readout
+    assert (hello["readout"], hello["method"]) == (readout, method)
     assert hello["calibration"] is None
-    assert [(frame["peaks"], frame["points"]) for frame in frames] == [([], [])] * 4
+    peaks = 0 if method is None else len(hello["sensors"])
+    assert [(len(frame["peaks"]), frame["points"]) for frame in frames] == [(peaks, [])] * 4
     assert [frame["marker"] for frame in frames[:2]] in ([0, 1], [1, 0])
 
 

@@ -51,6 +51,7 @@ def test_greeting_then_frames_without_a_gap(server: str) -> None:
         assert hello["state"] == "running"
         assert hello["calibration"] == "sim-nominal"
         assert len(hello["sensors"]) == 4
+        assert (hello["readout"], hello["method"]) == ("lines", "fit")
         frames = [receive(websocket) for _ in range(300)]
     sequences = [frame["sequence"] for frame in frames if frame["type"] == "frame"]
     assert sequences == list(range(sequences[0], sequences[0] + 300))
@@ -93,7 +94,7 @@ def test_content_is_what_was_asked_for(server: str) -> None:
         "vertical", "horizontal", "diagonal-rising", "diagonal-falling",
     }  # fmt: skip
     assert set(frame["peaks"][0]) == {
-        "sensor", "position_px", "sigma_px", "amplitude", "width_px", "flags",
+        "sensor", "position_px", "sigma_px", "amplitude", "width_px", "reduced_chi2", "flags",
     }  # fmt: skip
 
 

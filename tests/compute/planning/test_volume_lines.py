@@ -1,0 +1,78 @@
+"""Noiseless lines of a profile's volume, and the errors of what reads them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from compute.errors import InvalidParameter
+from compute.optics.profiles.loader import load_profile
+from compute.planning.volume_lines import volume_lines
+from compute.signal.noise import LineNoise
+from compute.signal.peaks import PeakBatch, PeakFlag
+from compute.signal.reference import find_peaks_reference
+from compute.signal.settings import CentroidSettings
+
+LENS = load_profile("thesis-5.9")
+
+
+def test_true_readings():
+    volume = volume_lines(LENS, 3)
+    detector = LENS.detector
+    assert volume.lines.shape == (27 * 4, LENS.pixels.count)
+    counts = volume.lines.astype(float)
+    # The even background of a noiseless line is its median.
+    light = counts - np.median(counts, axis=1, keepdims=True)
+    centre = (light * np.arange(LENS.pixels.count)).sum(axis=1) / light.sum(axis=1)
+    inside = (volume.readings_px > 30) & (volume.readings_px < LENS.pixels.count - 30)
+    inside &= (counts.max(axis=1) < volume.full_counts).reshape(27, 4)
+    assert inside.mean() > 0.8
+    # Rounding: the error of each pixel, 0.3 counts, over a few tens of pixels of light.
+    assert np.abs(centre.reshape(27, 4) - volume.readings_px)[inside].max() < 0.5
+    noise = LineNoise.of(
+        detector.electrons_per_count, detector.read_noise_electrons, detector.offset_counts
+    )
+    peaks = find_peaks_reference(volume.lines, CentroidSettings(min_width_px=1), noise)
+    errors = volume.errors_px(peaks)
+    assert np.isfinite(errors).mean() > 0.8
+    assert np.sqrt(np.nanmean(errors**2)) < 0.2
+
+
+def peaks_at(position, amplitude, flags=0):
+    batch = PeakBatch.empty(len(position), 2)
+    batch.position_px[:] = position
+    batch.amplitude[:] = amplitude
+    batch.flags[:, 0] = flags
+    return batch
+
+
+def test_errors_are_of_the_brightest():
+    volume = volume_lines(LENS, 1)
+    true = volume.readings_px.ravel()
+    both = np.column_stack([true + 0.25, true + 9.0])
+    assert volume.errors_px(peaks_at(both, [5.0, 4.0])) == pytest.approx(0.25)
+    assert volume.errors_px(peaks_at(both, [3.0, 4.0])) == pytest.approx(9.0)
+    none = np.full_like(both, np.nan)
+    assert np.isnan(volume.errors_px(peaks_at(none, np.nan))).all()
+    clipped = peaks_at(both, [5.0, 4.0], int(PeakFlag.CLIPPED))
+    assert np.isnan(volume.errors_px(clipped)).all()
+    full = replace(volume, full_counts=1)
+    assert np.isnan(full.errors_px(peaks_at(both, [5.0, 4.0]))).all()
+
+
+def test_parts_are_the_whole():
+    volume = volume_lines(LENS, 2)
+    parts = list(volume.parts(3))
+    assert [len(part.readings_px) for part in parts] == [3, 3, 2]
+    np.testing.assert_array_equal(np.concatenate([p.lines for p in parts]), volume.lines)
+    np.testing.assert_array_equal(
+        np.concatenate([p.readings_px for p in parts]), volume.readings_px
+    )
+
+
+def test_refusals():
+    for name in ("coda-mpx30", "mitchelson-1971"):
+        with pytest.raises(InvalidParameter, match="windows or Gray tracks"):
+            volume_lines(load_profile(name))
+    with pytest.raises(InvalidParameter, match="per_side is 0"):
+        volume_lines(LENS, 0)

@@ -15,15 +15,20 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.signal_lines import NOISE, Lines, Positions, measured_lines
+from benchmarks.signal_lines import NOISE, WIDTH_PX, Lines, Positions, measured_lines
 from benchmarks.signal_peers import by_find_peaks, by_numpy, numba_method
 from compute.signal.finder import CentroidFinder
+from compute.signal.fit.fit_finder import FitFinder
+from compute.signal.fit.settings import FitSettings
 from compute.signal.settings import CentroidSettings
 
 Row = dict[str, str | int | float]
 
 CPU_SIZES = ((1000, 2048), (20_000, 2048), (20_000, 128), (2000, 16_384))
 CUDA_SIZES = ((262_144, 2048), (1_048_576, 128), (32_768, 16_384))
+FIT_LINES = 1000
+CUDA_FIT_LINES = 524_288
+"""A few lines in ten thousand look like two peaks and take long: enough others beside them."""
 PEAKS = 8
 FRAME = (4, 2048)
 
@@ -33,11 +38,19 @@ def centroid_finder(count: int, pixels: int, device: str | None) -> CentroidFind
     return CentroidFinder(count, pixels, CentroidSettings(max_peaks=PEAKS), NOISE, device)
 
 
+def fit_finder(count: int, pixels: int, device: str | None, width_spread: float) -> FitFinder:
+    """Return a finder that fits the lines' shape, its width known or not."""
+    search = CentroidSettings(max_peaks=PEAKS, min_width_px=1)
+    settings = FitSettings(search, WIDTH_PX, width_spread)
+    return FitFinder(count, pixels, settings, NOISE, device=device)
+
+
 def throughput(device: str | None = None, seconds: float = 0.3) -> list[Row]:
     """Time all methods on large batches that lie in the device's memory.
 
-    Rows have the keys lines, pixels, peaks, method, time_us, million_lines_per_s, gigabytes_per_s
-    (of raw counts) and share_of_copy (of the bandwidth of a copy, or on the CPU of reading).
+    Rows have the keys lines, pixels, peaks, method, time_us, million_lines_per_s,
+    million_peaks_per_s, gigabytes_per_s (of raw counts), share_of_copy (of the bandwidth of a
+    copy, or on the CPU of reading) and times_ours (the time over that of our centre of gravity).
     """
     on_cuda = centroid_finder(1, 64, device).device.startswith("cuda")
     limit = _copy_bytes_per_s() if on_cuda else read_bytes_per_s()
@@ -47,11 +60,30 @@ def throughput(device: str | None = None, seconds: float = 0.3) -> list[Row]:
             lines = batch(count, pixels, peaks)
             finder = centroid_finder(count, pixels, device)
             finder.upload(lines)
-            row = partial(_row, count, pixels, peaks, limit)
-            rows.append(row("lumiline", queued_us(finder, count, seconds)))
+            ours_us = queued_us(finder, count, seconds)
+            row = partial(_row, count, pixels, peaks, limit, ours_us)
+            rows.append(row("lumiline", ours_us))
             if peaks == 1 and pixels == 2048:
                 peers = _cuda_peers(lines, seconds) if on_cuda else _cpu_peers(lines, seconds)
                 rows += [row(name, time_us) for name, time_us in peers]
+    return rows + _fits(CUDA_FIT_LINES if on_cuda else FIT_LINES, device, limit, seconds)
+
+
+def _fits(count: int, device: str | None, limit: float, seconds: float) -> list[Row]:
+    rows: list[Row] = []
+    for peaks in (PEAKS, 1):
+        lines = batch(count, FRAME[1], peaks)
+        centroid = centroid_finder(count, FRAME[1], device)
+        centroid.upload(lines)
+        ours_us = queued_us(centroid, count, seconds)
+        del centroid
+        for name, spread in (("width fitted", 0.5), ("width known", 0.0)):
+            finder = fit_finder(count, FRAME[1], device, spread)
+            finder.upload(lines)
+            time_us = queued_us(finder, count, seconds)
+            rows.append(
+                _row(count, FRAME[1], peaks, limit, ours_us, f"lumiline fit, {name}", time_us)
+            )
     return rows
 
 
@@ -71,8 +103,10 @@ def latency(device: str | None = None, frames: int = 5000) -> list[Row]:
         finder.launch(len(lines))
         finder.download(len(lines))
 
+    fits = fit_finder(*FRAME, device, 0.5)
     found: list[tuple[str, Callable[[], object]]] = [
-        (f"lumiline on {finder.device}", partial(finder.find, lines))
+        (f"lumiline on {finder.device}", partial(finder.find, lines)),
+        (f"lumiline fit on {finder.device}", partial(fits.find, lines)),
     ]
     if finder.device.startswith("cuda"):
         found.append(("lumiline, copy, launch, copy in turn", in_turn))
@@ -87,8 +121,10 @@ def accuracy() -> list[Row]:
     """What the positions of the methods are worth: rows with method, found and rms_error_px."""
     lines, truth = measured_lines(1000, 2048)
     finder = centroid_finder(1000, 2048, "cpu")
+    fits = fit_finder(1000, 2048, "cpu", 0.5)
     methods: list[tuple[str, Callable[[Lines], Positions]]] = [
         ("lumiline", lambda rows: finder.find(rows).position_px[:, 0]),
+        ("lumiline fit", lambda rows: fits.find(rows).position_px[:, 0]),
         ("scipy.signal find_peaks + NumPy", by_find_peaks),
         ("vectorised NumPy", by_numpy),
     ]
@@ -119,7 +155,7 @@ def read_bytes_per_s(megabytes: int = 256, repeats: int = 7) -> float:
     return parts.nbytes / best
 
 
-def queued_us(finder: CentroidFinder, count: int, seconds: float) -> float:
+def queued_us(finder: CentroidFinder | FitFinder, count: int, seconds: float) -> float:
     """Return the time of a launch [us], from launches queued one after another."""
     launches = 20
 
@@ -179,7 +215,15 @@ def _copy_bytes_per_s() -> float:
     return copy_bytes_per_s()
 
 
-def _row(count: int, pixels: int, peaks: int, limit: float, method: str, time_us: float) -> Row:
+def _row(
+    count: int,
+    pixels: int,
+    peaks: int,
+    limit: float,
+    ours_us: float,
+    method: str,
+    time_us: float,
+) -> Row:
     rate = count * pixels * 2 / time_us * 1e6
     return {
         "lines": count,
@@ -188,8 +232,10 @@ def _row(count: int, pixels: int, peaks: int, limit: float, method: str, time_us
         "method": method,
         "time_us": time_us,
         "million_lines_per_s": count / time_us,
+        "million_peaks_per_s": count * peaks / time_us if method.startswith("lumiline") else "",
         "gigabytes_per_s": rate * 1e-9,
         "share_of_copy": rate / limit,
+        "times_ours": time_us / ours_us,
     }
 
 

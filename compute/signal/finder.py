@@ -40,6 +40,7 @@ class CentroidFinder:
         import warp as wp
 
         from compute.signal.native.centroid_kernel import find_peaks
+        from compute.signal.native.cuda_warp import BLOCK_PIXELS
         from compute.signal.native.prelude import line_record
         from compute.signal.native.runner import LineRunner
 
@@ -61,7 +62,14 @@ class CentroidFinder:
             line_record(settings.max_peaks),
             device,
             threads,
+            reads_once=pixels <= BLOCK_PIXELS,
         )
+        shape = (lines, settings.max_peaks)
+        # Of all batches: a centre of gravity has neither.
+        self._reduced_chi2 = np.full(shape, np.nan, np.float32)
+        self._covariance_px2 = np.zeros((*shape, JOINT_PEAKS - 1), np.float32)
+        for array in (self._reduced_chi2, self._covariance_px2):
+            array.flags.writeable = False
 
     @property
     def device(self) -> str:
@@ -99,15 +107,15 @@ class CentroidFinder:
         return self._collect(self._runner.download(count))
 
     def _collect(self, records: NDArray[np.void]) -> PeakBatch:
-        peaks = records["peaks"]
-        shape = (len(records), self.settings.max_peaks)
+        own = records.copy()
+        peaks, count = own["peaks"], len(own)
         return PeakBatch(
-            records["count"].copy(),
-            peaks["position_px"].copy(),
-            peaks["sigma_px"].copy(),
-            peaks["amplitude"].copy(),
-            peaks["width_px"].copy(),
-            peaks["flags"].copy(),
-            np.full(shape, np.nan, np.float32),
-            np.zeros((*shape, JOINT_PEAKS - 1), np.float32),
+            own["count"],
+            peaks["position_px"],
+            peaks["sigma_px"],
+            peaks["amplitude"],
+            peaks["width_px"],
+            peaks["flags"],
+            self._reduced_chi2[:count],
+            self._covariance_px2[:count],
         )

@@ -37,7 +37,7 @@ def _find_peaks(
 ) -> None: ...
 
 
-@wp.kernel(launch_bounds=LAUNCH_BOUNDS)
+@wp.kernel(launch_bounds=LAUNCH_BOUNDS)  # type: ignore[untyped-decorator]
 def find_peaks(
     lanes: int,
     lines_address: wp.uint64,

@@ -7,7 +7,9 @@ from typing import Final
 
 LINES_PER_BATCH: Final = 3
 BLOCK_THREADS: Final = 64
-STAGED_PIXELS: Final = LINES_PER_BATCH * 2048
+BLOCK_PIXELS: Final = 2048
+"""Pixels of a line that are brought to shared memory together."""
+STAGED_PIXELS: Final = LINES_PER_BATCH * BLOCK_PIXELS
 LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 8)
 _CHUNKS: Final = 31 + 256
 _TOPS: Final = 31 + 128
@@ -128,33 +130,28 @@ _BEGIN: Final = f"""
                     sum_of(load_chunk(seen_v + slot * stride, group_chunk))
                     * sample_groups + lane;
         }}
-        int own_quartile = 0, own_sixteenth = 0;
-        #pragma unroll
-        for (int slot = 0; slot < {LINES_PER_BATCH}; ++slot) {{
-            if (slot >= slots) break;
-            int quartile = 0, sixteenth = 0;
-            if (groups == sample_groups) {{
-                #pragma unroll
-                for (int rank = 0; rank <= (sample_groups - 1) / 4; ++rank) {{
-                    quartile = least(keys[slot]);
-                    if (rank == (sample_groups - 1) / 16) sixteenth = quartile;
-                    if (keys[slot] == quartile) keys[slot] = no_key;
-                }}
-            }} else {{
-                for (int rank = 0; rank <= rank_quartile; ++rank) {{
-                    quartile = least(keys[slot]);
-                    if (rank == rank_sixteenth) sixteenth = quartile;
-                    if (keys[slot] == quartile) keys[slot] = no_key;
-                }}
+        // By repeated minima; those of the lines in turn, since each waits for the one before.
+        int quartile = 0, sixteenth = 0;
+        auto take_least = [&](int rank, int at_quartile, int at_sixteenth) {{
+            #pragma unroll
+            for (int slot = 0; slot < {LINES_PER_BATCH}; ++slot) {{
+                const int key = least(keys[slot]);
+                if (rank == at_quartile && lane == slot) quartile = key;
+                if (rank == at_sixteenth && lane == slot) sixteenth = key;
+                if (keys[slot] == key) keys[slot] = no_key;
             }}
-            if (lane == slot) {{
-                own_quartile = quartile;
-                own_sixteenth = sixteenth;
-            }}
+        }};
+        if (groups == sample_groups) {{
+            const int quarter = (sample_groups - 1) / 4, part = (sample_groups - 1) / 16;
+            #pragma unroll
+            for (int rank = 0; rank <= quarter; ++rank) take_least(rank, quarter, part);
+        }} else {{
+            for (int rank = 0; rank <= rank_quartile; ++rank)
+                take_least(rank, rank_quartile, rank_sixteenth);
         }}
         if (lane < slots) {{
             Line line = line_of(first_line + lane, (first_line + lane) % sensors);
-            const Level level = level_of(line, own_quartile, own_sixteenth);
+            const Level level = level_of(line, quartile, sixteenth);
             line.v = seen_v + lane * stride;
             line.background = level.background;
             line_at[lane] = line;

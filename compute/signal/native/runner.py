@@ -28,6 +28,9 @@ MAX_GRAPHS: Final = 64
 """Sizes of batches for which a CUDA graph is kept."""
 GRAPH_PIXELS: Final = 1 << 20
 """Batches up to so many pixels go by a graph; for larger ones it saves nothing that counts."""
+DIRECT_PIXELS: Final = 1 << 16
+"""Batches up to so many pixels stay in the host's memory, where the device reads them once and
+writes the records: a copy's start takes longer than that."""
 
 
 @cache
@@ -58,6 +61,8 @@ class LineRunner:
         record: type of a line's record; its size is a multiple of 8 bytes.
         device: "cpu", "cuda:0", ...; None takes the first CUDA device, or else the CPU.
         threads: most CPU threads; None: as many as there are CPUs.
+        reads_once: the kernel reads lines only once and no records; those of small batches then
+            are not copied.
 
     Raises:
         InvalidParameter: a size outside its range, or a device that is not there.
@@ -74,6 +79,7 @@ class LineRunner:
         record: np.dtype[np.void],
         device: str | None = None,
         threads: int | None = None,
+        reads_once: bool = False,
     ) -> None:
         check_size(lines, pixels)
         self._wp = wp
@@ -85,6 +91,7 @@ class LineRunner:
         self.cuda = bool(self._device.is_cuda)
         self._threads = _cpus() if threads is None else threads
         self._record_bytes = record.itemsize
+        self._reads_once = reads_once
 
         words = record.itemsize // 8 * lines
         # Records as 64-bit words, which also aligns them.
@@ -235,11 +242,16 @@ class LineRunner:
         self._wp.copy(self._staged_records, self._records, count=words)
 
     def _graph(self, count: int) -> Any:
-        """Return the graph of copy, kernel and copy for this number of lines."""
+        """Return the graph for this number of lines: kernel, with the copies that it needs."""
         graph = self._graphs.get(count)
         if graph is not None:
             self._graphs.move_to_end(count)
             return graph
+        direct = self._reads_once and count * self.pixels <= DIRECT_PIXELS
+        launch = self._launches[0]
+        if direct:
+            launch.set_param_at_index(1, self._staged_input.ptr)
+            launch.set_param_at_index(self._records_index, self._staged_records.ptr)
         # Loads the module, which a capture must not.
         self._launch_cuda(count)
         self._wp.synchronize_stream(self._device)
@@ -248,12 +260,16 @@ class LineRunner:
         gc.disable()
         try:
             with self._wp.ScopedCapture(self._device) as capture:
-                self._wp.copy(self._input, self._staged_input, count=count * self.pixels)
+                if not direct:
+                    self._wp.copy(self._input, self._staged_input, count=count * self.pixels)
                 self._launch_cuda(count)
-                self._copy_back(count)
+                if not direct:
+                    self._copy_back(count)
         finally:
             if collects:
                 gc.enable()
+            launch.set_param_at_index(1, self._input.ptr)
+            launch.set_param_at_index(self._records_index, self._records.ptr)
         self._graphs[count] = capture.graph
         if len(self._graphs) > MAX_GRAPHS:
             self._graphs.popitem(last=False)

@@ -1,0 +1,189 @@
+"""`lumiline peaks`: each kind of file, tables, JSON, pictures, and what is refused."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from compute.signal.fit.reference import fit_lines
+from compute.signal.fit.settings import FitSettings
+from hardware.recording import RecordingWriter
+from hardware.simulated.driver import SimulatedDriver
+from hardware.simulated.settings import SimulationSettings
+from service.cli import app
+from service.line_scans.methods import FitMethod
+from service.line_scans.noise import line_noise
+from service.line_scans.run import find_peaks
+from tests.service.line_scans.scan_lines import NOISE, WIDTH, scenes
+
+GIVEN = ("--gain", "10", "--read-noise", "20", "--offset", "100", "--full-scale", "4095")
+
+
+def run(*arguments: str | Path | float, code: int = 0) -> Any:
+    result = CliRunner().invoke(app, ["peaks", *map(str, arguments)], env={"COLUMNS": "80"})
+    assert result.exit_code == code, result.output
+    return result
+
+
+def refusal(*arguments: str | Path | float) -> str:
+    return " ".join(run(*arguments, code=2).output.split())
+
+
+def machine(*arguments: str | Path | float) -> Any:
+    return json.loads(run(*arguments, "--json").stdout)
+
+
+def positions(found: Any) -> list[list[float]]:
+    return [[peak["position_px"] for peak in scan["peaks"]] for scan in found["lines"]]
+
+
+@pytest.fixture
+def array(tmp_path: Path) -> Path:
+    np.save(tmp_path / "lines.npy", scenes())
+    return tmp_path / "lines.npy"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path: Path = tmp_path_factory.mktemp("recording") / "sim.h5"
+    driver = SimulatedDriver("sim", SimulationSettings(realtime=False, duration_s=0.05))
+    driver.open()
+    with RecordingWriter(path, driver.description) as writer:
+        for frame in driver.frames():
+            writer.append(frame)
+    return path
+
+
+def test_a_numpy_array_s_peaks_are_compute_s(array: Path) -> None:
+    found = machine(array, "--width", WIDTH, *GIVEN)
+    batch = fit_lines(scenes(), FitSettings(width_px=WIDTH), line_noise(NOISE))
+    for line, ours in enumerate(positions(found)):
+        assert ours == batch.position_px[line, : batch.count[line]].tolist()
+    assert found["assumed"] == []
+    assert [scan["line"] for scan in found["lines"]] == [0, 1]
+    one = machine(array, "--line", 1, "--width", WIDTH, *GIVEN)
+    assert one["lines"] == found["lines"][1:]
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("header", [True, False])
+def test_csv_says_the_same(array: Path, tmp_path: Path, delimiter: str, header: bool) -> None:
+    path = tmp_path / "lines.csv"
+    names = delimiter.join(f"pixel {k}" for k in range(512)) if header else ""
+    np.savetxt(path, scenes(), fmt="%d", delimiter=delimiter, header=names, comments="")
+    if not header:
+        path.write_text("\ufeff" + path.read_text("utf-8"), "utf-8")
+    assert machine(path, *GIVEN) == machine(array, *GIVEN)
+
+
+def test_a_recording_knows_its_noise(recording: Path) -> None:
+    found = machine(recording, "--frame", 7)
+    assert found["noise"] == {
+        "electrons_per_count": 12.0,
+        "read_noise_electrons": 30.0,
+        "offset_counts": 64.0,
+        "full_scale_counts": 4095,
+    }
+    assert found["assumed"] == []
+    assert [len(scan["peaks"]) for scan in found["lines"]] == [1, 1, 1, 1]
+    one = machine(recording, "--frame", 7, "--sensor", "diagonal-rising")
+    assert one["lines"] == found["lines"][2:3]
+    assert machine(recording, "--frame", 8)["lines"] != found["lines"]
+    given = machine(recording, "--frame", 7, *GIVEN)
+    assert given["noise"]["electrons_per_count"] == 10.0
+
+
+def test_tables(array: Path, recording: Path) -> None:
+    text = run(array, "--width", WIDTH).output
+    for part in ("line 0: 3 peaks", "joint", "saturated", "guessed: gain", "full scale"):
+        assert part in text
+    method = FitMethod(width_px=WIDTH)
+    for scan in find_peaks(scenes(), method).lines:
+        assert all(f"{peak.position_px:.4f}" in text for peak in scan.peaks)
+    assert "guessed" not in run(array, *GIVEN).output
+    assert "diagonal-falling, frame 0: 1 peak" in run(recording).output
+    text = run(array, "--method", "matched", "--width", WIDTH).output
+    assert "answers must be above" in " ".join(text.split())
+    flat = array.with_name("flat.npy")
+    np.save(flat, np.full(100, 200))
+    assert "line 0: no peaks" in run(flat).output
+
+
+@pytest.mark.parametrize("method", ["centroid", "fit", "chain", "matched"])
+def test_a_picture_of_each_method(array: Path, method: str) -> None:
+    pictures = []
+    for line in (0, 1):
+        output = array.with_name(f"{line}.png")
+        shown = run(array, "--line", line, "--method", method, "--output", output)
+        assert "written" in shown.output
+        pictures.append(output.read_bytes())
+    assert all(one.startswith(b"\x89PNG") and len(one) > 10_000 for one in pictures)
+    assert pictures[0] != pictures[1]
+
+
+def test_settings_as_rest_takes_them(array: Path) -> None:
+    file = array.with_name("method.json")
+    file.write_text('{"method": "fit", "width_px": 1.2, "max_joint": 1}', "utf-8")
+    found = machine(array, "--settings", file, *GIVEN, "--detail")
+    method = FitMethod(width_px=1.2, max_joint=1)
+    ours = find_peaks(scenes(), method, NOISE, detail=True)
+    assert found == json.loads(ours.model_dump_json())
+
+
+def test_floating_counts_are_taken_when_whole(array: Path) -> None:
+    other = array.with_name("float.npy")
+    np.save(other, scenes().astype(np.float64))
+    assert machine(other) == machine(array)
+
+
+def test_what_is_refused(array: Path, recording: Path, tmp_path: Path) -> None:
+    assert "no such file" in refusal(tmp_path / "none.csv").lower()
+    assert "0 to 1" in refusal(array, "--line", 2)
+    assert "--frame is for recordings" in refusal(array, "--frame", 0)
+    assert "--sensor is for recordings" in refusal(array, "--sensor", "a")
+    assert "0 to 49" in refusal(recording, "--frame", 50)
+    assert "vertical, horizontal" in refusal(recording, "--sensor", "none")
+    assert "centroid, fit, chain, matched" in refusal(array, "--method", "best")
+    assert "--width is for" in refusal(array, "--method", "chain", "--width", 2)
+    assert "less than or equal to 16" in refusal(array, "--width", 20)
+    assert "--gain and --read-noise" in refusal(array, "--gain", 3)
+    assert "above full_scale_counts, 1023" in refusal(array, *GIVEN[:-1], 1023)
+    assert "no folder" in refusal(array, "--output", tmp_path / "no" / "x.png")
+    assert "none.json" in refusal(array, "--settings", tmp_path / "none.json").replace(" ", "")
+    wrong = tmp_path / "wrong.json"
+    wrong.write_text('{"method": "fit", "colour": 1}', "utf-8")
+    assert "colour" in refusal(array, "--settings", wrong)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no line of counts"),
+        ("a,b,c\n", "no line of counts"),
+        (",".join(["1"] * 63), "63 pixels"),
+        (",".join(["1"] * 64) + "\n" + ",".join(["1"] * 65), "line 1 has 65 values"),
+        (",".join(["1"] * 64) + "\n" + ",".join(["1"] * 63 + ["x"]), 'line 1, pixel 63 is "x"'),
+        (",".join(["1"] * 63 + ["1.5"]), 'line 0, pixel 63 is "1.5"'),
+        (",".join(["1"] * 63 + ["65536"]), 'pixel 63 is "65536"'),
+        (",".join(["1"] * 63 + ["nan"]), 'pixel 63 is "nan"'),
+    ],
+)
+def test_a_wrong_csv_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "wrong.csv"
+    path.write_text(text, "utf-8")
+    assert words in refusal(path)
+
+
+@pytest.mark.parametrize(
+    "values", [np.full((2, 2, 64), 1), np.full(64, -1), np.full(64, 0.5), np.full(64, np.nan),
+               np.full(64, 70000), np.full(64, "1"), np.empty((0, 64))],
+)  # fmt: skip
+def test_a_wrong_array_is_refused(tmp_path: Path, values: Any) -> None:
+    path = tmp_path / "wrong.npy"
+    np.save(path, values)
+    assert "it must be" in refusal(path)
+    path.write_bytes(path.read_bytes()[:40])
+    assert "cannot be read" in refusal(path)

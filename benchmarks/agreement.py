@@ -28,7 +28,7 @@ GAIN, READ, OFFSET, FULL = 8.0, 16.0, 60.0, 4095
 NOISE = LineNoise.of(GAIN, READ, OFFSET, FULL)
 
 
-def random_lines(seed: int, count: int = BLOCK) -> NDArray[np.uint16]:
+def random_lines(seed: int, count: int) -> NDArray[np.uint16]:
     """Return lines of every kind, uint16, shape (``count``, PIXELS)."""
     rng = np.random.default_rng(seed)
     edges = np.arange(PIXELS + 1) - 0.5
@@ -57,7 +57,7 @@ def both(device: str) -> Iterator[tuple[str, PeakBatch]]:
     search = CentroidSettings(max_peaks=ROOM, min_width_px=1)
     fit = FitFinder(BLOCK, PIXELS, FitSettings(search, 1.2), NOISE, device=device)
     for seed in range(LINES // BLOCK):
-        lines = random_lines(seed)
+        lines = random_lines(seed, BLOCK)
         yield "centroid", centroid.find(lines)
         yield "fit", fit.find(lines)
 

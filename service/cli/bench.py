@@ -12,7 +12,7 @@ from service.cli.spawn import running_service
 
 BENCHMARKS = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
-    "centroids": "raw lines to peak positions, beside NumPy and SciPy",
+    "signal": "raw lines to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
     "rays": "exact rays through a lens, beside optiland",
     "simulation": "simulated frames of a profile's device on one core, beside ideal lenses",
@@ -32,11 +32,10 @@ def run(name: str | None, *, seconds: float, device: str | None, as_json: bool) 
         console.print(table)
     elif name == "live":
         _live(seconds, as_json=as_json)
-    elif name == "centroids":
-        from benchmarks import centroids
+    elif name == "signal":
+        from benchmarks import signal
 
-        options = [*(["--json"] if as_json else []), *(["--device", device] if device else [])]
-        centroids.main(options)
+        signal.main([*(["--json"] if as_json else []), *(["--device", device] if device else [])])
     elif name == "points":
         from benchmarks import points
 

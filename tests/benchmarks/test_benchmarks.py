@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from benchmarks import centroids, points
+from benchmarks import agreement, points, signal
 from benchmarks.bare_stream import running_bare_stream
 from benchmarks.live import measure, summarise
+from benchmarks.signal_lines import measured_lines
 
 
 def test_points_methods_solve_the_same_problem() -> None:
@@ -22,10 +23,47 @@ def test_points_methods_solve_the_same_problem() -> None:
     assert all(row["times_ours"] == 1.0 for row in rows if row["method"] == "lumiline reconstruct")
 
 
-def test_centroid_lines_have_their_peaks_where_they_say() -> None:
-    lines, position = centroids.measured_lines(50, 2048)
+def test_signal_lines_have_their_peaks_where_they_say() -> None:
+    lines, position = measured_lines(50, 2048)
     brightest = np.argmax(lines, axis=1)
-    assert np.abs(brightest - position).max() < 6.0
+    assert np.abs(brightest - position[:, 0]).max() < 6.0
+    lines, position = measured_lines(20, 2048, peaks=8)
+    found = signal.centroid_finder(20, 2048, "cpu").find(lines)
+    assert (found.count == 8).all()
+    assert np.abs(found.position_px - position).max() < 0.2
+
+
+def test_signal_methods_find_the_same_peaks() -> None:
+    rows = signal.accuracy()
+    errors = {str(row["method"]): float(row["rms_error_px"]) for row in rows}
+    assert all(row["found"] == 1000 for row in rows)
+    # A tenth of the width would be another peak; the fit is the best of all.
+    assert max(errors.values()) < 0.2
+    assert min(errors.values()) == errors["lumiline fit"]
+
+
+def test_signal_latency_times_a_whole_frame() -> None:
+    rows = signal.latency("cpu", frames=20)
+    assert {"lumiline on cpu", "lumiline fit on cpu"} <= {row["method"] for row in rows}
+    assert all(0.0 < float(row["median_us"]) <= float(row["p99_us"]) for row in rows)
+
+
+def test_agreement_knows_a_difference(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(agreement, "LINES", 2000)
+    monkeypatch.setattr(agreement, "BLOCK", 1000)
+    agreement.write(tmp_path / "peaks.npz", "cpu")
+    same = agreement.compare(tmp_path / "peaks.npz", "cpu")
+    for figures in same.values():
+        assert figures["lines"] == 2000
+        assert figures["peaks"] > 1000
+        assert figures["lines_that_differ"] == figures["largest_sigmas"] == 0.0
+    stored = dict(np.load(tmp_path / "peaks.npz"))
+    stored["fit_position"][5] += 1e-3 * stored["fit_sigma"][5]
+    stored["centroid_flags"][3] ^= 1
+    np.savez(tmp_path / "other.npz", **stored)
+    other = agreement.compare(tmp_path / "other.npz", "cpu")
+    assert other["fit"]["largest_sigmas"] == pytest.approx(1e-3, rel=0.01)
+    assert other["centroid"]["lines_that_differ"] == 1.0
 
 
 def test_live_figures() -> None:

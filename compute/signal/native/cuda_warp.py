@@ -191,9 +191,10 @@ _SCAN: Final = """
         const unsigned below = (unsigned)(limit - 1) * 0x10001u;
         unsigned bright = 0u;
         const uint4* own = block + lane * 8;
+        const int turn = lane % 8;
         auto look = [&](int i, bool there) {
             uint4 words = make_uint4(0u, 0u, 0u, 0u);
-            if (there) words = own[(i + lane) % 8];
+            if (there) words = own[i ^ turn];
             const unsigned most = __vmaxu2(__vmaxu2(words.x, words.y),
                 __vmaxu2(__vmaxu2(words.z, words.w), below));
             if (most != below) bright |= 1u << i;
@@ -203,10 +204,12 @@ _SCAN: Final = """
             for (int i = 0; i < 8; ++i) look(i, true);
         } else {
             #pragma unroll
-            for (int i = 0; i < 8; ++i) look(i, first + lane * 8 + (i + lane) % 8 < chunks);
+            for (int i = 0; i < 8; ++i) look(i, first + lane * 8 + (i ^ turn) < chunks);
         }
         // Back into the order of chunks.
-        bright = (bright << lane % 8 | bright >> (8 - lane % 8)) & 0xffu;
+        if (turn & 1) bright = (bright & 0x55u) << 1 | (bright & 0xaau) >> 1;
+        if (turn & 2) bright = (bright & 0x33u) << 2 | (bright & 0xccu) >> 2;
+        if (turn & 4) bright = (bright & 0x0fu) << 4 | (bright & 0xf0u) >> 4;
         const int own_count = __popc(bright);
         int place = own_count;
         #pragma unroll
@@ -274,7 +277,9 @@ _MEASURE_TOPS: Final = """
         if (good) {
             const unsigned entry = top_queue[top_first + lane];
             slot = entry >> 16;
-            const Line line = line_at[slot];
+            Line line = line_at[slot];
+            // Said again here: so the compiler knows the memory that it is in.
+            line.v = seen_v + slot * stride;
             Run run;
             good = is_peak(line.v, line.background, entry & 0xffffu, run);
             if (good) record = measure(line, run);

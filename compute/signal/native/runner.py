@@ -20,8 +20,7 @@ from compute.warp_host import host_memory, warp_device
 
 WARP_LANES: Final = 32
 FILLING_WARPS: Final = 8192
-"""So many warps fill a large GPU a few times over; of more lines each takes a batch or several."""
-MAX_BATCHES: Final = 8
+"""So many warps fill a large GPU a few times over; of more lines each takes a batch."""
 PIXELS_PER_THREAD: Final = 131_072
 """A further CPU thread must have so many pixels to be worth its start (tens of microseconds)."""
 MAX_GRAPHS: Final = 64
@@ -230,8 +229,7 @@ class LineRunner:
 
     def _launch_cuda(self, count: int) -> None:
         launch = self._launches[0]
-        batches = count // (FILLING_WARPS * LINES_PER_BATCH)
-        per_warp = LINES_PER_BATCH * min(batches, MAX_BATCHES) if batches > 0 else 1
+        per_warp = LINES_PER_BATCH if count >= FILLING_WARPS * LINES_PER_BATCH else 1
         launch.set_param_at_index(2, count)
         launch.set_param_at_index(4, per_warp)
         launch.set_dim(-(-count // per_warp) * WARP_LANES)

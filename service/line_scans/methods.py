@@ -7,6 +7,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from compute.signal.detection.detector import DetectionSettings, NoiseSource
+from compute.signal.detection.matched_filter import LENGTH_IN_WIDTHS
 from compute.signal.fit.settings import WIDTH_LIMITS_PX, BackgroundModel, FitSettings
 from compute.signal.peaks import JOINT_PEAKS
 from compute.signal.settings import MAX_PIXELS, CentroidSettings, Weighting
@@ -16,6 +17,8 @@ MethodName = Literal["centroid", "fit", "chain", "matched"]
 
 _SEARCH: Final = FitSettings().search
 _LOW_PX, _HIGH_PX = WIDTH_LIMITS_PX
+_WIDEST_PX: Final = 100.0
+_LONGEST_PX: Final = int(LENGTH_IN_WIDTHS * _WIDEST_PX) + 1
 
 Fraction = Annotated[float, Field(ge=0.05, le=0.95)]
 Sigmas = Annotated[float, Field(ge=3.0, le=1000.0)]
@@ -82,13 +85,13 @@ class MatchedMethod(DetectionSettings):
     noise: NoiseSource = DetectionSettings.noise
     max_peaks: Room = DetectionSettings.max_peaks
     width_px: Annotated[
-        float, Field(ge=0.2, le=100.0, description="Standard deviation of the lines [px].")
+        float, Field(ge=0.2, le=_WIDEST_PX, description="Standard deviation of the lines [px].")
     ] = FitSettings.width_px
     length_px: Annotated[
         int | None,
         Field(
             ge=3,
-            le=MAX_PIXELS,
+            le=_LONGEST_PX,
             description="Pixels of the filter, odd, four widths and one or more; null: sixteen.",
         ),
     ] = None

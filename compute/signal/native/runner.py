@@ -131,6 +131,7 @@ class LineRunner:
             record.itemsize,
         ]
         self._records_index = len(arguments) - 2
+        self._prepared: list[tuple[int, int] | None] = [None] * max(self._threads, 1)
         self._launches = [
             wp.launch(
                 kernel,
@@ -201,11 +202,14 @@ class LineRunner:
         for part, (first, end) in enumerate(pairwise(starts)):
             launch = self._launches[part]
             launch.set_param_at_index(1, self._source.ctypes.data + first * self.pixels * 2)
-            launch.set_param_at_index(2, end - first)
-            launch.set_param_at_index(
-                self._records_index, self._records.ptr + first * self._record_bytes
-            )
-            launch.set_dim(end - first)
+            # Setting a parameter takes a microsecond: as long as a line.
+            if self._prepared[part] != (first, end):
+                self._prepared[part] = (first, end)
+                launch.set_param_at_index(2, end - first)
+                launch.set_param_at_index(
+                    self._records_index, self._records.ptr + first * self._record_bytes
+                )
+                launch.set_dim(end - first)
             if part + 1 < len(starts) - 1:
                 pending.append(_pool().submit(launch.launch))
             else:
@@ -222,6 +226,8 @@ class LineRunner:
 
     def _parts(self, count: int) -> list[int]:
         """Return where the parts of a batch begin, and its end; each begins with sensor 0."""
+        if count * self.pixels < 2 * PIXELS_PER_THREAD:
+            return [0, count]
         threads = min(self._threads, max(count * self.pixels // PIXELS_PER_THREAD, 1))
         frames = -(-count // self._sensors)
         starts = [part * frames // threads * self._sensors for part in range(threads)]

@@ -95,14 +95,13 @@ def draw_panel(
     shown = values[panel.first_px : panel.last_px + 1].astype(np.float64)
     edges = np.arange(panel.first_px, panel.last_px + 2) - 0.5
     low, high = float(shown.min()), float(shown.max())
-    baseline = low - 0.05 * max(high - low, 1.0)
-    axes.stairs(shown, edges, baseline=baseline, fill=True, color="0.88")
     axes.stairs(shown, edges, baseline=None, color=PIXELS, lw=0.9, label="pixels")
     if panel.window is not None:
         # Above saturated pixels the model goes on, but not for ever.
         high = max(high, min(_draw_fit(axes, panel.window), low + 3.0 * (high - low)))
     elif scan.stages and len(scan.stages) > 1:
-        _draw_stage(axes, scan)
+        lowest, highest = _draw_stage(axes, scan, panel)
+        low, high = min(low, lowest), max(high, highest)
     for number in panel.numbers:
         peak = scan.peaks[number]
         colour = FLAGGED if plain_flags(peak) else MODEL
@@ -121,7 +120,9 @@ def draw_panel(
                 "--", color=LEVEL, lw=1.2, label="threshold" if number == panel.numbers[0] else "",
             )  # fmt: skip
     axes.set_xlim(edges[0], edges[-1])
-    axes.set_ylim(baseline, high + 0.3 * max(high - low, 1.0))
+    room = max(high - low, 1.0)
+    axes.set_ylim(low - 0.05 * room, high + 0.3 * room)
+    axes.stairs(shown, edges, baseline=low - 0.05 * room, fill=True, color="0.88", zorder=0)
     axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
     wrong = any(plain_flags(scan.peaks[number]) for number in panel.numbers)
     title = "\n".join(_described(scan, panel))
@@ -194,15 +195,19 @@ def _draw_fit(axes: Axes, window: FittedWindow) -> float:
     return float(model.max())
 
 
-def _draw_stage(axes: Axes, scan: LineScan) -> None:
-    """Draw the line that the chain measured, back on the background that it took away."""
+def _draw_stage(axes: Axes, scan: LineScan, panel: Panel) -> tuple[float, float]:
+    """Draw the line that the chain measured, back on the background that it took away.
+
+    Returns its least and its largest value in the panel.
+    """
     assert scan.stages is not None
     last = scan.stages[-1]
     grounds = [np.array(stage.values) for stage in scan.stages if stage.name == "background"]
     line = np.array(last.values) + np.sum(grounds, axis=0)
-    axes.plot(
-        np.arange(len(line)) - last.shift_px, line, color=MODEL, lw=1.4, label="after the chain"
-    )
+    place = np.arange(len(line)) - last.shift_px
+    axes.plot(place, line, color=MODEL, lw=1.4, label="after the chain")
+    shown = line[(place >= panel.first_px) & (place <= panel.last_px)]
+    return float(shown.min(initial=np.inf)), float(shown.max(initial=-np.inf))
 
 
 def _described(scan: LineScan, panel: Panel) -> list[str]:
@@ -214,6 +219,8 @@ def _described(scan: LineScan, panel: Panel) -> list[str]:
         for number, peak in zip(panel.numbers, peaks, strict=True)
     ]
     last = [flag for flag in peaks[0].flags if flag in common]
+    if panel.window is not None and panel.window.width_px is not None:
+        last.insert(0, f"width {panel.window.width_px:.3g} px")
     if peaks[0].reduced_chi2 is not None:
         last.insert(0, f"χ²/dof {peaks[0].reduced_chi2:.2f}")
     return [*rows, ", ".join(last)] if last else rows

@@ -112,7 +112,7 @@ def test_titles_say_positions_and_flags() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(METHODS)), st.sampled_from([64, 300]))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 def test_any_line_has_a_picture(seed: int, name: str, pixels: int) -> None:
     rng = np.random.default_rng(seed)
     line = varied_lines(8, pixels, rng)[int(rng.integers(8))]

@@ -4,7 +4,6 @@ import io
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -12,9 +11,11 @@ from PIL import Image
 from service.line_scans import panels, picture
 from service.line_scans.chain_steps import ChainMethod, Median, passive_chain
 from service.line_scans.methods import CentroidMethod, FitMethod, MatchedMethod, Method
-from service.line_scans.panels import Panel, panels_of
+from service.line_scans.panels import panels_of
 from service.line_scans.picture import draw_line
+from service.line_scans.router import chosen_line
 from service.line_scans.run import find_peaks
+from service.line_scans.schema import LineScan
 from tests.compute.signal.signal_lines import gaussian_counts, measured, varied_lines
 from tests.service.line_scans.scan_lines import NOISE, WIDTH, body, scenes
 
@@ -53,10 +54,11 @@ def test_lines_are_drawn_over_http(sqlite_client: Any) -> None:
 
 
 def test_an_averaged_line_is_drawn_with_its_others(sqlite_client: Any) -> None:
-    lines = [scenes(seed)[0].tolist() for seed in range(4)]
-    request = body({"method": "chain", "average": 2}, lines=lines)
-    pictures = [sqlite_client.post(f"{PATH}?line={line}", json=request).content for line in (0, 2)]
-    assert pictures[0] != pictures[1]
+    lines = np.stack([scenes(seed)[0] for seed in range(4)])
+    for line, first in ((0, 0), (1, 0), (2, 2), (3, 2)):
+        assert np.array_equal(chosen_line(lines, line, 2), lines[first : first + 2])
+    request = body({"method": "chain", "average": 2}, lines=lines.tolist())
+    assert sqlite_client.post(f"{PATH}?line=3", json=request).status_code == 200
 
 
 def test_each_method_has_a_picture_of_its_own() -> None:
@@ -78,6 +80,48 @@ def test_more_panels_make_a_higher_picture() -> None:
         assert len(scan.peaks) == count
         assert shown == [(number,) for number in range(max(count - 8, 0), count)]
     assert heights[0] < heights[1] < heights[2]
+
+
+def test_all_that_was_found_is_drawn() -> None:
+    """A change of any of these makes another picture."""
+    method, line = METHODS["fit"], scenes()[0]
+    found = find_peaks(line[None], method, NOISE, detail=True)
+    scan = found.lines[0]
+    assert scan.windows is not None
+    window, peak = scan.windows[0], scan.peaks[0]
+
+    def with_window(**changes: Any) -> LineScan:
+        return scan.model_copy(
+            update={"windows": [window.model_copy(update=changes), *scan.windows[1:]]}
+        )
+
+    def with_peak(**changes: Any) -> LineScan:
+        return scan.model_copy(update={"peaks": [peak.model_copy(update=changes), *scan.peaks[1:]]})
+
+    changed = [
+        scan,
+        scan.model_copy(update={"background_counts": 300.0}),
+        scan.model_copy(update={"limit_counts": 300.0}),
+        with_window(residual_sigma=[2.0] * len(window.values)),
+        with_window(light_counts=[1000.0]),
+        with_peak(flags=("clipped",)),
+        with_peak(position_px=peak.position_px + 5e-4),
+    ]
+    pictures = [
+        draw_line(line, found.model_copy(update={"lines": [one]}), method, "line 0")
+        for one in changed
+    ]
+    assert len(set(pictures)) == len(changed)
+
+
+def test_panels_are_of_neighbours_only() -> None:
+    rng = np.random.default_rng(3)
+    places = np.array([60.0, 68.0, 200.0, 300.0, 308.0, 316.0, 324.0, 332.0])
+    counts = gaussian_counts(512, places, np.full(8, WIDTH), np.full(8, 900.0))
+    line = measured(counts.sum(axis=0, keepdims=True), rng, full=4095)
+    scan = find_peaks(line, CentroidMethod(), NOISE, detail=True).lines[0]
+    shown = [panel.numbers for panel in panels_of(512, scan, 8)]
+    assert shown == [(0, 1), (2,), (3, 4, 5, 6), (7,)]
 
 
 def test_panels_hold_their_peaks() -> None:
@@ -120,12 +164,11 @@ def test_any_line_has_a_picture(seed: int, name: str, pixels: int) -> None:
     assert image(draw_line(line, found, METHODS[name], "line 0")).format == "PNG"
 
 
-@pytest.mark.parametrize("positions", [[10.0], [10.0, 20.0, 60.0]])
-def test_a_fit_that_was_not_possible_is_shown_as_such(positions: list[float]) -> None:
+def test_a_fit_that_was_not_possible_is_shown_as_such() -> None:
     """All of a peak saturated: no pixel is left to fit."""
     line = np.full(128, 100, np.uint16)
-    for position in positions:
-        line[int(position) - 4 : int(position) + 5] = 4095
+    for position in (10, 20, 60):
+        line[position - 4 : position + 5] = 4095
     scan = find_peaks(line[None], METHODS["fit"], NOISE, detail=True).lines[0]
-    assert isinstance(panels_of(128, scan, 8)[0], Panel)
+    assert "unfitted" in panels._described(scan, panels_of(128, scan, 8)[-1])[-1]
     assert image(drawn(line, METHODS["fit"])).width == 1540

@@ -10,7 +10,7 @@ import warp as wp
 
 from compute.signal.fit.fit_source import FIT_PEAKS
 from compute.signal.native.centroid import FIND_PEAKS
-from compute.signal.native.cuda_warp import BLOCK_THREADS
+from compute.signal.native.cuda_sizes import BLOCK_THREADS
 from compute.signal.native.prelude import line_record
 from compute.signal.peaks import JOINT_PEAKS
 

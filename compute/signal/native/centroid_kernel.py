@@ -6,7 +6,7 @@ Only ``compute.signal.finder`` imports this module, when a finder is made: it lo
 import warp as wp
 
 from compute.signal.native.centroid import FIND_PEAKS
-from compute.signal.native.cuda_warp import LAUNCH_BOUNDS
+from compute.signal.native.cuda_sizes import LAUNCH_BOUNDS
 
 # Its greeting and its compile times are nothing to a user of ours.
 wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.signal.native.cuda_warp import BLOCK_THREADS, LINES_PER_BATCH
+from compute.signal.native.cuda_sizes import BLOCK_THREADS, LINES_PER_BATCH
 from compute.signal.noise import LineNoise
 from compute.signal.settings import MAX_PIXELS, MIN_PIXELS
 from compute.warp_host import host_memory, warp_device

@@ -61,8 +61,8 @@ def test_an_unknown_case_names_the_known_ones() -> None:
 
 
 def test_bench_lists_what_there_is() -> None:
-    assert {"live", "centroids"} <= set(lumiline("bench").stdout.split())
-    assert "centroids" in lumiline("bench", "nothing", code=2).stderr
+    assert {"live", "signal"} <= set(lumiline("bench").stdout.split())
+    assert "signal" in lumiline("bench", "nothing", code=2).stderr
 
 
 def test_calibrate_writes_what_the_service_would_compute(frame_csv: Path, tmp_path: Path) -> None:

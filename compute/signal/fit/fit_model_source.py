@@ -1,0 +1,98 @@
+"""The native source of the model of a window: its shape, what it says of a pixel, its score."""
+
+from typing import Final
+
+MODEL_TYPES: Final = """
+    const int most_parameters = 3 + 2 * joint_peaks;
+    struct Window { int first, last, used; };
+    struct Model {
+        int peaks;
+        double level, slope, light[joint_peaks], x[joint_peaks], log_w;
+        double chi2, merit, covariance[joint_peaks][joint_peaks];
+    };
+    // What a model says about a pixel.
+    struct Pixel { double mean, variance, by[most_parameters]; };
+    struct Edge { double share, density, moment; };
+    // The pieces of the nodes about a place along the sensor.
+    struct Rows { const Piece* near; const Piece* far; double far_part; };
+"""
+
+MODEL_SHAPE: Final = """
+    auto joint_rows_at = [&](double place_px) -> Rows {
+        if (plan.nodes == 1) return Rows{pieces, pieces, 0.0};
+        const double node = (place_px - plan.first_node) / plan.node_step;
+        const int below = node > 0.0 ? (node < plan.nodes - 2 ? (int)node : plan.nodes - 2) : 0;
+        const double part = node - below;
+        const Piece* near = pieces + below * plan.pieces;
+        return Rows{near, near + plan.pieces, part > 0.0 ? (part < 1.0 ? part : 1.0) : 0.0};
+    };
+    auto joint_edge_at = [&](const Rows& rows, double t) -> Edge {
+        // Half a piece beyond the last that counts is well within the constant one.
+        double place = (t - plan.first) * plan.inverse_step;
+        const double last = plan.pieces - 0.5;
+        place = place > 0.0 ? (place < last ? place : last) : 0.0;
+        const int k = (int)place;
+        const double s = place - k;
+        Piece piece = rows.near[k];
+        if (plan.nodes > 1) {
+            const Piece far = rows.far[k];
+            const double part = rows.far_part;
+            piece.c0 += part * (far.c0 - piece.c0);
+            piece.c1 += part * (far.c1 - piece.c1);
+            piece.c2 += part * (far.c2 - piece.c2);
+            piece.c3 += part * (far.c3 - piece.c3);
+        }
+        const double share = piece.c0 + s * (piece.c1 + s * (piece.c2 + s * piece.c3));
+        const double density =
+            (piece.c1 + s * (2.0 * piece.c2 + s * 3.0 * piece.c3)) * plan.inverse_step;
+        return Edge{share, density, t * density};
+    };
+    auto joint_middle_share = [&](double w, double place_px) -> double {
+        const Rows rows = joint_rows_at(place_px);
+        return joint_edge_at(rows, 0.5 / w).share - joint_edge_at(rows, -0.5 / w).share;
+    };
+"""
+
+# `at_width` is the logarithm of the width, the last. Without it one parameter less.
+MODEL_SCORE: Final = """
+    auto parameters_of = [&](int peaks) -> int {
+        return 1 + plan.sloped + 2 * peaks + plan.width_is_fitted;
+    };
+    // Tell `each(pixel, value, what the model says)` of each pixel that counts.
+    auto evaluate = [&](const Model& m, const Window& in, auto each) {
+        const int lights = 1 + plan.sloped, places = lights + m.peaks, width = places + m.peaks;
+        const double w = exp_of(m.log_w), by_width = 1.0 / w, middle = 0.5 * (in.first + in.last);
+        Rows rows[joint_peaks];
+        Edge before[joint_peaks];
+        for (int k = 0; k < m.peaks; ++k) {
+            rows[k] = joint_rows_at(m.x[k]);
+            before[k] = joint_edge_at(rows[k], (in.first - 0.5 - m.x[k]) * by_width);
+        }
+        Pixel pixel;
+        pixel.by[0] = 1.0;
+        for (int i = in.first; i <= in.last; ++i) {
+            double lit = 0.0;
+            pixel.by[width] = 0.0;
+            for (int k = 0; k < m.peaks; ++k) {
+                const Edge edge = joint_edge_at(rows[k], (i + 0.5 - m.x[k]) * by_width);
+                const double share = edge.share - before[k].share;
+                const double light = m.light[k];
+                lit += light * share;
+                pixel.by[lights + k] = share;
+                pixel.by[places + k] = light * by_width * (before[k].density - edge.density);
+                pixel.by[width] += light * (before[k].moment - edge.moment);
+                before[k] = edge;
+            }
+            pixel.mean = m.level + lit;
+            if (plan.sloped) {
+                pixel.by[1] = i - middle;
+                pixel.mean += m.slope * pixel.by[1];
+            }
+            const double above = pixel.mean - offset;
+            pixel.variance = dark_variance + (above > 0.0 ? photon_variance * above : 0.0)
+                + plan.shape_error2 * lit * lit;
+            const int value = v[i];
+            if (value < full_scale) each(i, (double)value, pixel);
+        }
+    };
+"""

@@ -273,7 +273,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     tables = {
         "throughput": throughput(device, options.seconds),
         "latency": latency(device),
-        "accuracy": accuracy() if device == "cpu" else [],
+        # The kernels on the CPU are not there on every machine with CUDA.
+        "accuracy": [] if centroid_finder(1, 64, device).device != "cpu" else accuracy(),
     }
     if options.json:
         json.dump(tables, sys.stdout, indent=2)

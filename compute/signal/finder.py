@@ -40,7 +40,7 @@ class CentroidFinder:
         import warp as wp
 
         from compute.signal.native.centroid_kernel import find_peaks
-        from compute.signal.native.cuda_warp import BLOCK_PIXELS
+        from compute.signal.native.cuda_sizes import BLOCK_PIXELS
         from compute.signal.native.prelude import line_record
         from compute.signal.native.runner import LineRunner
 

@@ -1,11 +1,8 @@
 """LineRunner: a kernel over lines, with its buffers and launches on one device."""
 
 import gc
-import os
 from collections import OrderedDict
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cache
 from itertools import pairwise
 from typing import Any, Final
 
@@ -13,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
+from compute.signal.native.batches import check_size, check_threads, helpers
 from compute.signal.native.cuda_sizes import BLOCK_THREADS, LINES_PER_BATCH
 from compute.signal.noise import LineNoise
-from compute.signal.settings import MAX_PIXELS, MIN_PIXELS
 from compute.warp_host import host_memory, warp_device
 
 WARP_LANES: Final = 32
@@ -30,17 +27,6 @@ GRAPH_PIXELS: Final = 1 << 20
 DIRECT_PIXELS: Final = 1 << 16
 """Batches up to so many pixels stay in the host's memory, where the device reads them once and
 writes the records: a copy's start takes longer than that."""
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    """Return the threads that help the caller's: one for each further CPU."""
-    return ThreadPoolExecutor(max(_cpus() - 1, 1), thread_name_prefix="lines")
-
-
-@cache
-def _cpus() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class LineRunner:
@@ -81,6 +67,7 @@ class LineRunner:
         reads_once: bool = False,
     ) -> None:
         check_size(lines, pixels)
+        self._threads = check_threads(threads)
         self._wp = wp
         self.lines = lines
         self.pixels = pixels
@@ -88,7 +75,6 @@ class LineRunner:
         self._device = warp_device(wp, device)
         self.device = str(self._device.alias)
         self.cuda = bool(self._device.is_cuda)
-        self._threads = _cpus() if threads is None else threads
         self._record_bytes = record.itemsize
         self._reads_once = reads_once
 
@@ -131,7 +117,7 @@ class LineRunner:
             record.itemsize,
         ]
         self._records_index = len(arguments) - 2
-        self._prepared: list[tuple[int, int] | None] = [None] * max(self._threads, 1)
+        self._prepared: list[tuple[int, int] | None] = [None] * self._threads
         self._launches = [
             wp.launch(
                 kernel,
@@ -141,7 +127,7 @@ class LineRunner:
                 block_dim=BLOCK_THREADS if self.cuda else 1,
                 record_cmd=True,
             )
-            for _ in range(1 if self.cuda else max(self._threads, 1))
+            for _ in range(1 if self.cuda else self._threads)
         ]
 
     def find(self, lines: NDArray[np.uint16]) -> NDArray[np.void]:
@@ -198,9 +184,9 @@ class LineRunner:
             self._launch_cuda(count)
             return
         starts = self._parts(count)
-        pending: list[Future[None]] = []
+        launches = self._launches[: len(starts) - 1]
         for part, (first, end) in enumerate(pairwise(starts)):
-            launch = self._launches[part]
+            launch = launches[part]
             launch.set_param_at_index(1, self._source.ctypes.data + first * self.pixels * 2)
             # Setting a parameter takes a microsecond: as long as a line.
             if self._prepared[part] != (first, end):
@@ -210,10 +196,8 @@ class LineRunner:
                     self._records_index, self._records.ptr + first * self._record_bytes
                 )
                 launch.set_dim(end - first)
-            if part + 1 < len(starts) - 1:
-                pending.append(_pool().submit(launch.launch))
-            else:
-                launch.launch()
+        pending = [helpers().submit(launch.launch) for launch in launches[1:]]
+        launches[0].launch()
         for future in pending:
             future.result()
 
@@ -290,18 +274,3 @@ class LineRunner:
                 f"with L at most {self.lines}",
                 shape=lines.shape,
             )
-
-
-def check_size(lines: int, pixels: int) -> None:
-    """Refuse batches that no kernel takes.
-
-    Raises:
-        InvalidParameter: fewer than one line, or lines that are too short or too long.
-    """
-    if lines < 1:
-        raise InvalidParameter(f"lines is {lines}; it must be 1 or more", lines=lines)
-    if not MIN_PIXELS <= pixels <= MAX_PIXELS:
-        raise InvalidParameter(
-            f"a line has {pixels} pixels; it must have {MIN_PIXELS} to {MAX_PIXELS}",
-            pixels=pixels,
-        )

@@ -8,11 +8,15 @@ from hypothesis.extra.numpy import arrays
 
 from compute.errors import InvalidParameter
 from compute.signal.finder import CentroidFinder
+from compute.signal.native.runner import PIXELS_PER_THREAD
 from compute.signal.noise import LineNoise
 from compute.signal.reference import find_peaks_reference
 from compute.signal.settings import CentroidSettings
 from tests.compute.signal.signal_lines import (
+    FULL,
+    GAIN,
     NOISE,
+    OFFSET,
     assert_same,
     gaussian_counts,
     measured,
@@ -155,3 +159,38 @@ def test_no_more_lines_are_read_than_were_given(count):
 def test_a_finder_that_cannot_be_is_refused_with_the_reason(lines, pixels, device, words):
     with pytest.raises(InvalidParameter, match=words):
         CentroidFinder(lines, pixels, CentroidSettings(), NOISE, device)
+
+
+@pytest.mark.parametrize("sensors", [1, 3, 4])
+@pytest.mark.parametrize("threads", [2, 3, 7])
+def test_threads_share_a_batch_and_change_nothing(threads, sensors):
+    # Noise by sensor: a part that began with another sensor than 0 would find other peaks.
+    noise = LineNoise.of(GAIN, np.linspace(5.0, 200.0, sensors), OFFSET, FULL)
+    lines = np.tile(varied_lines(120, 512, np.random.default_rng(3)), (17, 1))
+    assert lines.size > threads * PIXELS_PER_THREAD
+    options = CentroidSettings(max_peaks=3)
+    one = CentroidFinder(len(lines), 512, options, noise, "cpu", threads=1)
+    more = CentroidFinder(len(lines), 512, options, noise, "cpu", threads=threads)
+    # Other sizes in between: what was prepared for one must not serve another.
+    for count in (len(lines), 1, 1000, len(lines)):
+        expected, found = one.find(lines[:count]), more.find(lines[:count])
+        for name, values in vars(expected).items():
+            np.testing.assert_array_equal(getattr(found, name), values, name)
+
+
+def test_a_batch_needs_a_thread():
+    for threads in (0, -1):
+        with pytest.raises(InvalidParameter, match=f"threads is {threads}"):
+            CentroidFinder(10, 128, CentroidSettings(), NOISE, "cpu", threads=threads)
+
+
+def test_a_batch_outlives_the_next():
+    lines = varied_lines(40, 256, np.random.default_rng(4))
+    finder = CentroidFinder(20, 256, CentroidSettings(), NOISE, "cpu")
+    first = finder.find(lines[:20])
+    kept = {name: values.copy() for name, values in vars(first).items()}
+    finder.find(lines[20:])
+    for name, values in kept.items():
+        np.testing.assert_array_equal(getattr(first, name), values, name)
+    with pytest.raises(ValueError, match="read-only"):
+        first.reduced_chi2[:] = 0.0

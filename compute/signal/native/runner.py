@@ -18,8 +18,10 @@ from compute.warp_host import host_memory, warp_device
 WARP_LANES: Final = 32
 FILLING_WARPS: Final = 8192
 """So many warps fill a large GPU a few times over; of more lines each takes a batch."""
+HEAD_START_PIXELS: Final = 262_144
+"""By so many pixels more than the others the caller's own thread takes: until they have woken."""
 PIXELS_PER_THREAD: Final = 131_072
-"""A further CPU thread must have so many pixels to be worth its start (tens of microseconds)."""
+"""A further thread must have so many pixels to be worth it."""
 MAX_GRAPHS: Final = 64
 """Sizes of batches for which a CUDA graph is kept."""
 GRAPH_PIXELS: Final = 1 << 20
@@ -209,13 +211,18 @@ class LineRunner:
         return self._host_records[:count]
 
     def _parts(self, count: int) -> list[int]:
-        """Return where the parts of a batch begin, and its end; each begins with sensor 0."""
-        if count * self.pixels < 2 * PIXELS_PER_THREAD:
+        """Return where the parts of a batch begin, and its end; each begins with sensor 0.
+
+        The first is the caller's own.
+        """
+        shared = count * self.pixels - HEAD_START_PIXELS
+        threads = min(self._threads, max(shared // PIXELS_PER_THREAD, 1))
+        if threads == 1:
             return [0, count]
-        threads = min(self._threads, max(count * self.pixels // PIXELS_PER_THREAD, 1))
         frames = -(-count // self._sensors)
-        starts = [part * frames // threads * self._sensors for part in range(threads)]
-        return [*dict.fromkeys(starts), count]
+        ahead = min(HEAD_START_PIXELS // (self.pixels * self._sensors), frames)
+        starts = [(ahead + part * (frames - ahead) // threads) for part in range(1, threads)]
+        return [0, *dict.fromkeys(start * self._sensors for start in starts if start > 0), count]
 
     def _launch_cuda(self, count: int) -> None:
         launch = self._launches[0]

@@ -256,7 +256,8 @@ _RESULT: Final = """
         const Window narrow = window_between(first, last);
         Model one = start;
         const bool ended = settle(one, narrow);
-        if (count == plan.max_joint || (ended && !(one.chi2 > limit_of(one, narrow)))) {
+        const bool enough = ended && !(plan.further_peaks && one.chi2 > limit_of(one, narrow));
+        if (count == plan.max_joint || enough) {
             if (!ended) return 0;
             write_joint(one, c, count, narrow, out);
             return count;
@@ -271,7 +272,7 @@ _RESULT: Final = """
         base.merit = again.merit;
         const double least_fall = 2.0 * log_of(wide.used) + plan.margin;
         Model more;
-        while (base.peaks < plan.max_joint && add_peak(base, wide, &more)
+        while (plan.further_peaks && base.peaks < plan.max_joint && add_peak(base, wide, &more)
                && base.merit - more.merit > least_fall) {
             base = more;
             if (!(base.chi2 > limit_of(base, wide))) break;

@@ -42,9 +42,11 @@ _PLAN: Final = np.dtype(
                 "nodes",
                 "pieces",
                 "limits",
+                "further_peaks",
             )
         ],
-    ]
+    ],
+    align=True,
 )
 """The kernel's ``Plan``."""
 
@@ -84,6 +86,7 @@ def pack_plan(settings: FitSettings, shape: LineShape) -> NDArray[np.uint64]:
     plan["has_prior"] = 0.0 < spread < np.inf
     plan["sensors"], plan["nodes"], plan["pieces"] = sensors, nodes, places + 1
     plan["limits"] = len(limits)
+    plan["further_peaks"] = settings.further_peaks
     pieces = _pieces(shape)
     parts = [plan.reshape(1), limits, pieces, pieces.astype(np.float32)]
     return np.frombuffer(b"".join(part.tobytes() for part in parts), np.uint64).copy()

@@ -1,8 +1,8 @@
 """The native source of the fit of one peak alone, in float32: nearly all peaks are that.
 
 It gives an answer only where there is no doubt: the fit has converged in few steps, the peak is
-whole and not so bright that float32 would tell, and the misfit is clear of its limit. Else it
-returns 0, and the fit in float64 decides. Counts are taken from the line's background, positions
+whole and not so bright that float32 would tell, and the misfit is clear of its limit: below, or
+above where that only is a flag. Else it returns 0, and the fit in float64 decides. Counts are taken from the line's background, positions
 from the candidate's pixel: float32 then keeps 1e-6 px.
 """
 
@@ -34,7 +34,8 @@ _BEGIN: Final = """
             if (v[i] >= full_scale) return 0;
         const int freedom = used - size + !plan.width_is_fitted + plan.has_prior;
         if (freedom < 1 + plan.has_prior) return 0;
-        const float chi2_limit = (float)(0.999 * chi2_limits[freedom]);
+        const float chi2_limit = (float)chi2_limits[freedom];
+        const bool may_split = plan.further_peaks && plan.max_joint > 1;
 
         const int origin = pixel_of(c), base = (int)floor(line_background);
         const float dark_f = (float)dark_variance, photon_f = (float)photon_variance;
@@ -230,14 +231,16 @@ _STEP: Final = """
 """
 
 _END: Final = """
-        if (!ended || !(chi2 < chi2_limit)) return 0;
+        const bool good = chi2 < 0.999f * chi2_limit;
+        const bool poor = chi2 > 1.001f * chi2_limit && !may_split;
+        if (!ended || !(good || poor)) return 0;
 
         rows_at(x);
         const double position = (double)origin + (double)x, reach = 2.0 * (double)w;
         if (position - reach < -0.5 || position + reach > pixels - 0.5) return 0;
         *out = Fitted{
             position, sqrtf(sigma2), light * middle_share(w), w * (float)plan.width_unit,
-            c.flags & merged, chi2 / (float)freedom, {0.0f, 0.0f, 0.0f}};
+            (c.flags & merged) | (poor ? poor_fit : 0), chi2 / (float)freedom, {0.0f, 0.0f, 0.0f}};
         return 1;
     };
     auto fit_alone = [&](const Candidate& c, int first, int last, Fitted* out) -> int {

@@ -45,6 +45,7 @@ _TYPES: Final = """
         double least_start, most_start, least_log, most_log, width_unit, margin;
         double first, inverse_step, first_node, node_step;
         int max_joint, sloped, width_is_fitted, has_prior, sensors, nodes, pieces, limits;
+        int further_peaks;
     };
     const Plan& plan = *(const Plan*)plan_address;
     // By degrees of freedom: the chi-square of less chance than the rate of false splits.

@@ -52,7 +52,7 @@ def fit_windows(
     settings: FitSettings,
     shape: LineShape,
 ) -> list[Chosen]:
-    """Fit as many lines as each window shows, ``layout.peaks`` or more.
+    """Fit as many lines as each window shows, ``layout.peaks`` or, if the settings allow, more.
 
     Args:
         windows: N windows with ``layout.peaks`` candidates each.
@@ -67,14 +67,17 @@ def fit_windows(
     """
     rows = np.arange(len(windows))
     first = Chosen(layout, rows, windows, solve(windows, start, layout, settings, shape))
-    poor = _poor(first.solution, settings)
+    poor = _poor(first.solution, settings) if settings.further_peaks else ~first.solution.good
     if layout.peaks >= settings.max_joint or not poor.any():
         return [first]
     wide = grown(rows[poor])
     base = np.where(first.solution.good[poor, None], first.solution.parameters[poor], start[poor])
     again = solve(wide, base, layout, settings, shape)
     base = np.where(again.good[:, None], again.parameters, base)
-    many, stood = _with_more(Chosen(layout, rows[poor], wide, again), base, settings, shape)
+    many: list[Chosen] = []
+    stood = np.zeros(len(base), bool)
+    if settings.further_peaks:
+        many, stood = _with_more(Chosen(layout, rows[poor], wide, again), base, settings, shape)
     # Where none stood: the first window's fit, or else the grown one's.
     instead = ~stood & ~first.solution.good[poor] & again.good
     keep = ~poor

@@ -79,7 +79,8 @@ class FitSettings:
       2 ln(1/false_split_rate)``, dp = 2 the parameters that it adds and n the pixels: Schwarz's
       criterion (10.1214/aos/1176344136) with a margin for the places where it was looked for.
       So on, while the misfit is more than chance, up to ``max_joint``. Where none stands, the
-      first window's fit does, or else the grown one's.
+      first window's fit does, or else the grown one's. Without ``further_peaks`` none is tried,
+      and only a failed fit is repeated in the grown window.
     - *Result.* Positions, standard deviations and covariances; ``amplitude`` is the fitted light
       in a pixel about the line's middle; ``width_px`` the full width at ``search``'s
       threshold of a Gaussian with the fitted width; the reduced chi-square of the group, of
@@ -101,9 +102,12 @@ class FitSettings:
         shape_error: error of each pixel's light as a part of it, deviation, another in each
             pixel: uneven pixels. A line of another shape than E is no such thing: a bright one
             is taken for several peaks, whatever is allowed here. Measure its shape
-            (``LineShape.measured``), or let ``max_joint`` be 1.
+            (``LineShape.measured``), or set ``further_peaks`` to False.
         max_joint: most peaks that are fitted together, 1 to JOINT_PEAKS.
         false_split_rate: chance of fitting two peaks where there is one.
+        further_peaks: more peaks than candidates are tried. If not, candidates that overlap are
+            still fitted together, but a misfit is only flagged: right where the lines' shape is
+            not known well enough for a misfit to tell of a second line.
 
     Raises:
         InvalidParameter: a value outside its range.
@@ -117,6 +121,7 @@ class FitSettings:
     shape_error: float = 0.0
     max_joint: int = JOINT_PEAKS
     false_split_rate: float = 1e-4
+    further_peaks: bool = True
 
     def __post_init__(self) -> None:
         low, high = WIDTH_LIMITS_PX

@@ -16,6 +16,8 @@ SETTINGS = {
     "free width, slope": FitSettings(width_spread=np.inf, background="slope"),
     "shape error": FitSettings(shape_error=0.02, reach=3.0),
     "one by one": FitSettings(max_joint=1, false_split_rate=0.01),
+    "no further peaks": FitSettings(further_peaks=False),
+    "no further peaks, free width": FitSettings(width_spread=np.inf, further_peaks=False),
     "little room": FitSettings(search=CentroidSettings(max_peaks=3), width_spread=2.0),
 }
 

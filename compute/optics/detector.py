@@ -14,6 +14,8 @@ from compute.optics.dark import CountDistribution, count_distribution
 MOST_ELECTRONS: Final = 1e15
 """The largest mean of a pixel that is simulated; a float counts single electrons up to 9e15."""
 
+_FULL_SIGMA: Final = 4.0  # of the read noise, below the mean count of a full well
+
 
 @dataclass(frozen=True)
 class Detector:
@@ -83,6 +85,17 @@ class Detector:
     def full_scale(self) -> int:
         """The largest count; a pixel that has it is saturated."""
         return int(2**self.bits) - 1
+
+    @property
+    def full_counts(self) -> int:
+        """The count from which on a pixel says "at least" only, 1 or more.
+
+        A full well shows below full scale where the converter reaches farther than it.
+        """
+        well = self.full_well_electrons - _FULL_SIGMA * self.read_noise_electrons
+        return min(
+            self.full_scale, max(int(well / self.electrons_per_count + self.offset_counts), 1)
+        )
 
     def convert(
         self, electrons: NDArray[np.float64], offset_counts: NDArray[np.float64] | None = None

@@ -6,7 +6,6 @@ amount in every exposure; here it is measured.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +20,6 @@ from compute.planning.line_bound import centroids
 from compute.signal.peaks import PeakBatch, PeakFlag
 
 Array = NDArray[np.float64]
-
-_FULL_SIGMA: Final = 4.0  # of the read noise, below the mean count of a full well
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +45,11 @@ class VolumeLines:
             lines = self.lines[first * sensors : (first + points) * sensors]
             yield VolumeLines(lines, self.readings_px[part], self.full_counts)
 
-    def errors_px(self, peaks: PeakBatch) -> Array:
+    def errors_px(self, peaks: PeakBatch, without: PeakFlag = PeakFlag.CLIPPED) -> Array:
         """Return how far the brightest peaks of these lines are off, shape (N, S) [px].
 
-        NaN where there is none, of lines with full pixels, and of clipped peaks.
+        NaN where there is none, of lines with full pixels, and of peaks with one of the flags
+        ``without``.
         """
         points, sensors = self.readings_px.shape
         found = np.isfinite(peaks.position_px)
@@ -59,7 +57,7 @@ class VolumeLines:
         brightest = np.where(found, peaks.amplitude, -1.0).argmax(axis=1)
         error = peaks.position_px[row, brightest] - self.readings_px.ravel()
         full = self.lines.max(axis=1) >= self.full_counts
-        error[full | ((peaks.flags[row, brightest] & PeakFlag.CLIPPED) != 0)] = np.nan
+        error[full | ((peaks.flags[row, brightest] & without) != 0)] = np.nan
         return np.asarray(error.reshape(points, sensors))
 
 
@@ -98,9 +96,5 @@ def volume_lines(profile: DeviceProfile, per_side: int = 5) -> VolumeLines:
     detector = known.detector(exposure_s)
     electrons = signal + detector.ambient_electrons + detector.dark_electrons
     counts = electrons / known.electrons_per_count + known.offset_counts
-    well = known.full_well_electrons - _FULL_SIGMA * known.read_noise_electrons
-    full = min(
-        2**known.bits - 1, max(int(well / known.electrons_per_count + known.offset_counts), 1)
-    )
-    lines = np.rint(np.clip(counts, 0, full)).astype(np.uint16).reshape(-1, pixels)
-    return VolumeLines(lines, readings, full)
+    lines = np.rint(np.clip(counts, 0, detector.full_counts)).astype(np.uint16)
+    return VolumeLines(lines.reshape(-1, pixels), readings, detector.full_counts)

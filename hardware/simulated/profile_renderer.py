@@ -24,7 +24,6 @@ from hardware.simulated.profile_settings import ProfileSettings
 
 _log = logging.getLogger(__name__)
 
-_FULL_SIGMA: Final = 4.0  # of the read noise, below the mean count of a full well
 _LOOKS: Final = 181  # at a scene's period
 
 
@@ -48,11 +47,7 @@ class ProfileRenderer:
         self._check_scene()
         self._lenses_mm = np.array([sensor.position_mm for sensor in profile.sensors])
         detector = profile.detector.detector(profile.rates.exposure_s)
-        # A full well shows below full scale where the converter reaches farther than it.
-        full_well = (
-            detector.full_well_electrons - _FULL_SIGMA * detector.read_noise_electrons
-        ) / detector.electrons_per_count + detector.offset_counts
-        self._full_counts = min(detector.full_scale, max(int(full_well), 1))
+        self._full_counts = detector.full_counts
         self._detector = DetectorArray(
             detector,
             len(profile.sensors),

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf
+from math import inf, log, sqrt
 from typing import Final, Literal
 
 import numpy as np
@@ -25,10 +25,20 @@ Array = NDArray[np.float64]
 
 Method = Literal["fit", "centroid", "shadow"]
 
-FREE_SHAPE: Final = FitSettings(width_spread=inf, max_joint=1)
-"""For lines of no known shape: a Gaussian of any width for each. Several fitted together would
-explain the tails of one line by more lines: with up to four, 81 % of the noiseless lines of the
-profile bar are split, and off by 0.89 px RMS instead of 0.027 (printed by
+_SEARCH: Final = CentroidSettings(threshold_fraction=0.1, min_width_px=2)
+"""How lines to fit are found. A hot pixel stands alone, and must not: its neighbours stay below a
+tenth of it, those of a line do not unless its light is all in one pixel. From a third of the height
+on, many a line of a sharp lens has one pixel only."""
+
+_TO_THIRD: Final = sqrt(
+    log(CentroidSettings().threshold_fraction) / log(_SEARCH.threshold_fraction)
+)
+"""The width of a Gaussian at a third of its height over that at the search's threshold."""
+
+FREE_SHAPE: Final = FitSettings(search=_SEARCH, width_spread=inf, further_peaks=False)
+"""For lines of no known shape: Gaussians of any width, one for each line that is found. Further
+ones would explain the tails of one line by more lines: 81 % of the noiseless lines of the profile
+bar are then split, and off by 0.89 px RMS instead of 0.009 (printed by
 tests/service/live/test_peak_methods.py)."""
 
 _Find = Callable[[NDArray[np.uint16]], PeakBatch]
@@ -55,11 +65,13 @@ class PeakFinding:
 
     Lines and shadows are never quite what is fitted, and what that costs is in the standard
     deviations. Light lines: what the method errs by over the volume of the device's profile, RMS
-    by sensor, added in squares. Shadows: where the chi-square per degree of freedom is above one,
-    its root as a factor (R. T. Birge, 10.1103/PhysRev.40.207); behind the windows of the profile
-    coda-mpx30 the errors are then 0.7 deviations RMS, and 2.7 at most. The positions are those of
-    the calibrations: a Gaussian at a whole light line's centre of gravity; what it misses of that
-    in lines with coma is part of the error (printed by tests/service/live/test_peak_methods.py).
+    by sensor, added in squares; where no fit was possible, what those err by. Shadows: where the
+    chi-square per degree of freedom is above one, its root as a factor (R. T. Birge,
+    10.1103/PhysRev.40.207); behind the windows of the profile coda-mpx30 the errors are then 0.7
+    deviations RMS, and 2.7 at most. The positions are those of the calibrations: a Gaussian at a
+    whole light line's centre of gravity; what it misses of that in lines with coma is part of the
+    error (printed by tests/service/live/test_peak_methods.py). Widths are those at a third of the
+    height, by whatever method.
 
     Loads Warp and its kernels for light lines, and takes what time they need: make it and use it
     in one thread.
@@ -81,13 +93,17 @@ class PeakFinding:
         self.method = peak_method(description)
         self.error_px: Array | None = None
         """RMS error over the volume, shape (S,) [px]; None: not known."""
+        self.unfitted_error_px = 0.0
+        """That of peaks that were not fitted, of all sensors; 0 where all are."""
         sensors, pixels = len(description.sensors), description.sensors[0].pixels
         self._find = _find(self.method, description, frames, model, compute_device)
         if self._find is not None:
             # Loads the kernel and touches the buffers, before the first frame waits for it.
             self._find(np.zeros((sensors, pixels), np.uint16))
             if model.volume is not None:
-                self.error_px = _rms_error(self._find, model.volume, frames)
+                self.error_px, self.unfitted_error_px = _rms_errors(
+                    self._find, model.volume, frames
+                )
         shadow = self.method == "shadow"
         doubtful = PeakFlag.SATURATED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
         if self.error_px is None and not shadow:
@@ -111,11 +127,14 @@ class PeakFinding:
         if self.method == "shadow":
             stretch = np.sqrt(np.maximum(peaks.reduced_chi2, np.float32(1.0)))
             return replace(peaks, sigma_px=peaks.sigma_px * stretch)
+        if self.method == "fit":
+            peaks = replace(peaks, width_px=peaks.width_px * np.float32(_TO_THIRD))
         if self.error_px is None:
             return peaks
         error = np.tile(self.error_px, len(lines) // len(self.error_px))[:, None]
-        sigma = np.hypot(peaks.sigma_px, error).astype(np.float32)
-        return replace(peaks, sigma_px=sigma)
+        unfitted = (peaks.flags & PeakFlag.UNFITTED) != 0
+        sigma = np.hypot(peaks.sigma_px, np.where(unfitted, self.unfitted_error_px, error))
+        return replace(peaks, sigma_px=sigma.astype(np.float32))
 
 
 def _find(
@@ -136,7 +155,11 @@ def _find(
     lines = frames * sensors
     if method == "fit":
         sigma = description.line_sigma_px
-        settings = FREE_SHAPE if sigma is None else FitSettings(width_px=sigma, width_spread=0.0)
+        settings = (
+            FREE_SHAPE
+            if sigma is None
+            else FitSettings(search=_SEARCH, width_px=sigma, width_spread=0.0)
+        )
         return FitFinder(lines, pixels, settings, noise, device=compute_device).find
     if method == "centroid":
         return CentroidFinder(lines, pixels, CentroidSettings(), noise, device=compute_device).find
@@ -145,9 +168,21 @@ def _find(
     return None
 
 
-def _rms_error(find: _Find, volume: VolumeLines, frames: int) -> Array | None:
-    """Return the RMS error of a volume's noiseless lines by sensor [px]; None: nothing is seen."""
-    errors = np.concatenate([part.errors_px(find(part.lines)) for part in volume.parts(frames)])
-    if not np.isfinite(errors).any(axis=0).all():
-        return None
-    return np.asarray(np.sqrt(np.nanmean(errors**2, axis=0)))
+def _rms_errors(find: _Find, volume: VolumeLines, frames: int) -> tuple[Array | None, float]:
+    """Return the RMS errors of a volume's noiseless lines [px].
+
+    Those of the fitted (or centres of gravity) by sensor, None where one sees nothing; and those of
+    all that were not fitted, 0 where all are.
+    """
+    all_errors, fitted_errors = [], []
+    for part in volume.parts(frames):
+        peaks = find(part.lines)
+        all_errors.append(part.errors_px(peaks))
+        fitted_errors.append(part.errors_px(peaks, PeakFlag.CLIPPED | PeakFlag.UNFITTED))
+    fitted = np.concatenate(fitted_errors)
+    if not np.isfinite(fitted).any(axis=0).all():
+        return None, 0.0
+    unfitted = np.concatenate(all_errors)[np.isnan(fitted)]
+    unfitted = unfitted[np.isfinite(unfitted)]
+    rms = np.sqrt(np.nanmean(fitted**2, axis=0))
+    return np.asarray(rms), float(np.sqrt(np.mean(unfitted**2))) if len(unfitted) else 0.0

@@ -87,6 +87,18 @@ def test_the_full_well_ends_the_photon_noise() -> None:
     assert counts.var() / variance == pytest.approx(1.0, abs=5 * np.sqrt(2.0 / SIZE))
 
 
+def test_full_counts_are_where_a_pixel_says_at_least_only() -> None:
+    """Of a full pixel, all but 3 in 100,000 counts reach it."""
+    shallow = replace(FINE, full_well_electrons=2000.0)
+    assert shallow.full_counts < shallow.full_scale
+    counts = exposed(shallow, 50_000.0)
+    assert (counts >= shallow.full_counts).mean() > 0.9998
+    assert (exposed(shallow, 1000.0) < shallow.full_counts).all()
+    deep = replace(FINE, bits=8, full_well_electrons=1e6)
+    assert deep.full_counts == deep.full_scale
+    assert replace(FINE, full_well_electrons=1e-3, offset_counts=0.0).full_counts == 1
+
+
 def test_conversion_rounds_to_the_nearest_count_and_clips() -> None:
     detector = Detector(8, 10.0, 2.0, 0.0, 1e5, 0.0)
     electrons = np.array([-1e6, -25.1, 0.0, 4.9, 5.0, 14.9, 2524.9, 2525.0, 1e9])

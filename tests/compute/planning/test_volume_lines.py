@@ -56,6 +56,10 @@ def test_errors_are_of_the_brightest():
     assert np.isnan(volume.errors_px(peaks_at(none, np.nan))).all()
     clipped = peaks_at(both, [5.0, 4.0], int(PeakFlag.CLIPPED))
     assert np.isnan(volume.errors_px(clipped)).all()
+    assert volume.errors_px(clipped, PeakFlag.UNFITTED) == pytest.approx(0.25)
+    unfitted = peaks_at(both, [5.0, 4.0], int(PeakFlag.UNFITTED))
+    assert volume.errors_px(unfitted) == pytest.approx(0.25)
+    assert np.isnan(volume.errors_px(unfitted, PeakFlag.CLIPPED | PeakFlag.UNFITTED)).all()
     full = replace(volume, full_counts=1)
     assert np.isnan(full.errors_px(peaks_at(both, [5.0, 4.0]))).all()
 

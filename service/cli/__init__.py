@@ -174,9 +174,15 @@ def peaks(
     line: Annotated[int | None, typer.Option(min=0, help="Only this line, from 0.")] = None,
     frame: Annotated[int | None, typer.Option(min=0, help="Of a recording, from 0.")] = None,
     sensor: Annotated[str | None, typer.Option(help="Of a recording: only this one.")] = None,
-    method: Annotated[str, typer.Option(help="centroid, fit, chain or matched.")] = "fit",
+    method: Annotated[
+        str | None,
+        typer.Option(help="centroid, fit, chain or matched; left out: the recording's, or fit."),
+    ] = None,
     width: Annotated[
         float | None, typer.Option(help="Deviation of the lines \\[px]: fit, matched.")
+    ] = None,
+    further_peaks: Annotated[
+        bool | None, typer.Option(help="Fit: more peaks than are seen; left out: with a width.")
     ] = None,
     settings: Annotated[
         Path | None, typer.Option(help="Method and settings as JSON, as REST takes them.")
@@ -209,6 +215,7 @@ def peaks(
         sensor=sensor,
         method=method,
         width_px=width,
+        further_peaks=further_peaks,
         settings=settings,
         noise=noise,
         output=output,

@@ -2,8 +2,9 @@
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from compute.errors import InvalidParameter
 from compute.signal.settings import MAX_PIXELS, MIN_PIXELS
 from service.line_scans.schema import FULL_SCALE, PixelNoise
+
+if TYPE_CHECKING:
+    from hardware.driver import DeviceDescription
 
 Lines = NDArray[np.uint16]
 
@@ -27,12 +31,16 @@ class LineFile:
         first: number of the first of them in the file, or of its sensor in a recording.
         names: what to call each of them.
         noise: of the sensors that they come from; None where the file does not say.
+        sensors: which sensor each of them is of, in a recording.
+        device: that they were recorded from.
     """
 
     lines: Lines
     first: int
     names: tuple[str, ...]
     noise: PixelNoise | None
+    sensors: tuple[str, ...] | None = None
+    device: "DeviceDescription | None" = None
 
 
 def read_lines(
@@ -75,7 +83,11 @@ def read_lines(
             f"{path} has no line {line}; its lines have the numbers 0 to {len(found.lines) - 1}"
         )
     one = slice(line, line + 1)
-    return LineFile(found.lines[one], found.first + line, found.names[one], found.noise)
+    sensors = None if found.sensors is None else found.sensors[one]
+    return replace(
+        found, lines=found.lines[one], first=found.first + line, names=found.names[one],
+        sensors=sensors,
+    )  # fmt: skip
 
 
 def _recorded(path: Path, frame: int, sensor: str | None) -> LineFile:
@@ -107,7 +119,7 @@ def _recorded(path: Path, frame: int, sensor: str | None) -> LineFile:
         full_scale_counts=2**device.bits - 1,
     )
     chosen = tuple(f"{name}, frame {frame}" for name in names[first:last])
-    return LineFile(read.lines[first:last], first, chosen, noise)
+    return LineFile(read.lines[first:last], first, chosen, noise, tuple(names[first:last]), device)
 
 
 def _numpy(path: Path) -> Lines:

@@ -1,7 +1,7 @@
 """`lumiline peaks`: the peaks of lines from a file, as a table, JSON or a picture."""
 
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import typer
 from pydantic import TypeAdapter, ValidationError
@@ -12,12 +12,13 @@ from compute.errors import LumilineError
 from service.cli.line_files import LineFile, read_lines
 from service.cli.output import console, fail
 from service.line_scans.chain_steps import passive_chain
-from service.line_scans.methods import (
-    Method,
-    MethodName,
-)
+from service.line_scans.methods import WIDEST_SPREAD, FitMethod, Method, MethodName
+from service.line_scans.noise import KnownNoise
 from service.line_scans.run import find_peaks
 from service.line_scans.schema import LinePeak, LineScan, LineScans, PixelNoise
+
+if TYPE_CHECKING:
+    from hardware.driver import DeviceDescription
 
 METHOD: TypeAdapter[Method] = TypeAdapter(Method)
 
@@ -28,8 +29,9 @@ def run(
     line: int | None,
     frame: int | None,
     sensor: str | None,
-    method: str,
+    method: str | None,
     width_px: float | None,
+    further_peaks: bool | None,
     settings: Path | None,
     noise: dict[str, float | None],
     output: Path | None,
@@ -39,19 +41,32 @@ def run(
     """Find and print the peaks of a file's lines; draw the first of them where wanted."""
     if output is not None and not output.parent.is_dir():
         raise fail(f"{output} cannot be written: there is no folder {output.parent}")
+    if output is not None and output.suffix.lower() != ".png":
+        raise fail(f"{output} cannot be written: pictures are PNG, and their names end in .png")
+    if detail and not as_json:
+        raise fail("--detail is for --json; give both, or --output for a picture")
     try:
-        chosen = _from_file(settings) if settings else _named(method, width_px)
         read = read_lines(path, line=line, frame=frame, sensor=sensor)
-        found = find_peaks(
-            read.lines, chosen, _noise(noise) or read.noise, detail=detail and as_json
-        )
+        if settings is not None:
+            chosen = _from_file(settings)
+        elif read.device is not None and width_px is None and further_peaks is None:
+            chosen = recorded_method(method, read.device)
+        else:
+            chosen = _named(method or "fit", width_px, further_peaks)
+        found = find_peaks(read.lines, chosen, _noise(noise, read.noise), detail=detail)
         if output is not None:
             _draw(read, chosen, found, output)
     except LumilineError as error:
         raise fail(escape(error.detail)) from error
     if as_json:
         numbered = [
-            scan.model_copy(update={"line": read.first + scan.line}) for scan in found.lines
+            scan.model_copy(
+                update={
+                    "line": read.first + scan.line,
+                    "sensor": read.sensors[scan.line] if read.sensors else None,
+                }
+            )
+            for scan in found.lines
         ]
         typer.echo(found.model_copy(update={"lines": numbered}).model_dump_json(indent=2))
         return
@@ -60,7 +75,7 @@ def run(
         console.print(f"written: {output}")
 
 
-def _named(name: str, width_px: float | None) -> Method:
+def _named(name: str, width_px: float | None = None, further: bool | None = None) -> Method:
     """Return a method with its defaults.
 
     The chain is the one for passive markers, which takes the background away: others leave it
@@ -70,10 +85,37 @@ def _named(name: str, width_px: float | None) -> Method:
         raise fail(f'the method is "{name}"; it must be one of {", ".join(get_args(MethodName))}')
     if width_px is not None and name not in ("fit", "matched"):
         raise fail(f"--width is for the methods fit and matched, not for {name}")
+    if further is not None and name != "fit":
+        raise fail(f"--further-peaks is for the method fit, not for {name}")
     if name == "chain":
         return passive_chain()
-    width = {} if width_px is None else {"width_px": width_px}
-    return _valid({"method": name, **width}, "--width")
+    given = {"width_px": width_px, "further_peaks": further}
+    known = {option: value for option, value in given.items() if value is not None}
+    return _valid({"method": name, **known}, "--width")
+
+
+def recorded_method(name: str | None, device: "DeviceDescription") -> Method:
+    """Return a method with the settings that the device's lines are measured with live.
+
+    Args:
+        name: of the method; None: the device's own, and "fit" where it has none for lines.
+        device: that the lines were recorded from.
+    """
+    from service.live.peak_finding import FREE_SHAPE, peak_method
+
+    own = peak_method(device)
+    if name is None:
+        name = own if own == "centroid" else "fit"
+    if name != "fit":
+        return _named(name)
+    width = device.line_sigma_px
+    if width is not None and own == "fit":
+        return FitMethod(width_px=width, width_spread=0.0)
+    return FitMethod(
+        width_spread=WIDEST_SPREAD,
+        max_joint=FREE_SHAPE.max_joint,
+        further_peaks=FREE_SHAPE.further_peaks,
+    )
 
 
 def _from_file(path: Path) -> Method:
@@ -90,16 +132,27 @@ def _valid(values: dict[str, Any], name: str) -> Method:
         raise fail(escape(_message(error, name))) from error
 
 
-def _noise(given: dict[str, float | None]) -> PixelNoise | None:
-    """Return the noise that options tell; None where they do not."""
+def _noise(
+    given: dict[str, float | None], recorded: PixelNoise | None
+) -> PixelNoise | KnownNoise | None:
+    """Return the noise that options tell, before what the recording does; None: neither does."""
     values = {name: value for name, value in given.items() if value is not None}
     if not values:
-        return None
+        return recorded
     try:
+        if recorded is not None:
+            return PixelNoise.model_validate({**recorded.model_dump(), **values})
+        known = {"offset_counts", "full_scale_counts"}
+        if values.keys() <= known:
+            # Checked as if the rest were known, too.
+            full = PixelNoise.model_validate(
+                {"electrons_per_count": 1.0, "read_noise_electrons": 0.0, **values}
+            )
+            return KnownNoise(**full.model_dump(include=set(values)))
         return PixelNoise.model_validate(values)
     except ValidationError as error:
         text = _message(error, "noise")
-        raise fail(escape(f"{text}; give --gain and --read-noise, or none of these")) from error
+        raise fail(escape(f"{text}; give --gain and --read-noise, or neither")) from error
 
 
 def _message(error: Exception, where: str) -> str:
@@ -136,6 +189,13 @@ def _print(found: LineScans, names: tuple[str, ...]) -> None:
         f"scale {noise.full_scale_counts} counts",
         highlight=False,
     )
+    split = sum(scan.further_peaks or 0 for scan in found.lines)
+    if split:
+        console.print(
+            f"- {split} of the peaks only explain the pixels better beside others: lines that are "
+            "not Gaussian are split so; --no-further-peaks fits one for each that is seen",
+            highlight=False,
+        )
     for text in found.assumed:
         console.print(f"- guessed: {text}", highlight=False)
 
@@ -147,10 +207,11 @@ def _heading(scan: LineScan, name: str) -> str:
         limit = f"; peaks must reach {scan.limit_counts:.4g} counts"
     elif scan.limit_sigma is not None:
         limit = f"; answers must be above {scan.limit_sigma:.3g} deviations"
+    full = f"; {scan.saturated_pixels} pixels saturated" if scan.saturated_pixels else ""
     return (
         f"[bold]{escape(name)}: {count or 'no'} peak{'' if count == 1 else 's'}[/bold]; background "
         f"{scan.background_counts:.5g} counts, noise {scan.noise_counts:.3g} counts (measured "
-        f"{scan.measured_noise_counts:.3g}){limit}"
+        f"{scan.measured_noise_counts:.3g}){limit}{full}"
     )
 
 

@@ -1,10 +1,11 @@
 """How peaks are found in posted lines: compute's own settings, told apart by `method`."""
 
 from dataclasses import field
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as checked_dataclass
+from pydantic_core import ArgsKwargs
 
 from compute.signal.detection.detector import DetectionSettings, NoiseSource
 from compute.signal.detection.matched_filter import LENGTH_IN_WIDTHS
@@ -18,6 +19,7 @@ MethodName = Literal["centroid", "fit", "chain", "matched"]
 _SEARCH: Final = FitSettings().search
 _LOW_PX, _HIGH_PX = WIDTH_LIMITS_PX
 _WIDEST_PX: Final = 100.0
+WIDEST_SPREAD: Final = 100.0
 _LONGEST_PX: Final = int(LENGTH_IN_WIDTHS * _WIDEST_PX) + 1
 
 Fraction = Annotated[float, Field(ge=0.05, le=0.95)]
@@ -51,7 +53,11 @@ class FitSearch(CentroidSettings):
 
 @checked_dataclass(frozen=True, config=STRICT)
 class FitMethod(FitSettings):
-    """Weighted fit of Gaussian lines integrated over the pixels, overlapping ones together."""
+    """Weighted fit of Gaussian lines integrated over the pixels, overlapping ones together.
+
+    A bright line that is no Gaussian is better explained by several: further peaks are looked
+    for only where a width is given, which says that the lines are Gaussian, or where asked for.
+    """
 
     method: Literal["fit"] = "fit"
     search: FitSearch = field(default_factory=FitSearch)
@@ -62,7 +68,7 @@ class FitMethod(FitSettings):
         float,
         Field(
             ge=0.0,
-            le=100.0,
+            le=WIDEST_SPREAD,
             description="Deviation of the width's logarithm. 0: the width is known; 1e-6 or more "
             "otherwise; from 10 on next to nothing is known.",
         ),
@@ -72,6 +78,25 @@ class FitMethod(FitSettings):
     shape_error: Annotated[float, Field(ge=0.0, le=0.5)] = FitSettings.shape_error
     max_joint: Annotated[int, Field(ge=1, le=JOINT_PEAKS)] = FitSettings.max_joint
     false_split_rate: Annotated[float, Field(ge=1e-12, le=0.1)] = FitSettings.false_split_rate
+    further_peaks: Annotated[
+        bool,
+        Field(
+            description="Where a line's shape does not explain the pixels, more peaks are tried. "
+            "Left out: true where `width_px` is given, and else false, as bright lines that are "
+            "not Gaussian would be split."
+        ),
+    ] = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _further_peaks(cls, given: Any) -> Any:
+        if isinstance(given, ArgsKwargs):
+            return ArgsKwargs(given.args, cls._with_further_peaks(given.kwargs or {}))
+        return cls._with_further_peaks(given) if isinstance(given, dict) else given
+
+    @staticmethod
+    def _with_further_peaks(given: dict[str, Any]) -> dict[str, Any]:
+        return {"further_peaks": "width_px" in given, **given}
 
 
 @checked_dataclass(frozen=True, config=STRICT)

@@ -1,5 +1,7 @@
 """The noise that lines are reckoned with: as given, or guessed from the lines themselves."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,31 +14,62 @@ Array = NDArray[np.float64]
 Lines = NDArray[np.uint16]
 
 
-def guessed_noise(lines: Lines) -> tuple[PixelNoise, list[str]]:
+@dataclass(frozen=True)
+class KnownNoise:
+    """What is known where the gain and the read noise are not; None: nothing.
+
+    Args:
+        offset_counts: the count without light.
+        full_scale_counts: the count of a saturated pixel.
+    """
+
+    offset_counts: float | None = None
+    full_scale_counts: int | None = None
+
+
+def guessed_noise(lines: Lines, known: KnownNoise | None = None) -> tuple[PixelNoise, list[str]]:
     """Return noise that explains lines (L, P) between their peaks, and what was assumed.
 
     One line says how its pixels vary at the background; what light adds, it does not. If all
-    the background is light and all its noise photon noise, the gain is the background over the
-    variance; but no gain is less than one electron a count, and the rest is read noise.
+    the background above the offset is light and all its noise photon noise, the gain is that
+    light over the variance; but no gain is less than one electron a count, and the rest is read
+    noise. No other gain above one says less noise of bright pixels: positions scatter by more.
     """
+    known = KnownNoise() if known is None else known
+    offset = 0.0 if known.offset_counts is None else known.offset_counts
     spread = line_spread(lines)
     variance = float(np.median(spread.variance())) - QUANTISATION_VARIANCE
-    background = float(np.median(spread.background)) / LEVEL_UNIT
-    gain = background / variance
+    light = max(float(np.median(spread.background)) / LEVEL_UNIT - offset, 0.0)
+    gain = light / variance
     read = 0.0
     if gain < 1.0:
-        gain, read = 1.0, (variance - background) ** 0.5
+        gain, read = 1.0, (variance - light) ** 0.5
     largest = int(lines.max())
-    full = 2 ** max(largest.bit_length(), 8) - 1
-    noise = PixelNoise(electrons_per_count=gain, read_noise_electrons=read, full_scale_counts=full)
+    full = known.full_scale_counts or 2 ** max(largest.bit_length(), 8) - 1
+    noise = PixelNoise(
+        electrons_per_count=gain,
+        read_noise_electrons=read,
+        offset_counts=offset,
+        full_scale_counts=full,
+    )
     pixel_sigma = (variance + QUANTISATION_VARIANCE) ** 0.5
     assumed = [
         f"noise of a pixel at the background: {pixel_sigma:.3g} counts, measured between the peaks",
-        "offset: 0 counts; all of the background is taken for light",
         f"gain: {gain:.3g} electrons per count, as if noise at the background were photon noise",
         f"read noise: {read:.3g} electrons, what photon noise leaves of the noise",
-        f"full scale: {full} counts, the next 2^n - 1 not below the largest value, {largest}",
     ]
+    if known.offset_counts is None:
+        assumed.append("offset: 0 counts; all of the background is taken for light")
+    if known.full_scale_counts is None:
+        assumed.append(
+            f"full scale: {full} counts, the next 2^n - 1 not below the largest value, {largest}"
+        )
+    if gain > 1.0:
+        better = "" if known.offset_counts is not None else "; a known offset mends most of it"
+        assumed.append(
+            "standard deviations are lower limits: the gain is the greatest that the noise "
+            f"allows{better}"
+        )
     return noise, assumed
 
 

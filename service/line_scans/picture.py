@@ -64,7 +64,7 @@ def draw_line(values: Counts, found: LineScans, method: Method, title: str) -> b
     with mpl.rc_context({"font.size": 9, "axes.titlesize": 9}):
         figure = Figure(figsize=(14.0, 0.8 + sum(heights)), layout="constrained")
         FigureCanvasAgg(figure)
-        figure.suptitle(f"{title}: {_summary(scan, found, panels)}", fontsize=12)
+        figure.suptitle(f"{title}: {_summary(scan, found, panels, len(values))}", fontsize=12)
         grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
         parts = [figure.add_subfigure(grid[row]) for row in range(len(heights))]
         whole = parts[0].subplots(len(above), squeeze=False, height_ratios=above)[:, 0]
@@ -82,7 +82,7 @@ def draw_line(values: Counts, found: LineScans, method: Method, title: str) -> b
     return small.getvalue()
 
 
-def _summary(scan: LineScan, found: LineScans, panels: list[Panel]) -> str:
+def _summary(scan: LineScan, found: LineScans, panels: list[Panel], pixels: int) -> str:
     count = len(scan.peaks)
     text = f"{count or 'no'} peak{'' if count == 1 else 's'} {_NAMES[found.method]}"
     flags = sorted({flag for peak in scan.peaks for flag in peak.flags})
@@ -92,6 +92,8 @@ def _summary(scan: LineScan, found: LineScans, panels: list[Panel]) -> str:
     shown = sum(len(panel.numbers) for panel in panels)
     if shown < count:
         text += f"; the brightest {shown} below"
+    if scan.saturated_pixels:
+        text += f"; {scan.saturated_pixels} of {pixels} pixels saturated"
     guessed = ", guessed from the line" if found.assumed else ""
     return (
         f"{text}\nbackground {scan.background_counts:.5g} counts, noise there "

@@ -10,7 +10,7 @@ from compute.errors import InvalidParameter
 from service.errors import Busy
 from service.json_body import FromJson, JsonRoute
 from service.line_scans.examples import NEW_LINE_SCANS
-from service.line_scans.run import Lines, find_peaks, posted_lines
+from service.line_scans.run import Lines, find_peaks, posted_lines, posted_noise
 from service.line_scans.schema import MOST_LINES, LineScans, NewLineScans
 from service.openapi import problems
 
@@ -49,7 +49,7 @@ def find_peaks_of_lines(request: NewLineScansBody) -> Response:
     """
     with _Slot():
         found = find_peaks(
-            posted_lines(request), request.method, request.noise, detail=request.detail
+            posted_lines(request), request.method, posted_noise(request), detail=request.detail
         )
         # Here and not by the framework, which would write it in the event loop.
         content = found.model_dump_json()
@@ -71,7 +71,7 @@ def draw_peaks_of_line(request: NewLineScansBody, line: LineQuery = 0) -> Respon
     with _Slot():
         lines = posted_lines(request)
         chosen = chosen_line(lines, line, getattr(request.method, "average", None) or 1)
-        found = find_peaks(chosen, request.method, request.noise, detail=True)
+        found = find_peaks(chosen, request.method, posted_noise(request), detail=True)
         picture = draw_line(chosen[0], found, request.method, f"line {line}")
     return Response(picture, media_type="image/png")
 

@@ -24,7 +24,7 @@ from compute.signal.reference import find_peaks_reference
 from compute.signal.settings import LEVEL_UNIT, CentroidSettings
 from service.line_scans.chain_steps import ChainMethod
 from service.line_scans.methods import CentroidMethod, FitMethod, MatchedMethod, Method
-from service.line_scans.noise import guessed_noise, line_noise, noise_at, search_limits
+from service.line_scans.noise import KnownNoise, guessed_noise, line_noise, noise_at, search_limits
 from service.line_scans.schema import (
     CHAIN_PIXELS,
     DETAIL_PIXELS,
@@ -73,23 +73,44 @@ def posted_lines(request: NewLineScans) -> Lines:
     return np.array(request.lines, dtype=np.uint16)
 
 
+def posted_noise(request: NewLineScans) -> PixelNoise | KnownNoise | None:
+    """Return what a request says about the noise.
+
+    Raises:
+        InvalidParameter: the offset is told twice.
+    """
+    if request.offset_counts is None:
+        return request.noise
+    if request.noise is not None:
+        raise InvalidParameter(
+            f"offset_counts is {request.offset_counts} beside noise, which has an offset_counts "
+            "of its own; give it there",
+            offset_counts=request.offset_counts,
+        )
+    return KnownNoise(offset_counts=request.offset_counts)
+
+
 def find_peaks(
-    lines: Lines, method: Method, noise: PixelNoise | None = None, *, detail: bool = False
+    lines: Lines,
+    method: Method,
+    noise: PixelNoise | KnownNoise | None = None,
+    *,
+    detail: bool = False,
 ) -> LineScans:
     """Find the peaks of lines of one sensor.
 
     Args:
         lines: counts, shape (L, P), P from 64 to 65536.
         method: how.
-        noise: of the sensor; None: it is guessed from the lines.
+        noise: of the sensor; None, or known in part: the rest is guessed from the lines.
         detail: tell also about pixels.
 
     Raises:
         InvalidParameter: a value above full scale, or settings that do not fit the lines.
     """
     assumed: list[str] = []
-    if noise is None:
-        noise, assumed = guessed_noise(lines)
+    if not isinstance(noise, PixelNoise):
+        noise, assumed = guessed_noise(lines, noise)
     _check_full_scale(lines, noise)
     match method:
         case ChainMethod():
@@ -118,18 +139,21 @@ def _by_search(
     lines: Lines, method: CentroidMethod | FitMethod, noise: PixelNoise, *, detail: bool
 ) -> list[LineScan]:
     model = line_noise(noise)
-    search: CentroidSettings
+    search: CentroidSettings = method.search if isinstance(method, FitMethod) else method
+    seen = batch = find_peaks_reference(lines, search, model)
+    further = None
     if isinstance(method, FitMethod):
-        search, batch = method.search, fit_lines(lines, method, model)
-    else:
-        search, batch = method, find_peaks_reference(lines, method, model)
+        batch = fit_lines(lines, method, model, candidates=seen)
+        if method.further_peaks:
+            further = np.maximum(batch.count - seen.count, 0).tolist()
     limits = search_limits(lines, search, noise)
     return [
         LineScan(
-            **_levels(lines[line], noise),
+            **_levels(lines[line : line + 1], noise),
             line=line,
             limit_counts=float(limits[line]),
             limit_sigma=None,
+            further_peaks=None if further is None else further[line],
             peaks=_peaks(batch, line),
             covariance_px2=_covariance(batch, line),
             windows=_windows(lines[line], method, model) if detail else None,
@@ -156,10 +180,11 @@ def _by_chain(
         result = method.run(lines[first : first + count], line_noise(noise))
         found.append(
             LineScan(
-                **_levels(lines[first], noise),
+                **_levels(lines[first : first + count], noise),
                 line=first,
                 limit_counts=None,
                 limit_sigma=None,
+                further_peaks=None,
                 peaks=_peaks(result.peaks, 0),
                 covariance_px2=None,
                 windows=None,
@@ -178,10 +203,11 @@ def _by_filter(
     answers = matched.respond(lines) / matched.norm if detail else None
     return [
         LineScan(
-            **_levels(lines[line], noise),
+            **_levels(lines[line : line + 1], noise),
             line=line,
             limit_counts=None,
             limit_sigma=detector.threshold_sigma,
+            further_peaks=None,
             peaks=_detections(batch, line),
             covariance_px2=None,
             windows=None,
@@ -205,13 +231,15 @@ def _filter(width_px: float, length_px: int | None) -> MatchedFilter:
     return gaussian_filter(width_px, length_px)
 
 
-def _levels(line: NDArray[np.uint16], noise: PixelNoise) -> dict[str, Any]:
-    spread = line_spread(line[None])
+def _levels(lines: Lines, noise: PixelNoise) -> dict[str, Any]:
+    """Return the levels of the first of the lines of one answer, and what is saturated in any."""
+    spread = line_spread(lines[:1])
     background = spread.background / LEVEL_UNIT
     return {
         "background_counts": float(background[0]),
         "noise_counts": float(noise_at(noise, background)[0]),
         "measured_noise_counts": float(np.sqrt(spread.variance()[0])),
+        "saturated_pixels": int((lines >= noise.full_scale_counts).any(axis=0).sum()),
     }
 
 

@@ -60,6 +60,13 @@ class NewLineScans(Given):
     noise: PixelNoise | None = Field(
         default=None, description="Null: guessed from the lines; `assumed` says how."
     )
+    offset_counts: float | None = Field(
+        default=None,
+        ge=-FULL_SCALE,
+        le=FULL_SCALE,
+        description="Where `noise` is null: the count without light, if it is known; the rest is "
+        "guessed, and better than without.",
+    )
     detail: bool = Field(
         default=False,
         description="Also the fitted model and residuals of each pixel, the lines after each step "
@@ -123,6 +130,7 @@ class LineScan(Document):
     """What was found in one line."""
 
     line: int = Field(description="Its number; of averaged lines the first.")
+    sensor: str | None = Field(default=None, description="Of a recording; null for posted lines.")
     background_counts: float = Field(description="Between the peaks.")
     noise_counts: float = Field(
         description="Standard deviation of a pixel at the background, by the noise model."
@@ -130,12 +138,19 @@ class LineScan(Document):
     measured_noise_counts: float = Field(
         description="The same, measured between the peaks; 0.58 is the least that is measured."
     )
+    saturated_pixels: int = Field(
+        description="Pixels at full scale; where all are, a line has no peaks to find."
+    )
     limit_counts: float | None = Field(
         description="A peak's highest pixel reaches at least this; null: the method has no such "
         "limit."
     )
     limit_sigma: float | None = Field(
         description="The matched filter's answer is above this; null for other methods."
+    )
+    further_peaks: int | None = Field(
+        description="How many of the peaks are there only because the fit explains the pixels "
+        "better with them; a bright line that is not Gaussian is split so. Null: none were tried."
     )
     peaks: list[LinePeak]
     covariance_px2: list[list[float]] | None = Field(

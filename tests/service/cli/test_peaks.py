@@ -1,6 +1,8 @@
 """`lumiline peaks`: each kind of file, tables, JSON, pictures, and what is refused."""
 
 import json
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -8,15 +10,22 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from compute.optics.profiles.loader import load_profile
 from compute.signal.fit.reference import fit_lines
 from compute.signal.fit.settings import FitSettings
 from hardware.recording import RecordingWriter
+from hardware.recording_reader import RecordingReader
 from hardware.simulated.driver import SimulatedDriver
+from hardware.simulated.profile_driver import ProfileDriver
+from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.settings import SimulationSettings
 from service.cli import app
-from service.line_scans.methods import FitMethod
+from service.cli.peaks import recorded_method
+from service.line_scans.methods import CentroidMethod, FitMethod
 from service.line_scans.noise import line_noise
 from service.line_scans.run import find_peaks
+from service.live.line_model import LineModel
+from service.live.peak_finding import FREE_SHAPE, PeakFinding
 from tests.service.line_scans.scan_lines import NOISE, WIDTH, scenes
 
 GIVEN = ("--gain", "10", "--read-noise", "20", "--offset", "100", "--full-scale", "4095")
@@ -92,8 +101,44 @@ def test_a_recording_knows_its_noise(recording: Path) -> None:
     one = machine(recording, "--frame", 7, "--sensor", "diagonal-rising")
     assert one["lines"] == found["lines"][2:3]
     assert machine(recording, "--frame", 8)["lines"] != found["lines"]
+    assert [scan["sensor"] for scan in found["lines"]][2] == "diagonal-rising"
+    part = machine(recording, "--frame", 7, "--offset", 60)["noise"]
+    assert part == found["noise"] | {"offset_counts": 60.0}
     given = machine(recording, "--frame", 7, *GIVEN)
     assert given["noise"]["electrons_per_count"] == 10.0
+
+
+def test_a_recording_of_a_profile_has_one_peak_for_a_marker(tmp_path: Path) -> None:
+    path = tmp_path / "bar.h5"
+    driver = ProfileDriver(
+        "bar", load_profile("bar"), ProfileSettings(realtime=False, duration_s=0.02)
+    )
+    driver.open()
+    with RecordingWriter(path, driver.description) as writer:
+        for frame in islice(driver.frames(), 2):
+            writer.append(frame)
+    for method in ([], ["--method", "fit"]):
+        found = machine(path, *method)
+        assert [len(scan["peaks"]) for scan in found["lines"]] == [1, 1, 1, 1]
+    split = machine(path, "--further-peaks")
+    assert sum(scan["further_peaks"] for scan in split["lines"]) > 0
+    assert "--no-further-peaks" in run(path, "--further-peaks").output
+    assert "--no-further-peaks" not in run(path).output
+
+
+def test_recorded_lines_are_fitted_as_they_are_live(recording: Path) -> None:
+    with RecordingReader(recording) as reader:
+        device, frames = reader.info.description, [reader.chunk(0)[0].lines]
+    live = PeakFinding(device, 1, LineModel()).find(np.concatenate(frames))
+    for line, places in enumerate(positions(machine(recording))):
+        count = int(live.count[line])
+        # The kernel's numbers are of float32.
+        assert places == pytest.approx(live.position_px[line, :count].tolist(), abs=1e-3)
+    assert recorded_method(None, replace(device, peaks="centroid")) == CentroidMethod()
+    free = recorded_method(None, replace(device, line_sigma_px=None))
+    assert isinstance(free, FitMethod)
+    assert (free.max_joint, free.further_peaks) == (FREE_SHAPE.max_joint, FREE_SHAPE.further_peaks)
+    assert machine(recording, "--method", "matched")["method"] == "matched"
 
 
 def test_tables(array: Path, recording: Path) -> None:
@@ -110,6 +155,17 @@ def test_tables(array: Path, recording: Path) -> None:
     flat = array.with_name("flat.npy")
     np.save(flat, np.full(100, 200))
     assert "line 0: no peaks" in run(flat).output
+    np.save(flat, np.full(100, 4095))
+    assert "100 pixels saturated" in " ".join(run(flat).output.split())
+    assert "saturated" not in run(recording).output
+
+
+def test_an_offset_alone_mends_the_guess(array: Path) -> None:
+    blind, told = machine(array), machine(array, "--offset", 100)
+    assert told["noise"]["electrons_per_count"] < blind["noise"]["electrons_per_count"]
+    assert "lower limits" in " ".join(run(array).output.split())
+    full = machine(array, "--full-scale", 8191)
+    assert full["noise"] == blind["noise"] | {"full_scale_counts": 8191}
 
 
 @pytest.mark.parametrize("method", ["centroid", "fit", "chain", "matched"])
@@ -151,6 +207,10 @@ def test_what_is_refused(array: Path, recording: Path, tmp_path: Path) -> None:
     assert "less than or equal to 16" in refusal(array, "--width", 20)
     assert "--gain and --read-noise" in refusal(array, "--gain", 3)
     assert "above full_scale_counts, 1023" in refusal(array, *GIVEN[:-1], 1023)
+    assert "end in .png" in refusal(array, "--output", tmp_path / "x.pdf")
+    assert "--detail is for --json" in refusal(array, "--detail")
+    assert "--further-peaks is for" in refusal(array, "--method", "chain", "--further-peaks")
+    assert "less than or equal to 65535" in refusal(array, "--offset", 1e9)
     assert "no folder" in refusal(array, "--output", tmp_path / "no" / "x.png")
     assert "none.json" in refusal(array, "--settings", tmp_path / "none.json").replace(" ", "")
     wrong = tmp_path / "wrong.json"

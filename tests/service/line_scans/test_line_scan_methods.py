@@ -54,7 +54,8 @@ def test_fields_and_defaults_are_compute_s(ours: Any) -> None:
         found = default_of(own.pop(field.name))
         if hasattr(default, "__dataclass_fields__"):
             assert vars(found) == vars(default)
-        elif field.name != "mask":  # a part of its own, with compute's defaults
+        # A part of its own, with compute's defaults; and what a given width decides.
+        elif field.name not in ("mask", "further_peaks"):
             assert found == default
     assert set(own) <= {"method", "kind", "width_px", "length_px"}
 
@@ -95,6 +96,19 @@ def test_bounds_are_compute_s(ours: Any, name: str, at: float, beyond: float) ->
     base_of(ours)(**given | {name: at})
     with pytest.raises(InvalidParameter, match=name):
         base_of(ours)(**given | {name: beyond})
+
+
+def test_further_peaks_are_looked_for_where_the_width_is_known() -> None:
+    for given, expected in (
+        ({}, False),
+        ({"width_px": 1.0}, True),
+        ({"further_peaks": True}, True),
+        ({"width_px": 1.0, "further_peaks": False}, False),
+    ):
+        assert methods.FitMethod(**given).further_peaks is expected
+        method = METHOD.validate_json(json.dumps({"method": "fit", **given}), strict=True)
+        assert isinstance(method, methods.FitMethod)
+        assert method.further_peaks is expected
 
 
 def test_the_matched_filter_s_width_has_its_bounds() -> None:

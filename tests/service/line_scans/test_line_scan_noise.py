@@ -23,7 +23,8 @@ def test_the_gain_of_a_photon_limited_line_is_found(gain: float) -> None:
     assert noise.read_noise_electrons == 0.0
     assert noise.offset_counts == 0.0
     assert [text.partition(":")[0] for text in assumed] == [
-        "noise of a pixel at the background", "offset", "gain", "read noise", "full scale"
+        "noise of a pixel at the background", "gain", "read noise", "offset", "full scale",
+        "standard deviations are lower limits",
     ]  # fmt: skip
 
 

@@ -150,8 +150,9 @@ def test_titles_say_positions_and_flags() -> None:
     assert rows[2].endswith("joint")
     full = panels_of(512, scan[1], 8)[-1]
     assert "saturated" in panels._described(scan[1], full)[-1]
-    summary = picture._summary(scan[1], find_peaks(scenes(), METHODS["fit"]), [full])
+    summary = picture._summary(scan[1], find_peaks(scenes(), METHODS["fit"]), [full], 512)
     assert summary.startswith("2 peaks fitted (1 saturated); the brightest 1 below")
+    assert f"; {scan[1].saturated_pixels} of 512 pixels saturated" in summary
     assert "guessed" in summary
 
 

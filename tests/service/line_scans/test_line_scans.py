@@ -157,7 +157,7 @@ def test_lines_are_averaged(sqlite_client: Any) -> None:
 
 def test_what_is_guessed_is_said_and_can_be_sent_back(sqlite_client: Any) -> None:
     guessed = post(sqlite_client, body(FIT, noise=None))
-    assert len(guessed["assumed"]) == 5
+    assert len(guessed["assumed"]) == 6
     assert guessed["noise"]["full_scale_counts"] == FULL
     given = post(sqlite_client, body(FIT, noise=guessed["noise"]))
     assert given["assumed"] == []

@@ -14,11 +14,19 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from compute.errors import InvalidParameter, InvalidRecording
-from hardware.driver import DeviceDescription
+from hardware.driver import DeviceDescription, PeakMethod
 from hardware.frame import FrameFlag, LineFrame
 from hardware.recording import CHUNK_FRAMES, COLUMNS, FORMAT, NO_MARKER, VERSION, line_shape
 
-_DESCRIPTION = TypeAdapter(DeviceDescription)
+
+@dataclass(frozen=True)
+class _Recorded(DeviceDescription):
+    """A description as it was written; before lines were fitted it named no method."""
+
+    peaks: PeakMethod = "centroid"
+
+
+_DESCRIPTION = TypeAdapter(_Recorded)
 
 _MOST_HZ: Final = 1e6
 _MOST_UM: Final = 1000.0
@@ -131,7 +139,8 @@ class RecordingReader:
                 f"has version {attributes.get('version')}; this program reads version {VERSION}"
             )
         try:
-            description = _DESCRIPTION.validate_json(str(attributes.get("description", "")))
+            recorded = _DESCRIPTION.validate_json(str(attributes.get("description", "")))
+            description = DeviceDescription(**vars(recorded))
             shape = line_shape(description)
         except ValidationError as error:
             first = error.errors()[0]

@@ -148,8 +148,16 @@ def _refuse_if_used(session: Session, device_id: str, why: str) -> None:
 
 
 def source_of(row: DeviceRow) -> Source:
-    """Return the device's source."""
-    return _SOURCE.validate_python(row.source)
+    """Return the device's source.
+
+    What was stored before lines were fitted names no method: its calibrations are of centres of
+    gravity, and so are its peaks, until its source is changed.
+    """
+    source = row.source
+    settings = source.get("settings")
+    if settings and "peaks" not in settings:
+        source = {**source, "settings": {**settings, "peaks": "centroid"}}
+    return _SOURCE.validate_python(source)
 
 
 def sensors_of_row(row: DeviceRow) -> list[Sensor]:

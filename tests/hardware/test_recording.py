@@ -326,6 +326,21 @@ def test_a_changed_byte_in_the_lines_is_found(tmp_path: Path) -> None:
         list(reader.frames())
 
 
+@pytest.mark.parametrize("method", ["fit", "centroid"])
+def test_what_was_recorded_before_lines_were_fitted_keeps_its_method(
+    tmp_path: Path, method: Literal["fit", "centroid"]
+) -> None:
+    path = write(tmp_path / "r.h5", peaks=method)
+    known = read_recording(path).description
+    assert known == replace(described(), peaks=method)
+    with h5py.File(path, "r+") as file:
+        old = json.loads(file.attrs["description"])
+        for name in ("readout", "peaks", "line_sigma_px", "profile"):
+            del old[name]
+        file.attrs["description"] = json.dumps(old)
+    assert read_recording(path).description == replace(described(), peaks="centroid")
+
+
 def rewritten(path: Path, **changes: Any) -> Path:
     """A recording whose description was changed after it was written."""
     write(path)

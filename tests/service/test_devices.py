@@ -12,6 +12,7 @@ import pytest
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.recording import RecordingWriter
 from hardware.simulated.driver import SimulatedDriver
+from service.devices.store import get_device
 from service.settings import Settings
 
 EXTERNAL = {
@@ -83,6 +84,19 @@ def test_settings_of_the_simulator_change_and_sensors_in_use_do_not(client: Any)
     assert refused.status_code == 409
     assert refused.json()["type"] == "/problems/device-in-use"
     assert client.get("/api/v1/devices/sim").json()["source"]["kind"] == "simulated"
+
+
+def test_a_device_stored_before_lines_were_fitted_keeps_its_method(client: Any):
+    settings = client.get("/api/v1/devices/sim").json()["source"]["settings"]
+    assert settings.pop("peaks") == "fit"
+    with client.app.state.database.write() as session:
+        row = get_device(session, "sim")
+        row.source = {"kind": "simulated", "settings": settings}
+    client.patch("/api/v1/devices/sim", json={"title": "As it was"})
+    assert client.get("/api/v1/devices/sim").json()["source"]["settings"]["peaks"] == "centroid"
+    changed = {"kind": "simulated", "settings": settings}
+    client.patch("/api/v1/devices/sim", json={"source": changed})
+    assert client.get("/api/v1/devices/sim").json()["source"]["settings"]["peaks"] == "fit"
 
 
 def test_start_and_stop(client: Any, live: Any):

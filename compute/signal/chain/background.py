@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import maximum_filter1d
+from scipy.sparse import csr_array
 
 from compute.signal.chain.step import Array, LineFilter, as_lines, check_between, check_whole
 
@@ -16,6 +18,7 @@ Mask = NDArray[np.bool_]
 MOST_DEGREE: Final = 30
 _ROUNDING: Final = 1e-10  # of the largest value: what a fit of a polynomial leaves of itself
 _NORMAL_MAD: Final = 1.4826
+_SINGULAR: Final = 1e-11  # of an information of ones: polynomials that the pixels do not see
 
 
 @dataclass(frozen=True)
@@ -52,19 +55,26 @@ class PeakMask:
 
         At least 2 (degree + 1) pixels stay: a round that would leave fewer is the last.
         """
-        basis = _basis(len(line), self.degree)
+        basis = _orthonormal(len(line), self.degree)
         free = np.ones(len(line), dtype=np.bool_)
         floor = _ROUNDING * float(np.abs(line).max())
+        # Pixels only ever go, and each round starts from the last one's fit: a step by the
+        # information that is left, instead of a fit from the start.
+        information = np.eye(self.degree + 1)
+        fitted, residual = np.zeros(self.degree + 1), line
         for _ in range(self.rounds):
-            residual = line - basis @ _solve(basis[free], line[free])
+            fitted = fitted + _step(information, basis.T @ np.where(free, residual, 0.0))
+            residual = line - basis @ fitted
             noise = _NORMAL_MAD * float(np.median(np.abs(residual[free])))
             peak = residual > max(self.above_sigma * noise, floor)
             # A lone pixel may be noise; it goes, but does not take its neighbours with it.
             wide = peak & (np.roll(peak, 1) | np.roll(peak, -1))
-            peak |= binary_dilation(wide, iterations=self.margin_px) if self.margin_px else wide
+            peak |= maximum_filter1d(wide, 2 * self.margin_px + 1, mode="constant", cval=0)
             left = free & ~peak
             if left.sum() < 2 * (self.degree + 1) or (left == free).all():
                 break
+            gone = basis[free & ~left]
+            information = information - gone.T @ gone
             free = left
         return free
 
@@ -103,15 +113,16 @@ class PolynomialBackground:
         return _each(as_lines(lines), one)
 
     def adjoint(self, weights: Array, taken: Mask) -> Array:
-        """Carry derivatives by the line less its background back to its pixels, shape (P,).
+        """Carry derivatives by a line less its background back to its pixels, shape (..., P).
 
         Which pixels were fitted to is taken as given.
         """
-        basis = _basis(len(weights), self.degree)
+        basis = _basis(weights.shape[-1], self.degree)
         fitted = basis[taken]
-        back = weights.copy()
-        back[taken] -= fitted @ _solve(fitted.T @ fitted, basis.T @ weights)
-        return back
+        rows = weights.reshape(-1, weights.shape[-1])
+        back = rows.copy()
+        back[:, taken] -= (fitted @ _solve(fitted.T @ fitted, basis.T @ rows.T)).T
+        return back.reshape(weights.shape)
 
     def _mask(self) -> PeakMask:
         return PeakMask(self.degree, self.above_sigma, self.margin_px, self.rounds)
@@ -150,17 +161,18 @@ class BridgedBackground:
         return _each(as_lines(lines), one)
 
     def adjoint(self, weights: Array, taken: Mask) -> Array:
-        """Carry derivatives by the line less its background back to its pixels, shape (P,)."""
+        """Carry derivatives by a line less its background back to its pixels, shape (..., P)."""
         spread = weights if self.smoothing is None else self.smoothing.adjoint(weights)
-        pixels = np.arange(len(weights))
+        count = weights.shape[-1]
+        pixels = np.arange(count)
         known = pixels[taken]
         after = np.searchsorted(known, pixels).clip(1, len(known) - 1)
         low, high = known[after - 1], known[after]
         share = ((pixels - low) / (high - low)).clip(0.0, 1.0)
-        back = weights.copy()
-        np.subtract.at(back, low, (1.0 - share) * spread)
-        np.subtract.at(back, high, share * spread)
-        return back
+        ends = (np.concatenate([low, high]), np.concatenate([pixels, pixels]))
+        bridges = csr_array((np.concatenate([1.0 - share, share]), ends), shape=(count, count))
+        bridged = (bridges @ spread.reshape(-1, count).T).T
+        return np.asarray(weights - bridged.reshape(weights.shape))
 
 
 def _each(lines: Array, one: Callable[[Array], tuple[Array, Mask]]) -> tuple[Array, Mask]:
@@ -174,6 +186,21 @@ def _each(lines: Array, one: Callable[[Array], tuple[Array, Mask]]) -> tuple[Arr
 def _basis(pixels: int, degree: int) -> Array:
     """Return Chebyshev polynomials over the line, shape (P, degree + 1)."""
     return np.asarray(chebyshev.chebvander(np.linspace(-1.0, 1.0, pixels), degree))
+
+
+@lru_cache(maxsize=4)
+def _orthonormal(pixels: int, degree: int) -> Array:
+    """Return polynomials that are orthonormal over the line's pixels, shape (P, degree + 1)."""
+    basis = np.asarray(np.linalg.qr(_basis(pixels, degree))[0])
+    basis.setflags(write=False)
+    return basis
+
+
+def _step(information: Array, score: Array) -> Array:
+    """Return the step to the best fit; polynomials that no pixel sees stay as they are."""
+    values, vectors = np.linalg.eigh(information)
+    seen = values > _SINGULAR
+    return np.asarray(vectors[:, seen] @ ((vectors[:, seen].T @ score) / values[seen]))
 
 
 def _solve(matrix: Array, values: Array) -> Array:

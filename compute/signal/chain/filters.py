@@ -7,8 +7,17 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import median_filter
-from scipy.signal import butter, firwin, freqz_sos, lfilter, lfilter_zi, sosfilt, sosfilt_zi
+from scipy.ndimage import rank_filter
+from scipy.signal import (
+    butter,
+    firwin,
+    freqz_sos,
+    lfilter,
+    lfilter_zi,
+    oaconvolve,
+    sosfilt,
+    sosfilt_zi,
+)
 
 from compute.signal.chain.delays import linear_slope
 from compute.signal.chain.step import (
@@ -24,8 +33,6 @@ Array = NDArray[np.float64]
 
 MOST_ORDER: Final = 64
 MOST_TAPS: Final = 1024
-_SETTLED: Final = 1e-12  # of an impulse response, where it may be cut off
-_LONGEST: Final = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -65,16 +72,24 @@ class MedianFilter:
         """What is subtracted from positions [px]."""
         return self.shift_px if self.compensation == "delay" else 0.0
 
+    @property
+    def reach_px(self) -> float:
+        """How near to an end what lies beyond it weighs in [px]: half the aperture."""
+        return float(self.aperture // 2)
+
     def apply(self, lines: ArrayLike) -> Array:
         """Filter lines (..., P)."""
         values = as_lines(lines)
-        size = (1,) * (values.ndim - 1) + (self.aperture,)
-        if self.aperture % 2:
-            return np.asarray(median_filter(values, size=size, mode="nearest"), dtype=np.float64)
-        half = self.aperture // 2
-        padded = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(half, half - 1)], mode="edge")
-        windows = np.lib.stride_tricks.sliding_window_view(padded, self.aperture, axis=-1)
-        return np.asarray(np.median(windows, axis=-1))
+        # In lines one by one SciPy keeps the window sorted as it moves on.
+        rows = [self._of_line(line) for line in values.reshape(-1, values.shape[-1])]
+        return np.array(rows, dtype=np.float64).reshape(values.shape)
+
+    def _of_line(self, line: Array) -> Array:
+        size, half = self.aperture, self.aperture // 2
+        upper = np.asarray(rank_filter(line, half, size=size, mode="nearest"))
+        if size % 2:
+            return upper
+        return 0.5 * (upper + np.asarray(rank_filter(line, half - 1, size=size, mode="nearest")))
 
     def adjoint(self, weights: Array) -> Array:
         """Return the weights as they are, for an even aperture with the half pixel.
@@ -149,6 +164,11 @@ class ButterworthFilter:
         """What is subtracted from positions [px]."""
         return self.delay_px if self.compensation == "delay" else 0.0
 
+    @property
+    def reach_px(self) -> float:
+        """How near to an end what lies beyond it weighs in [px]: the delay that it has or had."""
+        return self.delay_px
+
     def response(self, omega: ArrayLike) -> NDArray[np.complex128]:
         """Return the complex response [B.9] at angular frequencies, same shape [rad/px]."""
         frequency = np.asarray(omega, dtype=np.float64)
@@ -176,22 +196,11 @@ class ButterworthFilter:
         """Carry derivatives by filtered pixels (..., P) back to derivatives by pixels."""
         if self.compensation == "phase":
             return apply_magnitude(weights, self.magnitude)
-        return _backwards(weights, self._memory, lambda back: sosfilt(self._sections, back))
+        return _backwards(weights, lambda back: np.asarray(sosfilt(self._sections, back)))
 
     @cached_property
     def _sections(self) -> Array:
         return np.asarray(butter(self.order, self.cutoff, output="sos"), dtype=np.float64)
-
-    @cached_property
-    def _memory(self) -> int:
-        """Pixels after which the answer to one pixel has died away."""
-        wc = np.tan(np.pi * self.cutoff / 2.0)
-        angle = np.pi * (2 * np.arange(self.order) + self.order + 1) / (2 * self.order)
-        poles = (1.0 + wc * np.exp(1j * angle)) / (1.0 - wc * np.exp(1j * angle))
-        slowest = float(np.clip(np.abs(poles).max(), 0.1, 1.0 - 1e-9))
-        # Poles close together answer with a power of the time before they fall off.
-        length = (np.log(_SETTLED) - self.order) / np.log(slowest)
-        return int(min(length + 4 * self.order, _LONGEST))
 
 
 @dataclass(frozen=True)
@@ -253,6 +262,11 @@ class FirFilter:
         """What is subtracted from positions [px]."""
         return self.delay_px if self.compensation == "delay" else 0.0
 
+    @property
+    def reach_px(self) -> float:
+        """How near to an end what lies beyond it weighs in [px]: the delay that it has or had."""
+        return self.delay_px
+
     def response(self, omega: ArrayLike) -> NDArray[np.complex128]:
         """Return the complex response [B.1] at angular frequencies, same shape [rad/px]."""
         frequency = np.asarray(omega, dtype=np.float64)
@@ -267,7 +281,7 @@ class FirFilter:
         """Filter lines (..., P)."""
         values = as_lines(lines)
         if self.compensation == "phase":
-            return apply_magnitude(values, self.amplitude)
+            return apply_magnitude(values, self._of_mirrored)
         state = lfilter_zi(self._kernel, [1.0]) * values[..., :1]
         filtered, _ = lfilter(self._kernel, [1.0], values, axis=-1, zi=state)
         return np.asarray(filtered)
@@ -275,22 +289,33 @@ class FirFilter:
     def adjoint(self, weights: Array) -> Array:
         """Carry derivatives by filtered pixels (..., P) back to derivatives by pixels."""
         if self.compensation == "phase":
-            return apply_magnitude(weights, self.amplitude)
-        return _backwards(weights, self.taps, lambda back: lfilter(self._kernel, [1.0], back))
+            return apply_magnitude(weights, self._of_mirrored)
+        kernel = self._kernel.reshape((1,) * (weights.ndim - 1) + (-1,))
+        pixels = weights.shape[-1]
+        return _backwards(
+            weights, lambda back: np.asarray(oaconvolve(back, kernel, axes=-1)[..., :pixels])
+        )
+
+    def _of_mirrored(self, omega: Array) -> Array:
+        """Return the amplitude at the angular frequencies of a mirrored line, shape (P,)."""
+        period = 2 * len(omega)
+        if self.taps > period:
+            return self.amplitude(omega)
+        spectrum = np.fft.rfft(self._kernel, period)[:-1]
+        return np.asarray((spectrum * np.exp(1j * omega * self.delay_px)).real)
 
     @cached_property
     def _kernel(self) -> Array:
         return np.asarray(firwin(self.taps, self.cutoff), dtype=np.float64)
 
 
-def _backwards(weights: Array, memory: int, causal: Callable[[Array], Array]) -> Array:
+def _backwards(weights: Array, causal: Callable[[Array], Array]) -> Array:
     """Apply the transpose of a causal filter that started from the first pixel's value.
 
-    Run backwards from the last pixel; what it answers before the first pixel belongs to that.
+    Run backwards from the last pixel; what it would answer before the first pixel belongs to
+    that, and is what is left of the whole, as the filter's gain at zero frequency is one.
     """
-    before = np.zeros((*weights.shape[:-1], memory))
-    back = causal(np.concatenate([weights[..., ::-1], before], axis=-1))
-    pixels = weights.shape[-1]
-    result = back[..., pixels - 1 :: -1].copy()
-    result[..., 0] += back[..., pixels:].sum(axis=-1)
+    back = causal(weights[..., ::-1])
+    result = back[..., ::-1].copy()
+    result[..., 0] += weights.sum(axis=-1) - back.sum(axis=-1)
     return result

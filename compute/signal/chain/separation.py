@@ -1,12 +1,16 @@
 """ValleyCut and SlopeExtension: close peaks taken apart, thesis 4.5 and Appendix D."""
 
+import heapq
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from compute.signal.chain.step import Array, as_lines, check_between
+
+_GONE: Final = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +149,13 @@ def _extension(side: Array, opposite: Array, stop: float, room: int) -> list[flo
     added: list[float] = []
     while len(added) < room and value > stop and delta > 0.0:
         if delta < value:
-            value -= delta
-            added.append(value)
+            # As many at once as stay above zero; the first that is no more than the end is last.
+            most = int(min((value - stop) / delta + 2.0, room - len(added)))
+            run = value - delta * np.arange(1, most + 1)
+            run = run[run > 0.0]
+            run = run[: int((run > stop).sum()) + 1]
+            added += run.tolist()
+            value = added[-1]
         else:
             delta /= 2.0
     return added
@@ -167,17 +176,7 @@ def _segment(side: Array, opposite: Array) -> float:
 
 
 def _cut(line: Array, least_depth: float) -> tuple[Piece, ...]:
-    tops = _maxima(line)
-    valleys = [_lowest(line, a, b) for a, b in pairwise(tops)]
-    while valleys:
-        lower = [min(line[a], line[b]) for a, b in pairwise(tops)]
-        depth = [float((low - line[v]) / low) for low, v in zip(lower, valleys, strict=True)]
-        least = int(np.argmin(depth))
-        if depth[least] >= least_depth:
-            break
-        # Of two peaks that are one the higher stays; its valley to the next is found again.
-        del tops[least if line[tops[least]] < line[tops[least + 1]] else least + 1]
-        valleys = [_lowest(line, a, b) for a, b in pairwise(tops)]
+    tops, valleys = _parted(line, least_depth)
     pieces = []
     for number, top in enumerate(tops):
         left = valleys[number - 1] if number else None
@@ -188,6 +187,43 @@ def _cut(line: Array, least_depth: float) -> tuple[Piece, ...]:
         values[first : last + 1] = line[first : last + 1]
         pieces.append(Piece(values, top, first, last, first == left, last == right))
     return tuple(pieces)
+
+
+def _parted(line: Array, least_depth: float) -> tuple[list[int], list[int]]:
+    """Return the maxima that valleys part, and these valleys.
+
+    The shallowest valley goes first, of equal ones the left one, and with it the lower of its
+    maxima; the valley that takes the place of two is found again.
+    """
+    tops = _maxima(line)
+    count = len(tops)
+    before, after = list(range(-1, count - 1)), list(range(1, count + 1))
+    valleys = [0] * count  # to the next maximum
+    queue: list[tuple[float, int, int]] = []
+
+    def part(left: int, right: int) -> None:
+        valleys[left] = _lowest(line, tops[left], tops[right])
+        lower = min(line[tops[left]], line[tops[right]])
+        heapq.heappush(queue, (float((lower - line[valleys[left]]) / lower), left, right))
+
+    for left, right in pairwise(range(count)):
+        part(left, right)
+    while queue and queue[0][0] < least_depth:
+        _, left, right = heapq.heappop(queue)
+        if after[left] != right:
+            continue  # One of the two has gone since.
+        # Of two peaks that are one the higher stays.
+        gone = left if line[tops[left]] < line[tops[right]] else right
+        left, right = before[gone], after[gone]
+        after[gone] = _GONE
+        if right < count:
+            before[right] = left
+        if left >= 0:
+            after[left] = right
+            if right < count:
+                part(left, right)
+    stay = [k for k in range(count) if after[k] != _GONE]
+    return [tops[k] for k in stay], [valleys[k] for k in stay[:-1]]
 
 
 def _maxima(line: Array) -> list[int]:

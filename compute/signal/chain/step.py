@@ -31,6 +31,11 @@ class LineFilter(Protocol):
         """What the chain subtracts from positions [px]: the shift, or zero if it is to stay."""
         ...
 
+    @property
+    def reach_px(self) -> float:
+        """How near to an end the light must be for what lies beyond the line to weigh in [px]."""
+        ...
+
     def apply(self, lines: ArrayLike) -> Array:
         """Filter lines (..., P)."""
         ...
@@ -48,7 +53,7 @@ class Background(Protocol):
         ...
 
     def adjoint(self, weights: Array, taken: NDArray[np.bool_]) -> Array:
-        """Carry derivatives by the line less its background back to the line's pixels (P,)."""
+        """Carry derivatives by a line less its background back to its pixels, shape (..., P)."""
         ...
 
 

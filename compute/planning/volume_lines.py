@@ -64,6 +64,9 @@ class VolumeLines:
 def volume_lines(profile: DeviceProfile, per_side: int = 5) -> VolumeLines:
     """Trace the noiseless lines of a profile's markers; takes up to a second.
 
+    Pixels respond as unevenly as the profile's do, other ones to each line: that too is an error by
+    place.
+
     Args:
         profile: the device.
         per_side: points along each side of its volume, in the middles of equal parts.
@@ -94,7 +97,8 @@ def volume_lines(profile: DeviceProfile, per_side: int = 5) -> VolumeLines:
     known = profile.detector
     signal = line_electrons(footprints, photons * known.quantum_efficiency, 1, pixels)
     detector = known.detector(exposure_s)
-    electrons = signal + detector.ambient_electrons + detector.dark_electrons
+    uneven = np.random.default_rng(0).normal(1.0, detector.response_nonuniformity, signal.shape)
+    electrons = signal * uneven + detector.ambient_electrons + detector.dark_electrons
     counts = electrons / known.electrons_per_count + known.offset_counts
     lines = np.rint(np.clip(counts, 0, detector.full_counts)).astype(np.uint16)
     return VolumeLines(lines.reshape(-1, pixels), readings, detector.full_counts)

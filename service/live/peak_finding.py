@@ -37,8 +37,8 @@ _TO_THIRD: Final = sqrt(
 
 FREE_SHAPE: Final = FitSettings(search=_SEARCH, width_spread=inf, further_peaks=False)
 """For lines of no known shape: Gaussians of any width, one for each line that is found. Further
-ones would explain the tails of one line by more lines: 81 % of the noiseless lines of the profile
-bar are then split, and off by 0.89 px RMS instead of 0.009 (printed by
+ones would explain the tails of one line by more lines: 83 % of the noiseless lines of the profile
+bar are then split, and off by 0.89 px RMS instead of 0.011 (printed by
 tests/service/live/test_peak_methods.py)."""
 
 _Find = Callable[[NDArray[np.uint16]], PeakBatch]

@@ -74,6 +74,20 @@ def test_parts_are_the_whole():
     )
 
 
+def test_pixels_are_as_uneven_as_the_profiles():
+    bar = load_profile("bar")
+    volume, even = (
+        volume_lines(replace(bar, detector=replace(bar.detector, response_nonuniformity=share)), 3)
+        for share in (0.01, 0.0)
+    )
+    light = even.lines - np.median(even.lines, axis=1, keepdims=True)
+    bright = (light > 300) & (even.lines < 0.9 * even.full_counts)
+    share = (volume.lines[bright].astype(float) - even.lines[bright]) / light[bright]
+    # Rounding, at 300 counts and more, is a hundredth of this variance.
+    assert share.std() == pytest.approx(0.01, rel=0.01 + 5.0 / np.sqrt(2 * bright.sum()))
+    assert abs(share.mean()) < 5.0 * 0.01 / np.sqrt(bright.sum())
+
+
 def test_refusals():
     for name in ("coda-mpx30", "mitchelson-1971"):
         with pytest.raises(InvalidParameter, match="windows or Gray tracks"):

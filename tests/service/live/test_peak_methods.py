@@ -180,7 +180,7 @@ def test_traced_lines_are_read_better_by_fit(name: str) -> None:
     """Prints the errors of both methods, beside the centre of gravity of all light."""
     rms, missing = {}, {}
     for method in METHODS:
-        errors, relative, _ = profile_errors(name, method)
+        errors, relative, flags = profile_errors(name, method)
         seen = np.isfinite(errors)
         rms[method], missing[method] = np.sqrt(np.nanmean(errors**2)), 1.0 - seen.mean()
         square = relative[seen] ** 2
@@ -188,7 +188,10 @@ def test_traced_lines_are_read_better_by_fit(name: str) -> None:
             f"{name}, {method}: {rms[method]:.4f} px RMS, none in {missing[method]:.0%}, "
             f"normalised {square.mean():.2f}"
         )
+        # No deviation a fifth too large, nor too small by more than chance.
+        assert square.mean() > 0.7
         assert square.mean() < 1.0 + 5.0 * square.std() / np.sqrt(square.size)
+        assert not (flags & PeakFlag.UNFITTED).any()
     assert rms["fit"] < rms["centroid"]
     assert missing["fit"] <= missing["centroid"]
 

@@ -26,9 +26,8 @@ Array = NDArray[np.float64]
 Method = Literal["fit", "centroid", "shadow"]
 
 _SEARCH: Final = CentroidSettings(threshold_fraction=0.1, min_width_px=2)
-"""How lines to fit are found. A hot pixel stands alone, and must not: its neighbours stay below a
-tenth of it, those of a line do not unless its light is all in one pixel. From a third of the height
-on, many a line of a sharp lens has one pixel only."""
+"""How lines to fit are found. At a tenth of its height a line is two pixels wide, unless nearly all
+of its light is in one, and a hot pixel is not. At a third, many a sharp line has one pixel."""
 
 _TO_THIRD: Final = sqrt(
     log(CentroidSettings().threshold_fraction) / log(_SEARCH.threshold_fraction)

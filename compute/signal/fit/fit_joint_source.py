@@ -57,6 +57,7 @@ _STEPS: Final = """
         const int lights = 1 + plan.sloped, places = lights + m.peaks, width = places + m.peaks;
         m.merit = 1e300;
         if (in.used <= size) return false;
+        const int freedom = in.used - size + plan.has_prior;
         double root[most_parameters * most_parameters];
         for (int pass = 0; pass < max_iterations; ++pass) {
             double score[most_parameters], step[most_parameters];
@@ -123,7 +124,8 @@ _STEPS: Final = """
                     step[a] -= root[b * most_parameters + a] * step[b];
                 step[a] /= root[a * most_parameters + a];
             }
-            const bool ended = length2 < converged2;
+            const double misfit = chi2 / freedom;
+            const bool ended = length2 < converged2 * (misfit > 1.0 ? misfit : 1.0);
             double most = 1.0;
             if (!ended) {
                 const double w = exp_of(m.log_w);

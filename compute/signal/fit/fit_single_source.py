@@ -2,8 +2,9 @@
 
 It gives an answer only where there is no doubt: the fit has converged in few steps, the peak is
 whole and not so bright that float32 would tell, and the misfit is clear of its limit: below, or
-above where that only is a flag. Else it returns 0, and the fit in float64 decides. Counts are taken from the line's background, positions
-from the candidate's pixel: float32 then keeps 1e-6 px.
+not far above where that only is a flag. Else it returns 0, and the fit in float64 decides. Counts
+are taken from the line's background, positions from the candidate's pixel: float32 then keeps
+1e-6 px.
 """
 
 from typing import Final
@@ -197,7 +198,11 @@ _STEP: Final = """
                 for (int b = a + 1; b < size; ++b)
                     score[a] -= information[b * (b + 1) / 2 + a] * score[b];
             }
-            ended = length2 < (float)converged2;
+            // Where rounding would tell which step is the last, float64 does.
+            const float misfit = chi2 / (float)freedom;
+            const float end = (float)converged2 * (misfit > 1.0f ? misfit : 1.0f);
+            if (length2 > 0.98f * end && length2 < 1.02f * end) return 0;
+            ended = length2 < end;
             const float farthest = fabsf(score[place_at]) * by_width / step_widths_f;
             const float broadest = fabsf(score[width_at]) / step_log_width_f;
             float part = farthest > broadest ? farthest : broadest;
@@ -232,7 +237,9 @@ _STEP: Final = """
 
 _END: Final = """
         const bool good = chi2 < 0.999f * chi2_limit;
-        const bool poor = chi2 > 1.001f * chi2_limit && !may_split;
+        // Of a large misfit, steps shrink so slowly that the rounding of each adds up.
+        const bool small = chi2 < 100.0f * (float)freedom;
+        const bool poor = chi2 > 1.001f * chi2_limit && small && !may_split;
         if (!ended || !(good || poor)) return 0;
 
         rows_at(x);

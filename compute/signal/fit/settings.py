@@ -17,8 +17,9 @@ BackgroundModel = Literal["level", "slope"]
 
 MAX_ITERATIONS: Final = 20
 CONVERGED_SIGMA: Final = 1e-3
-"""A fit has ended when no parameter moves by more than this part of its standard deviation; the
-step is still taken, and what is left is a tenth of it or less."""
+"""A fit has ended when no parameter moves by more than this part of its standard deviation: of that
+which the misfit says, where it says more than the noise. The step is still taken. What is left is
+a tenth of it or less where the shape fits; where it does not, steps shrink only linearly."""
 
 STEP_WIDTHS: Final = 0.5
 STEP_LOG_WIDTH: Final = 0.25
@@ -68,8 +69,9 @@ class FitSettings:
     - *Way there.* Fisher scoring from the search's background and candidates (light by height,
       the widths' geometric mean): steps ``d = H^-1 g`` by score g and information H, scaled as a
       whole to STEP_WIDTHS and STEP_LOG_WIDTH; a width that would leave WIDTH_LIMITS_PX is held
-      there, as if known. The end is ``g.d < CONVERGED_SIGMA^2``, and that step is taken. The
-      covariance is H^-1, and with the chi-square of the pass that gave the last step.
+      there, as if known. The end is ``g.d < CONVERGED_SIGMA^2 max(chi2/freedom, 1)``, by the
+      pass's own chi-square with the prior's term, and that step is taken. The covariance is H^-1,
+      and with the chi-square of the pass that gave the last step.
     - *Number of peaks.* Where the misfit is more than chance (its own rate:
       ``false_split_rate``) or the fit failed, the window grows by as much as the widest
       candidate's window reaches, up to midway to the neighbours' windows and MAX_WINDOW_PX, and

@@ -101,7 +101,9 @@ def _scoring(
         parameters = solution.parameters[active]
         step = _scoring_step(part, parameters, layout, settings, shape)
         solution.passes[active] = number
-        ended = step.regular & (step.length2 < CONVERGED_SIGMA**2)
+        # Where the shape misfits, steps shrink slowly: noise alone would ask for too many.
+        misfit = np.maximum(step.chi2 / solution.freedom[active], 1.0)
+        ended = step.regular & (step.length2 < CONVERGED_SIGMA**2 * misfit)
         moved = parameters + np.where(ended[:, None], 1.0, _part_of(step, parameters, layout)) * (
             step.step
         )

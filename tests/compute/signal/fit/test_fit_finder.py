@@ -1,5 +1,7 @@
 """The fit kernel on the CPU: against the reference, at the bound, honest, and never undefined."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -48,12 +50,13 @@ def test_kernel_matches_the_reference(pixels, options):
     assert not lines_that_differ(fitted(lines, options), expected).any()
     fits = expected.flags[np.isfinite(expected.position_px)]
     assert np.any(fits & PeakFlag.UNFITTED)
+    assert np.any(fits & PeakFlag.POOR_FIT)
     assert np.any(fits & PeakFlag.JOINT) or options.max_joint == 1
     assert np.any(fits & PeakFlag.TRUNCATED) or options.search.max_peaks > 3 or pixels < 300
 
 
 def test_kernel_matches_the_reference_with_any_settings_noise_and_shape():
-    """Of lines of every kind; two in a thousand may differ (of 22,000 such lines 10 did).
+    """Of lines of every kind; five in a thousand may differ (of 9,600 with other seeds 32 did).
 
     Where saturated pixels are left out or the content is random, a fit may need all of its steps:
     then the last digit says whether it ends within them.
@@ -66,10 +69,11 @@ def test_kernel_matches_the_reference_with_any_settings_noise_and_shape():
         if seed % 4 == 0:
             lines = rng.choice([0, 1, 100, 130, 300, 4095, 65535], (40, pixels)).astype(np.uint16)
         options, noise = any_settings(rng), any_noise(rng)
+        options = replace(options, further_peaks=seed % 3 > 0)
         shape = any_shape(rng) if seed % 2 else None
         expected = fit_lines(lines, options, noise, shape)
         differ.append(lines_that_differ(fitted(lines, options, noise, shape), expected))
-    assert np.mean(differ) <= 2e-3
+    assert np.mean(differ) <= 5e-3
 
 
 def bright_lines(count, width_px, electrons, gain, rng):

@@ -14,19 +14,25 @@ from compute.signal.chain.background import (
     PolynomialBackground,
 )
 from compute.signal.chain.filters import (
-    MOST_ORDER,
     MOST_TAPS,
     ButterworthFilter,
     FirFilter,
     MedianFilter,
 )
 from compute.signal.chain.separation import SlopeExtension, ValleyCut
-from compute.signal.chain.signal_chain import MOST_REPEATS, SignalChain
+from compute.signal.chain.signal_chain import SignalChain
 from compute.signal.chain.step import Compensation
 from compute.signal.settings import Weighting
 
 STRICT: Final = ConfigDict(extra="forbid", allow_inf_nan=False)
 MOST_AVERAGED: Final = 256
+
+# What the most of all at once may cost a request; compute itself allows more.
+MOST_REPEATS: Final = 5
+MOST_ROUNDS: Final = 50
+MOST_CHAIN_PEAKS: Final = 64
+LONGEST_MEDIAN: Final = 255
+HIGHEST_ORDER: Final = 24
 
 # Below, sections of high order no longer hold their poles apart in float64.
 Cutoff = Annotated[
@@ -37,14 +43,14 @@ Level = Annotated[float, Field(ge=0.0, le=0.95)]
 Degree = Annotated[int, Field(ge=0, le=MOST_DEGREE)]
 Above = Annotated[float, Field(ge=1.0, le=100.0)]
 Margin = Annotated[int, Field(ge=0, le=1000)]
-Rounds = Annotated[int, Field(ge=1, le=1000)]
+Rounds = Annotated[int, Field(ge=1, le=MOST_ROUNDS)]
 
 
 @checked_dataclass(frozen=True, config=STRICT)
 class Median(MedianFilter):
     """The median of neighbouring pixels."""
 
-    aperture: Annotated[int, Field(ge=1, le=MOST_TAPS)]
+    aperture: Annotated[int, Field(ge=1, le=LONGEST_MEDIAN)]
     compensation: Literal["none", "delay"] = "delay"
     kind: Literal["median"] = "median"
 
@@ -53,7 +59,7 @@ class Median(MedianFilter):
 class Butterworth(ButterworthFilter):
     """A Butterworth low pass."""
 
-    order: Annotated[int, Field(ge=1, le=MOST_ORDER)]
+    order: Annotated[int, Field(ge=1, le=HIGHEST_ORDER)]
     cutoff: Cutoff
     compensation: Compensation = ButterworthFilter.compensation
     kind: Literal["butterworth"] = "butterworth"
@@ -145,6 +151,7 @@ class ChainMethod(SignalChain):
     threshold_fraction: Level = SignalChain.threshold_fraction
     weighting: Weighting = SignalChain.weighting
     min_width_px: Annotated[int, Field(ge=1, le=1_000_000)] = SignalChain.min_width_px
+    max_peaks: Annotated[int, Field(ge=1, le=MOST_CHAIN_PEAKS)] = MOST_CHAIN_PEAKS
 
 
 def passive_chain() -> ChainMethod:

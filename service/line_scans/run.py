@@ -27,6 +27,7 @@ from service.line_scans.methods import CentroidMethod, FitMethod, MatchedMethod,
 from service.line_scans.noise import KnownNoise, guessed_noise, line_noise, noise_at, search_limits
 from service.line_scans.schema import (
     CHAIN_PIXELS,
+    CHAIN_TOTAL_PIXELS,
     DETAIL_PIXELS,
     MOST_PIXELS,
     FittedWindow,
@@ -57,9 +58,10 @@ def posted_lines(request: NewLineScans) -> Lines:
                 length=len(line),
             )
     values = length * len(request.lines)
-    most = DETAIL_PIXELS if request.detail else MOST_PIXELS
+    most, how = (DETAIL_PIXELS, "with detail") if request.detail else (MOST_PIXELS, "at once")
+    if isinstance(request.method, ChainMethod):
+        most, how = CHAIN_TOTAL_PIXELS, "for the method chain"
     if values > most:
-        how = "with detail" if request.detail else "at once"
         raise InvalidParameter(
             f"the lines have {values} values; {how} they may have {most}: send them in several "
             "requests",

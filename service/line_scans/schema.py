@@ -18,6 +18,9 @@ DETAIL_PIXELS: Final = 65536
 CHAIN_PIXELS: Final = 8192
 """Pixels of a line for the chain, which keeps a line of values for each peak of a line."""
 
+CHAIN_TOTAL_PIXELS: Final = 65536
+"""Pixels of all lines of a request for the chain."""
+
 FULL_SCALE: Final = 65535
 
 # The first wrong value is enough: a report on each of a million would fill the memory.

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_solve
 from scipy.ndimage import maximum_filter1d
 from scipy.sparse import csr_array
 
@@ -198,6 +199,12 @@ def _orthonormal(pixels: int, degree: int) -> Array:
 
 def _step(information: Array, score: Array) -> Array:
     """Return the step to the best fit; polynomials that no pixel sees stay as they are."""
+    try:
+        factor = np.linalg.cholesky(information)
+        if float(np.diag(factor).min()) ** 2 > _SINGULAR:
+            return np.asarray(cho_solve((factor, True), score, check_finite=False))
+    except np.linalg.LinAlgError:
+        pass
     values, vectors = np.linalg.eigh(information)
     seen = values > _SINGULAR
     return np.asarray(vectors[:, seen] @ ((vectors[:, seen].T @ score) / values[seen]))

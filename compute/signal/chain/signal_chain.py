@@ -1,6 +1,6 @@
 """SignalChain: from raw lines to positions as chapter 4 of the thesis does it, step by step."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Final, get_args
 
 import numpy as np
@@ -11,8 +11,9 @@ from compute.signal.chain.areas import WeightedAreas, areas_above
 from compute.signal.chain.averaging import average_lines
 from compute.signal.chain.background import BridgedBackground, PeakMask
 from compute.signal.chain.filters import ButterworthFilter
+from compute.signal.chain.finish import Finish
 from compute.signal.chain.gravity import Centroid, centre_of_gravity
-from compute.signal.chain.result import ChainResult, FoundPeak, Stage, batch_of
+from compute.signal.chain.result import ChainResult, FoundPeak, batch_of
 from compute.signal.chain.separation import Piece, Separation, SlopeExtension
 from compute.signal.chain.step import (
     Array,
@@ -22,12 +23,17 @@ from compute.signal.chain.step import (
     check_between,
     check_whole,
 )
+from compute.signal.chain.work import Work, unfiltered
 from compute.signal.noise import LineNoise
 from compute.signal.peaks import PeakFlag
 from compute.signal.settings import Weighting
 
 MOST_REPEATS: Final = 20
+MOST_PEAKS: Final = 65536
 _BLOCK: Final = 1_000_000
+
+_Centre = tuple[Centroid, float, bool]
+"""A centre of gravity, its height, and whether a valley cuts its peak."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,9 @@ class SignalChain:
     peak's centre of gravity [4.1] is taken above its own threshold. The thesis's amplification
     by a whole number (4.4, step 3) changes no position and is not there.
 
-    The sum of the filters' ``correction_px`` is subtracted from the positions.
+    The sum of the filters' ``correction_px`` is subtracted from the positions. Lines are
+    continued by as much with their last value, as light at their end leaves the filters so much
+    later; a chain that delays by a whole line is refused.
 
     Without separation each area above the level has one peak, its maximum, unless a higher one
     lies in the same run above the peak's own threshold.
@@ -58,6 +66,7 @@ class SignalChain:
             for active targets. With separation the maximum is above the zero line.
         weighting: what the centre of gravity weighs: ``centre_of_gravity``.
         min_width_px: fewest pixels above a peak's threshold.
+        max_peaks: of one line, 1 to 65536; of more the highest are kept, TRUNCATED.
 
     Raises:
         InvalidParameter: a value outside its range.
@@ -74,12 +83,14 @@ class SignalChain:
     threshold_fraction: float = 1.0 / 3.0
     weighting: Weighting = "edge-corrected"
     min_width_px: int = 2
+    max_peaks: int = 256
 
     def __post_init__(self) -> None:
         if self.average is not None:
             check_whole("average", self.average, 1, _BLOCK)
         check_whole("repeats", self.repeats, 1, MOST_REPEATS)
         check_whole("min_width_px", self.min_width_px, 1, _BLOCK)
+        check_whole("max_peaks", self.max_peaks, 1, MOST_PEAKS)
         check_between("level_fraction", self.level_fraction, 0.0, 0.95)
         check_between("threshold_fraction", self.threshold_fraction, 0.0, 0.95)
         if self.weighting not in get_args(Weighting):
@@ -121,9 +132,17 @@ class SignalChain:
     @property
     def correction_px(self) -> float:
         """What is subtracted from positions for the filters' delays [px]."""
-        first = self.line_filter.correction_px if self.line_filter else 0.0
-        after = self.filter_after.correction_px if self.filter_after else 0.0
-        return first + after * (self.repeats if self.background else 0)
+        return sum(one.correction_px for one in self._filters())
+
+    @property
+    def reach_px(self) -> float:
+        """How near to an end what lies beyond it weighs in, through the filters [px]."""
+        return sum(one.reach_px for one in self._filters())
+
+    def _filters(self) -> list[LineFilter]:
+        """Return the filters that lines go through, in their order."""
+        after = [self.filter_after] * self.repeats if self.background is not None else []
+        return [one for one in (self.line_filter, *after) if one is not None]
 
     def run(self, lines: ArrayLike, noise: LineNoise | None = None) -> ChainResult:
         """Find the peaks of lines.
@@ -138,20 +157,30 @@ class SignalChain:
             Standard deviations are those of the pixels' noise through averaging, filters,
             background and centre of gravity, thresholds included. For a median filter it is
             assumed that noise passes unchanged; pixels that an extended slope made count as
-            exact; which pixels are background, peak or zero is taken as given. Flags: clipped
-            (the run meets an end of the line), merged (cut at a valley), saturated.
+            exact; which pixels are background, peak or zero is taken as given. With noise, what
+            is less sure than it is wide is no peak. Flags: clipped (the run meets an end of the
+            line, or comes as near to one as ``reach_px``), merged (cut at a valley), saturated,
+            truncated.
 
         Raises:
-            InvalidParameter: lines that cannot be averaged, or lengths out of range.
+            InvalidParameter: lines that cannot be averaged, lengths out of range, or filters that
+                delay by a whole line or more.
             NonFiniteValue: a value is NaN or infinite.
         """
         raw = as_lines(lines)
         raw = raw.reshape(-1, raw.shape[-1])
-        work = _Work(raw)
+        pixels = raw.shape[-1]
+        if self.correction_px >= pixels:
+            raise InvalidParameter(
+                f"the filters delay lines by {self.correction_px:.6g} px; that must be less than "
+                f"the {pixels} pixels of a line",
+                delay_px=self.correction_px,
+            )
+        work = Work(raw)
         if self.average is not None:
             work.add("averaged", average_lines(raw, self.average))
         if self.line_filter is not None:
-            work.add("filtered", self.line_filter.apply(work.lines), self.line_filter.shift_px)
+            work.filter(self.line_filter)
         for _ in range(self.repeats if self.background is not None else 0):
             self._subtract(work)
         if self.areas is not None:
@@ -162,22 +191,20 @@ class SignalChain:
         for number, line in enumerate(work.lines):
             parts, peaks = self._peaks_of(line)
             pieces.append(parts)
-            finish = _Finish(
+            finish = Finish(
+                pixels,
                 self.correction_px,
                 work.shift_px,
+                self.reach_px,
                 None if variance is None else variance[number],
                 None if full is None else full[number],
             )
-            found.append(
-                [
-                    finish.peak(centre, height, self._to_pixels(centre.derivative, work, number), m)
-                    for centre, height, m in peaks
-                ]
-            )
+            derivatives = self._to_pixels(peaks, work, number) if noise is not None else None
+            found.append(self._finished(finish, peaks, derivatives))
         free = work.free[-1] if work.free else None
         return ChainResult(tuple(work.stages), free, tuple(pieces), batch_of(found))
 
-    def _subtract(self, work: "_Work") -> None:
+    def _subtract(self, work: Work) -> None:
         assert self.background is not None
         background, free = self.background.estimate(work.lines)
         before = work.lines
@@ -185,7 +212,7 @@ class SignalChain:
         work.add("subtracted", before - background)
         work.free.append(free)
         if self.filter_after is not None:
-            work.add("filtered", self.filter_after.apply(work.lines), self.filter_after.shift_px)
+            work.filter(self.filter_after)
 
     def _pixel_noise(
         self, raw: Array, noise: LineNoise | None
@@ -204,10 +231,8 @@ class SignalChain:
             average_lines(full, self.average) > 0.0,
         )
 
-    def _peaks_of(
-        self, line: Array
-    ) -> tuple[tuple[Piece, ...], list[tuple[Centroid, float, bool]]]:
-        """Return a line's pieces, and of each peak its centroid, height, and whether it was cut."""
+    def _peaks_of(self, line: Array) -> tuple[tuple[Piece, ...], list[_Centre]]:
+        """Return a line's pieces and its highest peaks, one more of them than are kept."""
         pieces: tuple[Piece, ...] = ()
         tops: list[tuple[Array, int, bool]] = []
         if self.separation is not None:
@@ -217,66 +242,40 @@ class SignalChain:
             for area in areas_above(line, self.level_fraction * max(float(line.max()), 0.0)):
                 run = line[area.first_px : area.last_px + 1]
                 tops.append((line, area.first_px + int(run.argmax()), False))
-        peaks = []
+        tops.sort(key=lambda one: -float(one[0][one[1]]))
+        peaks: list[_Centre] = []
         for values, top, cut in tops:
+            if len(peaks) > self.max_peaks:
+                break
             found = centre_of_gravity(values, top, self.threshold_fraction, self.weighting)
             run = values[found.first_px : found.last_px + 1]
             if len(run) >= self.min_width_px and run.max() <= values[top]:
                 peaks.append((found, float(line[top]), cut))
         return pieces, peaks
 
-    def _to_pixels(self, derivative: Array, work: "_Work", number: int) -> Array:
-        """Carry derivatives by the last line's pixels back to those of the (averaged) raw one."""
-        weights = derivative
+    def _finished(
+        self, finish: Finish, centres: list[_Centre], derivatives: Array | None
+    ) -> list[FoundPeak]:
+        found = []
+        for number, (centre, height, cut) in enumerate(centres[: self.max_peaks]):
+            by_pixel = None if derivatives is None else derivatives[number]
+            peak = finish.peak(centre, height, by_pixel, cut)
+            if peak is not None:
+                found.append(peak)
+        if len(centres) > self.max_peaks:
+            found = [replace(peak, flags=peak.flags | PeakFlag.TRUNCATED) for peak in found]
+        return found
+
+    def _to_pixels(self, peaks: list[_Centre], work: Work, number: int) -> Array:
+        """Return the derivatives of K centres by the (averaged) raw line's pixels, (K, P)."""
+        if not peaks:
+            return np.zeros((0, work.raw.shape[-1]))
+        weights = np.array([centre.derivative for centre, _, _ in peaks])
         for free in reversed(work.free):
             if self.filter_after is not None:
-                weights = self.filter_after.adjoint(weights)
+                weights = unfiltered(self.filter_after, weights)
             assert self.background is not None
             weights = self.background.adjoint(weights, free[number])
-        return weights if self.line_filter is None else self.line_filter.adjoint(weights)
-
-
-@dataclass
-class _Work:
-    """Lines on their way."""
-
-    raw: Array
-    stages: list[Stage] = field(default_factory=list)
-    free: list[NDArray[np.bool_]] = field(default_factory=list)
-    shift_px: float = 0.0
-
-    def __post_init__(self) -> None:
-        self.add("raw", self.raw)
-
-    @property
-    def lines(self) -> Array:
-        return self.stages[-1].lines
-
-    def add(self, name: str, lines: Array, shift_px: float = 0.0) -> None:
-        self.shift_px += shift_px
-        self.stages.append(Stage(name, lines, self.shift_px))
-
-
-@dataclass(frozen=True, eq=False)
-class _Finish:
-    """What makes a peak of a centroid on one line."""
-
-    correction_px: float
-    shift_px: float
-    variance: Array | None
-    full: NDArray[np.bool_] | None
-
-    def peak(self, centre: Centroid, height: float, weights: Array, cut: bool) -> FoundPeak:
-        pixels = len(weights)
-        flags = PeakFlag.MERGED if cut else PeakFlag.NONE
-        if centre.first_px == 0 or centre.last_px == pixels - 1:
-            flags |= PeakFlag.CLIPPED
-        if self.full is not None:
-            first = max(int(np.floor(centre.first_px - self.shift_px)), 0)
-            last = max(int(np.ceil(centre.last_px - self.shift_px)), 0)
-            if self.full[first : last + 1].any():
-                flags |= PeakFlag.SATURATED
-        sigma = float("nan") if self.variance is None else float(weights**2 @ self.variance) ** 0.5
-        return FoundPeak(
-            centre.position_px - self.correction_px, sigma, height, centre.width_px, flags
-        )
+        if self.line_filter is not None:
+            weights = unfiltered(self.line_filter, weights)
+        return weights

@@ -70,7 +70,7 @@ def draw_line(values: Counts, found: LineScans, method: Method, title: str) -> b
         whole = parts[0].subplots(len(above), squeeze=False, height_ratios=above)[:, 0]
         _whole_line(whole[0], values, scan, found)
         if stage is not None:
-            _last_stage(whole[1], stage, scan)
+            _last_stage(whole[1], stage, scan, len(values))
         columns = _COLUMNS if rows > 1 else max(len(panels), 2)
         for row, part in enumerate(parts[1:]):
             some = panels[row * columns : (row + 1) * columns]
@@ -141,7 +141,7 @@ def _mark(axes: Axes, number: int, peak: LinePeak, height: float, count: int) ->
         )  # fmt: skip
 
 
-def _last_stage(axes: Axes, stage: Stage, scan: LineScan) -> None:
+def _last_stage(axes: Axes, stage: Stage, scan: LineScan, pixels: int) -> None:
     """Draw what peaks were looked for in, where that is not the line itself."""
     answer = scan.limit_sigma is not None
     place = np.arange(len(stage.values)) - stage.shift_px
@@ -159,7 +159,7 @@ def _last_stage(axes: Axes, stage: Stage, scan: LineScan) -> None:
     for peak in scan.peaks:
         colour = FLAGGED if plain_flags(peak) else MODEL
         axes.axvline(peak.position_px, color=colour, lw=0.6, alpha=0.5)
-    axes.set(xlim=(-0.5, len(stage.values) - 0.5), xlabel="pixel")
+    axes.set(xlim=(-0.5, pixels - 0.5), xlabel="pixel")
     axes.set_ylabel("deviations of noise" if answer else "counts")
     axes.set_title(text, loc="left")
 

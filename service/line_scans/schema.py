@@ -126,7 +126,9 @@ class Stage(Document):
     name: str
     unit: str = Field(description="`counts`, or `deviations` of the noise.")
     shift_px: float = Field(description="By how much filters have moved it to the right so far.")
-    values: list[float]
+    values: list[float] = Field(
+        description="Longer than the line by what a filter with `delay` delays it."
+    )
 
 
 class LineScan(Document):

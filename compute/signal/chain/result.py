@@ -17,7 +17,7 @@ class Stage:
 
     Args:
         name: the step.
-        lines: shape (L, P).
+        lines: shape (L, P), longer by the whole pixels of a delay that is compensated.
         shift_px: by how much the lines lie to the right of the light, by the filters so far [px].
     """
 
@@ -32,8 +32,8 @@ class ChainResult:
 
     Args:
         stages: from the given lines to those whose peaks were measured.
-        free_of_peaks: the pixels that the last background was taken from, shape (L, P); None
-            without background.
+        free_of_peaks: the pixels that the last background was taken from, shape of that
+            stage's lines; None without background.
         pieces: of each line the separated peaks, not moved back by the delay; empty without
             separation.
         peaks: their positions, moved back by the delays that are compensated.

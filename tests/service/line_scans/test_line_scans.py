@@ -185,6 +185,8 @@ def long(pixels: int, lines: int = 1) -> list[list[int]]:
         ({"lines": long(65536, 9)}, ["589824 values", "524288"]),
         ({"lines": long(65536, 2), "detail": True}, ["131072 values", "65536"]),
         ({"lines": long(8193), "method": {"method": "chain"}}, ["8193 values", "8192"]),
+        ({"lines": long(8192, 9), "method": {"method": "chain"}}, ["73728 values", "65536"]),
+        ({"method": {"method": "chain", "repeats": 6}}, ["body.method", "repeats", "5"]),
         ({"method": {"method": "best"}}, ["body.method", "best"]),
         ({"method": {"width_px": 1.0}}, ["body.method"]),
         ({"method": {"method": "fit", "width_px": 17.0}}, ["body.method.width_px", "16"]),

@@ -38,6 +38,8 @@ PHASES: Final = 16
 """Parts of a pixel over which the bias is looked at."""
 
 KNOWN, FITTED, PRIOR = "width known", "width fitted", "width within 10 %"
+DEFAULT = "as it comes"
+"""FitSettings without a word: a width of about a pixel, give or take half."""
 GRAVITY, EDGE = "centre of gravity", "edge-corrected"
 WRONG_WIDTH: Final = 1.05
 """Of PRIOR: the width is believed so many times the true one, give or take 10 %."""
@@ -104,6 +106,8 @@ def fit_settings(name: str, width_px: float) -> FitSettings:
     """Return what an estimator knows of the width."""
     if name == KNOWN:
         return FitSettings(width_px=width_px, width_spread=0.0)
+    if name == DEFAULT:
+        return FitSettings()
     if name == FITTED:
         return FitSettings(width_px=width_px, width_spread=np.inf)
     return FitSettings(width_px=WRONG_WIDTH * width_px, width_spread=0.1)
@@ -136,7 +140,7 @@ def efficiency(setting: Setting, count: int, seed: int = 1) -> Efficiency:
     amplitude = float(electrons.max(axis=1).mean()) / GAIN
     errors = {}
     start = nearest(find(lines, known.search, read), place, width, amplitude, rng)
-    for name in (KNOWN, FITTED, PRIOR):
+    for name in (KNOWN, FITTED, PRIOR, DEFAULT):
         fitted = fit_lines(lines, fit_settings(name, width), noise, candidates=start.peaks)
         errors[name] = errors_of(own_peaks(fitted, place), fitted, place, first_order)
     for name, weighting in _WEIGHTINGS.items():

@@ -30,7 +30,7 @@ class PeakFlag(IntFlag):
     POOR_FIT = 32
     """The line's shape does not explain the pixels: the standard deviation is too small."""
     UNFITTED = 64
-    """No fit was possible: the position is the centre of gravity."""
+    """No fit was possible: the position is the candidate's, a centre of gravity or a pixel."""
     AMBIGUOUS = 128
     """A pattern that fits nearly as well at another place."""
 
@@ -41,7 +41,8 @@ class Peak:
 
     Args:
         sensor: name of the sensor whose line it is in.
-        position_px: centre of gravity [px]; the centre of the first pixel is 0.
+        position_px: the estimate [px]: a centre of gravity, a fitted line's position or a shadow's
+            reading; the centre of the first pixel is 0.
         sigma_px: standard deviation of the position by the noise model [px].
         amplitude: maximum above the line's background [counts].
         width_px: full width at the peak's own threshold [px].
@@ -64,7 +65,8 @@ class PeakBatch:
 
     Args:
         count: number of peaks of each line, int32, shape (L,).
-        position_px: centres of gravity [px], float64, shape (L, K).
+        position_px: centres of gravity, positions of fitted lines or readings of shadows [px],
+            float64, shape (L, K).
         sigma_px: standard deviations of the positions [px], float32, shape (L, K).
         amplitude: maxima above the line's background [counts], float32, shape (L, K).
         width_px: full widths at each peak's own threshold, interpolated between pixels [px],

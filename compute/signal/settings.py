@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import isfinite
+from numbers import Integral
 from typing import Final, Literal, get_args
 
 from compute.errors import InvalidParameter
@@ -86,26 +87,31 @@ class CentroidSettings:
                 f"detection_sigma is {self.detection_sigma}; it must lie in 3 .. 1000",
                 detection_sigma=self.detection_sigma,
             )
-        if not 1 <= self.min_width_px <= MAX_PIXELS:
-            raise InvalidParameter(
-                f"min_width_px is {self.min_width_px}; it must lie in 1 .. {MAX_PIXELS}",
-                min_width_px=self.min_width_px,
-            )
+        require_whole("min_width_px", self.min_width_px, 1, MAX_PIXELS)
         if self.weighting not in get_args(Weighting):
             raise InvalidParameter(
                 f"weighting is {self.weighting!r}; it must be one of {get_args(Weighting)}",
                 weighting=self.weighting,
             )
-        if not 1 <= self.max_peaks <= 1024:
-            raise InvalidParameter(
-                f"max_peaks is {self.max_peaks}; it must lie in 1 .. 1024",
-                max_peaks=self.max_peaks,
-            )
+        require_whole("max_peaks", self.max_peaks, 1, 1024)
 
     @property
     def fraction_units(self) -> int:
         """threshold_fraction as an integer in units of 1/FRACTION_UNIT."""
         return round(self.threshold_fraction * FRACTION_UNIT)
+
+
+def require_whole(name: str, value: int, least: int, most: int) -> None:
+    """Refuse a number that is no integer or lies outside its range: arrays are sized by it.
+
+    Raises:
+        InvalidParameter: with the value and the range.
+    """
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not (whole and least <= value <= most):
+        raise InvalidParameter(
+            f"{name} is {value}; it must be a whole number in {least} .. {most}", **{name: value}
+        )
 
 
 def sample_starts(pixels: int) -> tuple[int, ...]:

@@ -20,6 +20,7 @@ from validation.close_peaks_markers import joint_fit, markers_bound_px
 from validation.peak_efficiency import CASE as PEAK_EFFICIENCY
 from validation.peak_efficiency import USEFUL_PX
 from validation.peak_efficiency_figures import (
+    DEFAULT,
     EDGE,
     FITTED,
     GRAVITY,
@@ -68,6 +69,8 @@ def test_the_fit_is_at_the_bound(setting):
     # A wrong width with an honest spread costs little; nothing known a little more.
     assert found.errors[PRIOR].rms_px < 1.06 * found.strict_px * (1 + 4 / np.sqrt(2 * LINES))
     assert found.errors[FITTED].rms_px < 1.11 * found.strict_px * (1 + 4 / np.sqrt(2 * LINES))
+    # A width of a pixel, give or take half, is no more than a hint.
+    assert found.errors[DEFAULT].rms_px < 1.11 * found.strict_px * (1 + 4 / np.sqrt(2 * LINES))
     # Nothing else does.
     for name in (GRAVITY, EDGE):
         assert found.errors[name].rms_px > 0.98 * known.rms_px

@@ -17,7 +17,8 @@ def fit_candidates(
 
     The single highest pixel of a faint wide line drowns in noise that the matched filter averages;
     from where the filter answers, the fit goes on as from any candidate. A position is given as
-    certain to a pixel, and no more.
+    certain to a pixel, and no more: what the fit then leaves UNFITTED is a whole pixel, with a
+    standard deviation of 1 px, and no centre of gravity.
 
     Args:
         detections: of lines; of each line the ``settings.search.max_peaks`` of the highest answer

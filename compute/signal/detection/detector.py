@@ -13,7 +13,13 @@ from compute.signal.detection.line_spread import line_spread, spread_degrees
 from compute.signal.detection.matched_filter import MatchedFilter
 from compute.signal.noise import LineNoise
 from compute.signal.peaks import PeakFlag
-from compute.signal.settings import LEVEL_UNIT, MAX_PIXELS, MIN_PIXELS, sample_starts
+from compute.signal.settings import (
+    LEVEL_UNIT,
+    MAX_PIXELS,
+    MIN_PIXELS,
+    require_whole,
+    sample_starts,
+)
 
 NoiseSource = Literal["line", "model", "larger"]
 """Where the deviation of a pixel is taken from; DetectionSettings says what each is."""
@@ -55,11 +61,7 @@ class DetectionSettings:
                 f"noise is {self.noise!r}; it must be one of {get_args(NoiseSource)}",
                 noise=self.noise,
             )
-        if not 1 <= self.max_peaks <= 1024:
-            raise InvalidParameter(
-                f"max_peaks is {self.max_peaks}; it must lie in 1 .. 1024",
-                max_peaks=self.max_peaks,
-            )
+        require_whole("max_peaks", self.max_peaks, 1, 1024)
 
 
 class PeakDetector:

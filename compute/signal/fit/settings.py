@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from compute.errors import InvalidParameter
 from compute.signal.peaks import JOINT_PEAKS
-from compute.signal.settings import CentroidSettings
+from compute.signal.settings import CentroidSettings, require_whole
 
 BackgroundModel = Literal["level", "slope"]
 """The background within a window: a constant, or a straight line."""
@@ -132,7 +132,7 @@ class FitSettings:
         self._require("width_spread", spread == 0.0 or spread >= 1e-6, "zero, or 1e-6 or more")
         self._require("reach", 2.0 <= self.reach <= 8.0, "in 2 .. 8")
         self._require("shape_error", 0.0 <= self.shape_error <= 0.5, "in 0 .. 0.5")
-        self._require("max_joint", 1 <= self.max_joint <= JOINT_PEAKS, f"in 1 .. {JOINT_PEAKS}")
+        require_whole("max_joint", self.max_joint, 1, JOINT_PEAKS)
         self._require("false_split_rate", 1e-12 <= self.false_split_rate <= 0.1, "in 1e-12 .. 0.1")
         if self.background not in get_args(BackgroundModel):
             raise InvalidParameter(

@@ -128,6 +128,8 @@ def test_every_candidate_is_in_one_window_and_no_pixel_in_two(place, width, max_
         {"reach": 1.0},
         {"shape_error": 0.6},
         {"max_joint": 5},
+        {"max_joint": 2.5},
+        {"max_joint": True},
         {"false_split_rate": 0.0},
         {"background": "curve"},
     ],

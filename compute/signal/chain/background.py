@@ -56,7 +56,7 @@ class PeakMask:
 
         At least 2 (degree + 1) pixels stay: a round that would leave fewer is the last.
         """
-        basis = _orthonormal(len(line), self.degree)
+        basis, across = _orthonormal(len(line), self.degree)
         free = np.ones(len(line), dtype=np.bool_)
         floor = _ROUNDING * float(np.abs(line).max())
         # Pixels only ever go, and each round starts from the last one's fit: a step by the
@@ -64,8 +64,8 @@ class PeakMask:
         information = np.eye(self.degree + 1)
         fitted, residual = np.zeros(self.degree + 1), line
         for _ in range(self.rounds):
-            fitted = fitted + _step(information, basis.T @ np.where(free, residual, 0.0))
-            residual = line - basis @ fitted
+            fitted = fitted + _step(information, _product(basis, np.where(free, residual, 0.0)))
+            residual = line - _product(across, fitted)
             noise = _NORMAL_MAD * float(np.median(np.abs(residual[free])))
             peak = residual > max(self.above_sigma * noise, floor)
             # A lone pixel may be noise; it goes, but does not take its neighbours with it.
@@ -75,7 +75,7 @@ class PeakMask:
             if left.sum() < 2 * (self.degree + 1) or (left == free).all():
                 break
             gone = basis[free & ~left]
-            information = information - gone.T @ gone
+            information = information - np.einsum("ij,ik->jk", gone, gone)
             free = left
         return free
 
@@ -122,7 +122,9 @@ class PolynomialBackground:
         fitted = basis[taken]
         rows = weights.reshape(-1, weights.shape[-1])
         back = rows.copy()
-        back[:, taken] -= (fitted @ _solve(fitted.T @ fitted, basis.T @ rows.T)).T
+        scores = np.einsum("kp,pj->jk", rows, basis)
+        fits = _solve(np.einsum("pi,pj->ij", fitted, fitted), scores)
+        back[:, taken] -= np.einsum("pj,jk->kp", fitted, fits)
         return back.reshape(weights.shape)
 
     def _mask(self) -> PeakMask:
@@ -190,11 +192,21 @@ def _basis(pixels: int, degree: int) -> Array:
 
 
 @lru_cache(maxsize=4)
-def _orthonormal(pixels: int, degree: int) -> Array:
-    """Return polynomials that are orthonormal over the line's pixels, shape (P, degree + 1)."""
-    basis = np.asarray(np.linalg.qr(_basis(pixels, degree))[0])
-    basis.setflags(write=False)
-    return basis
+def _orthonormal(pixels: int, degree: int) -> tuple[Array, Array]:
+    """Return polynomials that are orthonormal over the pixels, (P, degree + 1), and transposed."""
+    basis = np.ascontiguousarray(np.linalg.qr(_basis(pixels, degree))[0])
+    across = np.ascontiguousarray(basis.T)
+    for array in (basis, across):
+        array.setflags(write=False)
+    return basis, across
+
+
+def _product(matrix: Array, vector: Array) -> Array:
+    """Return ``matrix.T @ vector`` without the threads of BLAS.
+
+    On a busy machine these wait for each other for far longer than such a product takes.
+    """
+    return np.asarray(np.einsum("ij,i->j", matrix, vector))
 
 
 def _step(information: Array, score: Array) -> Array:

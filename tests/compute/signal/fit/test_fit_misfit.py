@@ -76,6 +76,33 @@ def test_bright_lines_of_another_shape_are_fitted(below, width_px, electrons, mo
     assert (off <= 10.0 * CONVERGED_SIGMA * misfit * patient.sigma_px[:, 0]).all()
 
 
+@pytest.mark.parametrize(
+    ("noise", "ambient", "values"),
+    [
+        ((5.0, 40.0, 400.0), 405, [479, 793, 2615, 3851, 17245, 27675, 5184, 2992, 1065, 492, 466]),
+        ((5.0, 40.0, 400.0), 405, [466, 551, 1782, 3119, 13676, 23427, 5560, 2481, 761, 484, 451]),
+        ((50.0, 30.0, 40.0), 41, [42, 46, 55, 150, 425, 978, 199, 90, 47, 44, 42]),
+    ],
+)
+def test_sharp_lines_with_a_foot_are_fitted(noise, ambient, values, monkeypatch):
+    """Simulated lines of cameras with cylinder lenses: steps shrink by a half at a time."""
+    line = np.full((1, 128), ambient, np.uint16)
+    line[0, 60:71] = values
+    options = FitSettings(width_spread=np.inf, max_joint=1)
+    sensor = LineNoise.of(*noise)
+    found = fit_lines(line, options, sensor)
+    assert found.flags[0, 0] == PeakFlag.POOR_FIT
+    assert not lines_that_differ(
+        FitFinder(1, 128, options, sensor, device="cpu").find(line), found
+    ).any()
+    monkeypatch.setattr(fit_solve, "CONVERGED_SIGMA", 1e-8)
+    monkeypatch.setattr(fit_solve, "MAX_ITERATIONS", 1000)
+    patient = fit_lines(line, options, sensor)
+    off = abs(found.position_px[0, 0] - patient.position_px[0, 0])
+    misfit = np.sqrt(patient.reduced_chi2[0, 0])
+    assert off <= 10.0 * CONVERGED_SIGMA * misfit * patient.sigma_px[0, 0]
+
+
 @pytest.mark.parametrize("kernel", [False, True], ids=["reference", "kernel"])
 def test_without_further_peaks_no_line_is_split(kernel):
     """Where with them nearly all are; the position is that of the fit of one peak alone."""

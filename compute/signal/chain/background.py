@@ -108,8 +108,7 @@ class PolynomialBackground:
 
         def one(line: Array) -> tuple[Array, Mask]:
             free = mask.free_of_peaks(line)
-            basis = _basis(len(line), self.degree)
-            return basis @ _solve(basis[free], line[free]), free
+            return _fitted(line, free, self.degree), free
 
         return _each(as_lines(lines), one)
 
@@ -220,6 +219,19 @@ def _step(information: Array, score: Array) -> Array:
     values, vectors = np.linalg.eigh(information)
     seen = values > _SINGULAR
     return np.asarray(vectors[:, seen] @ ((vectors[:, seen].T @ score) / values[seen]))
+
+
+def _fitted(line: Array, free: Mask, degree: int) -> Array:
+    """Return the polynomial that fits the free pixels of a line (P,) best, shape (P,)."""
+    basis, across = _orthonormal(len(line), degree)
+    used = basis[free]
+    information = np.einsum("ij,ik->jk", used, used)
+    fitted, residual = np.zeros(degree + 1), line
+    # The second step takes away what rounding left of the first.
+    for _ in range(2):
+        fitted = fitted + _step(information, _product(basis, np.where(free, residual, 0.0)))
+        residual = line - _product(across, fitted)
+    return _product(across, fitted)
 
 
 def _solve(matrix: Array, values: Array) -> Array:

@@ -190,7 +190,7 @@ def _basis(pixels: int, degree: int) -> Array:
     return np.asarray(chebyshev.chebvander(np.linspace(-1.0, 1.0, pixels), degree))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _orthonormal(pixels: int, degree: int) -> tuple[Array, Array]:
     """Return polynomials that are orthonormal over the pixels, (P, degree + 1), and transposed."""
     basis = np.ascontiguousarray(np.linalg.qr(_basis(pixels, degree))[0])

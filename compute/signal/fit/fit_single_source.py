@@ -198,10 +198,11 @@ _STEP: Final = """
                 for (int b = a + 1; b < size; ++b)
                     score[a] -= information[b * (b + 1) / 2 + a] * score[b];
             }
-            // Where rounding would tell which step is the last, float64 does.
+            // Where the shape misfits, steps shrink slowly, and rounding may tell which is the
+            // last: float64 does then. Of others a further step is nothing.
             const float misfit = chi2 / (float)freedom;
             const float end = (float)converged2 * (misfit > 1.0f ? misfit : 1.0f);
-            if (length2 > 0.98f * end && length2 < 1.02f * end) return 0;
+            if (misfit > 2.0f && length2 > 0.98f * end && length2 < 1.02f * end) return 0;
             ended = length2 < end;
             const float farthest = fabsf(score[place_at]) * by_width / step_widths_f;
             const float broadest = fabsf(score[width_at]) / step_log_width_f;

@@ -20,7 +20,7 @@ FILLING_WARPS: Final = 8192
 """So many warps fill a large GPU a few times over; of more lines each takes a batch."""
 HEAD_START_PIXELS: Final = 262_144
 """By so many pixels more than the others the caller's own thread takes: until they have woken."""
-PIXELS_PER_THREAD: Final = 131_072
+PIXELS_PER_THREAD: Final = 786_432
 """A further thread must have so many pixels to be worth it."""
 MAX_GRAPHS: Final = 64
 """Sizes of batches for which a CUDA graph is kept."""

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from compute.errors import InvalidParameter
 from compute.signal.finder import CentroidFinder
-from compute.signal.native.runner import PIXELS_PER_THREAD
+from compute.signal.native import runner
 from compute.signal.noise import LineNoise
 from compute.signal.reference import find_peaks_reference
 from compute.signal.settings import CentroidSettings
@@ -163,11 +163,13 @@ def test_a_finder_that_cannot_be_is_refused_with_the_reason(lines, pixels, devic
 
 @pytest.mark.parametrize("sensors", [1, 3, 4])
 @pytest.mark.parametrize("threads", [2, 3, 7])
-def test_threads_share_a_batch_and_change_nothing(threads, sensors):
+def test_threads_share_a_batch_and_change_nothing(threads, sensors, monkeypatch):
+    monkeypatch.setattr(runner, "HEAD_START_PIXELS", 50_000)
+    monkeypatch.setattr(runner, "PIXELS_PER_THREAD", 100_000)
     # Noise by sensor: a part that began with another sensor than 0 would find other peaks.
     noise = LineNoise.of(GAIN, np.linspace(5.0, 200.0, sensors), OFFSET, FULL)
     lines = np.tile(varied_lines(120, 512, np.random.default_rng(3)), (17, 1))
-    assert lines.size > threads * PIXELS_PER_THREAD
+    assert lines.size > 50_000 + threads * 100_000
     options = CentroidSettings(max_peaks=3)
     one = CentroidFinder(len(lines), 512, options, noise, "cpu", threads=1)
     more = CentroidFinder(len(lines), 512, options, noise, "cpu", threads=threads)

@@ -192,8 +192,8 @@ def _print(found: LineScans, names: tuple[str, ...]) -> None:
     split = sum(scan.further_peaks or 0 for scan in found.lines)
     if split:
         console.print(
-            f"- {split} of the peaks only explain the pixels better beside others: lines that are "
-            "not Gaussian are split so; --no-further-peaks fits one for each that is seen",
+            f"- further peaks, added because the pixels ask for them: {split}. A line that is not "
+            "Gaussian is split so, too; --no-further-peaks fits one for each that is seen",
             highlight=False,
         )
     for text in found.assumed:

@@ -20,6 +20,7 @@ from benchmarks.signal_peers import by_find_peaks, by_numpy, numba_method
 from compute.signal.finder import CentroidFinder
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.settings import FitSettings
+from compute.signal.peak_finder import PeakFinder
 from compute.signal.settings import CentroidSettings
 
 Row = dict[str, str | int | float]
@@ -155,7 +156,7 @@ def read_bytes_per_s(megabytes: int = 256, repeats: int = 7) -> float:
     return parts.nbytes / best
 
 
-def queued_us(finder: CentroidFinder | FitFinder, count: int, seconds: float) -> float:
+def queued_us(finder: PeakFinder, count: int, seconds: float) -> float:
     """Return the time of a launch [us], from launches queued one after another."""
     launches = 20
 

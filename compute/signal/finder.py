@@ -4,11 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.signal.noise import LineNoise
+from compute.signal.peak_finder import PeakFinder
 from compute.signal.peaks import JOINT_PEAKS, PeakBatch
 from compute.signal.settings import CentroidSettings
 
 
-class CentroidFinder:
+class CentroidFinder(PeakFinder):
     """Threshold and centre of gravity of many lines at once (thesis [4.1], 4.2.2) by Warp.
 
     Warp is not thread-safe: one thread makes the finder and calls it. Making it loads Warp and
@@ -45,7 +46,7 @@ class CentroidFinder:
         from compute.signal.native.runner import LineRunner
 
         self.settings = settings
-        self._runner = LineRunner(
+        runner = LineRunner(
             wp,
             find_peaks,
             lines,
@@ -64,47 +65,13 @@ class CentroidFinder:
             threads,
             reads_once=pixels <= BLOCK_PIXELS,
         )
+        super().__init__(runner)
         shape = (lines, settings.max_peaks)
         # Of all batches: a centre of gravity has neither.
         self._reduced_chi2 = np.full(shape, np.nan, np.float32)
         self._covariance_px2 = np.zeros((*shape, JOINT_PEAKS - 1), np.float32)
         for array in (self._reduced_chi2, self._covariance_px2):
             array.flags.writeable = False
-
-    @property
-    def device(self) -> str:
-        """Name of the device."""
-        return self._runner.device
-
-    def find(self, lines: NDArray[np.uint16]) -> PeakBatch:
-        """Find the peaks of lines, uint16, shape (L, P), with L at most the finder's ``lines``.
-
-        Only the returned arrays are allocated (and a copy, where the rows do not lie one after
-        another in memory).
-
-        Raises:
-            InvalidParameter: another type or shape.
-        """
-        return self._collect(self._runner.find(lines))
-
-    def upload(self, lines: NDArray[np.uint16]) -> None:
-        """Bring lines to the device; on the CPU they stay where they are, until ``launch``.
-
-        ``find`` is upload, launch and download; apart, they time the kernel alone.
-        """
-        self._runner.upload(lines)
-
-    def launch(self, count: int) -> None:
-        """Start the kernel on the first ``count`` of the uploaded lines.
-
-        Raises:
-            InvalidParameter: there are not so many.
-        """
-        self._runner.launch(count)
-
-    def download(self, count: int) -> PeakBatch:
-        """Wait for the kernel and return the peaks of the first ``count`` lines."""
-        return self._collect(self._runner.download(count))
 
     def _collect(self, records: NDArray[np.void]) -> PeakBatch:
         own = records.copy()

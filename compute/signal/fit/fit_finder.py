@@ -9,11 +9,12 @@ from compute.signal.fit.fit_plan import pack_plan
 from compute.signal.fit.settings import FitSettings
 from compute.signal.fit.shape import LineShape
 from compute.signal.noise import LineNoise
+from compute.signal.peak_finder import PeakFinder
 from compute.signal.peaks import PeakBatch
 from compute.warp_host import warp_device
 
 
-class FitFinder:
+class FitFinder(PeakFinder):
     """Search and weighted fit of many lines at once by Warp; ``FitSettings`` defines it.
 
     Warp is not thread-safe: one thread makes the finder and calls it. Making it loads Warp and
@@ -58,7 +59,7 @@ class FitFinder:
             dtype=wp.uint64,
             device=warp_device(wp, device),
         )
-        self._runner = LineRunner(
+        runner = LineRunner(
             wp,
             fit_peaks,
             lines,
@@ -78,52 +79,17 @@ class FitFinder:
             device,
             threads,
         )
+        super().__init__(runner)
 
-    @property
-    def device(self) -> str:
-        """Name of the device."""
-        return self._runner.device
-
-    def find(self, lines: NDArray[np.uint16]) -> PeakBatch:
-        """Fit the peaks of lines, uint16, shape (L, P), with L at most the finder's ``lines``.
-
-        Only the returned arrays are allocated (and a copy, where the rows do not lie one after
-        another in memory).
-
-        Raises:
-            InvalidParameter: another type or shape.
-        """
-        return _batch_of(self._runner.find(lines))
-
-    def upload(self, lines: NDArray[np.uint16]) -> None:
-        """Bring lines to the device; on the CPU they stay where they are, until ``launch``.
-
-        ``find`` is upload, launch and download; apart, they time the kernel alone.
-        """
-        self._runner.upload(lines)
-
-    def launch(self, count: int) -> None:
-        """Start the kernel on the first ``count`` of the uploaded lines.
-
-        Raises:
-            InvalidParameter: there are not so many.
-        """
-        self._runner.launch(count)
-
-    def download(self, count: int) -> PeakBatch:
-        """Wait for the kernel and return the peaks of the first ``count`` lines."""
-        return _batch_of(self._runner.download(count))
-
-
-def _batch_of(records: NDArray[np.void]) -> PeakBatch:
-    peaks = records["peaks"]
-    return PeakBatch(
-        records["count"].copy(),
-        peaks["position_px"].copy(),
-        peaks["sigma_px"].copy(),
-        peaks["amplitude"].copy(),
-        peaks["width_px"].copy(),
-        peaks["flags"].copy(),
-        peaks["reduced_chi2"].copy(),
-        peaks["covariance_px2"].copy(),
-    )
+    def _collect(self, records: NDArray[np.void]) -> PeakBatch:
+        peaks = records["peaks"]
+        return PeakBatch(
+            records["count"].copy(),
+            peaks["position_px"].copy(),
+            peaks["sigma_px"].copy(),
+            peaks["amplitude"].copy(),
+            peaks["width_px"].copy(),
+            peaks["flags"].copy(),
+            peaks["reduced_chi2"].copy(),
+            peaks["covariance_px2"].copy(),
+        )

@@ -1,0 +1,62 @@
+"""PeakFinder: what finds the peaks of batches of lines, by a kernel on one device."""
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.peaks import PeakBatch
+
+if TYPE_CHECKING:
+    from compute.signal.native.runner import LineRunner
+
+
+class PeakFinder(ABC):
+    """A kernel with its buffers, and how its records become peaks.
+
+    Args:
+        runner: runs the kernel.
+    """
+
+    def __init__(self, runner: "LineRunner") -> None:
+        self._runner = runner
+
+    @property
+    def device(self) -> str:
+        """Name of the device."""
+        return self._runner.device
+
+    def find(self, lines: NDArray[np.uint16]) -> PeakBatch:
+        """Find the peaks of lines, uint16, shape (L, P), with L at most the finder's ``lines``.
+
+        Only the returned arrays are allocated (and a copy, where the rows do not lie one after
+        another in memory).
+
+        Raises:
+            InvalidParameter: another type or shape.
+        """
+        return self._collect(self._runner.find(lines))
+
+    def upload(self, lines: NDArray[np.uint16]) -> None:
+        """Bring lines to the device; on the CPU they stay where they are, until ``launch``.
+
+        ``find`` is upload, launch and download; apart, they time the kernel alone.
+        """
+        self._runner.upload(lines)
+
+    def launch(self, count: int) -> None:
+        """Start the kernel on the first ``count`` of the uploaded lines.
+
+        Raises:
+            InvalidParameter: there are not so many.
+        """
+        self._runner.launch(count)
+
+    def download(self, count: int) -> PeakBatch:
+        """Wait for the kernel and return the peaks of the first ``count`` lines."""
+        return self._collect(self._runner.download(count))
+
+    @abstractmethod
+    def _collect(self, records: NDArray[np.void]) -> PeakBatch:
+        """Return the peaks of lines' records, which stand only until the next call."""

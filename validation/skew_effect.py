@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.aberrations.field_distortion import Term, all_terms, power_terms
+from compute.camera.field_distortion import Term, all_terms, power_terms
 from compute.optics.aberrations.field_fit import FieldModel, fit_field_model
 from compute.optics.aberrations.skew_rays import effective_index, in_plane_stack
 from compute.optics.profiles.loader import load_profile

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.aberrations.field_distortion import Term
+from compute.camera.field_distortion import Term
 from compute.optics.aberrations.field_fit import FieldFit, FieldModel, fit_field_model
 from compute.optics.line_optics.exact import TracedLines
 from compute.optics.line_optics.line_shape import Blur

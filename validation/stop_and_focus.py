@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from compute.camera.field_distortion import all_terms
 from compute.errors import LumilineError
-from compute.optics.aberrations.field_distortion import all_terms
 from validation.aberrations_lens import STOP_PLACES, WIDTH_MM, StopPlace, stopped_lens
 from validation.stop_figures import (
     ELECTRONS_PER_SR,

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from compute.camera.field_distortion import Term
 from compute.errors import NoConvergence
-from compute.optics.aberrations.field_distortion import Term
 from compute.optics.aberrations.paraxial import paraxial_system
 from compute.optics.aberrations.seidel import Conjugates, seidel_sums
 from compute.optics.line_optics.exact import Fineness, TracedLines

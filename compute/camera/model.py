@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from compute.camera.field_distortion import FieldDistortion
+
 Vector3 = tuple[float, float, float]
 
 
@@ -30,14 +32,24 @@ PARAMETERS: Final = (
 rotation in the sensor's frame (``R <- exp([w]x) R``)."""
 
 PARAMETER_COUNT: Final = len(PARAMETERS)
+"""Parameters of a camera without distortion. One with distortion has more: after the seven come
+``offset_y_mm`` and its coefficients, see ``parameter_names``."""
 
 
 @dataclass(frozen=True)
 class SensorGeometry:
-    """What is known of a sensor before calibration: its name and number of pixels."""
+    """What is known of a sensor before calibration.
+
+    Args:
+        name: the sensor's name.
+        pixels: number of pixels.
+        pitch_um: pixel pitch [um]; None: not known, and then nor is the row's distance behind the
+            lens (``FieldDistortion.row_behind_mm``).
+    """
 
     name: str
     pixels: int
+    pitch_um: float | None = None
 
 
 @dataclass(frozen=True)
@@ -46,8 +58,9 @@ class SensorModel:
 
     The frame has x along the sensor, y along the slit (the lens's axis) and z towards the scene;
     ``x = r1 . X + offset_x_mm`` and ``z = r3 . X + offset_z_mm`` for a world point X [mm], with
-    r1, r3 the first and third row of the rotation. A shift along the slit changes no reading,
-    so it is no parameter.
+    r1, r3 the first and third row of the rotation. A shift along the slit changes no reading of
+    such a camera, so it is no parameter. With distortion ``p = p0 + c (u + d(u, v))``, see
+    ``compute.camera.field_distortion``, and the shift along the slit is one.
 
     Args:
         name: the sensor's name in its device.
@@ -59,6 +72,7 @@ class SensorModel:
         offset_z_mm: z of the world's origin in the sensor's frame [mm].
         cubic_per_px2: D of thesis [5.2]; a reading p is first corrected to
             ``p + D (p - p0)^3`` ([5.12]). Zero in the metric calibration.
+        distortion: the lens's distortion by both field angles; None: none.
     """
 
     name: str
@@ -69,6 +83,21 @@ class SensorModel:
     offset_x_mm: float
     offset_z_mm: float
     cubic_per_px2: float = 0.0
+    distortion: FieldDistortion | None = None
+
+    @property
+    def parameter_count(self) -> int:
+        """Number of parameters: 7, or 8 and one for each term of the distortion."""
+        extra = 0 if self.distortion is None else 1 + len(self.distortion.terms)
+        return PARAMETER_COUNT + extra
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters in the order of Jacobians and covariances."""
+        if self.distortion is None:
+            return PARAMETERS
+        terms = (f"u{i}v{j}" for i, j in self.distortion.terms)
+        return (*PARAMETERS, "offset_y_mm", *terms)
 
     @cached_property
     def rotation(self) -> NDArray[np.float64]:
@@ -77,9 +106,17 @@ class SensorModel:
         return matrix
 
     def moved(self, step: NDArray[np.float64]) -> "SensorModel":
-        """Return the model after a step of the seven parameters, in the order of PARAMETERS."""
+        """Return the model after a step of its parameters, in the order of ``parameter_names``."""
         turned = Rotation.from_rotvec(step[2:5]) * Rotation.from_rotvec(self.rotation_vector_rad)
         x, y, z = turned.as_rotvec()
+        distortion = self.distortion
+        if distortion is not None:
+            coefficients = np.asarray(distortion.coefficients) + step[PARAMETER_COUNT + 1 :]
+            distortion = replace(
+                distortion,
+                offset_y_mm=distortion.offset_y_mm + float(step[PARAMETER_COUNT]),
+                coefficients=tuple(coefficients.tolist()),
+            )
         return replace(
             self,
             principal_distance_px=self.principal_distance_px + float(step[0]),
@@ -87,4 +124,5 @@ class SensorModel:
             rotation_vector_rad=(float(x), float(y), float(z)),
             offset_x_mm=self.offset_x_mm + float(step[5]),
             offset_z_mm=self.offset_z_mm + float(step[6]),
+            distortion=distortion,
         )

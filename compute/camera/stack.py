@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.camera.field_distortion import Term, term_slopes, term_values
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 
 Array = NDArray[np.float64]
@@ -20,8 +21,14 @@ class CameraStack:
         principal_distance_px: c, shape (S,) [px].
         principal_point_px: p0, shape (S,) [px].
         rotation: R_sensor_world, shape (S, 3, 3).
-        offset_mm: x and z of the world's origin in the sensors' frames, shape (S, 2) [mm].
+        offset_mm: the world's origin in the sensors' frames, x, y, z, shape (S, 3) [mm]; y is 0
+            and of no meaning where a sensor has no distortion.
         cubic_per_px2: D of thesis [5.2], shape (S,) [1/px^2].
+        terms: all terms of the sensors' distortions, K of them; empty without distortion.
+        coefficients: of the terms, shape (S, K); 0 where a sensor has not got one.
+        row_behind_mm: shape (S,) [mm], see ``FieldDistortion``.
+        places: where each sensor's columns are in the list of all its own parameters, sensor by
+            sensor, shape (S, width); -1 for a parameter that it has not got.
     """
 
     principal_distance_px: Array
@@ -29,30 +36,90 @@ class CameraStack:
     rotation: Array
     offset_mm: Array
     cubic_per_px2: Array
+    terms: tuple[Term, ...]
+    coefficients: Array
+    row_behind_mm: Array
+    places: NDArray[np.intp]
 
     @classmethod
     def of(cls, models: Sequence[SensorModel]) -> "CameraStack":
         """Gather the models' parameters in order."""
+        distortions = [model.distortion for model in models]
+        # A dict keeps the order in which terms first come up.
+        terms = tuple(dict.fromkeys(t for d in distortions if d is not None for t in d.terms))
+        distorted = any(d is not None for d in distortions)
+        width = PARAMETER_COUNT + (1 + len(terms) if distorted else 0)
+        coefficients = np.zeros((len(models), len(terms)))
+        places = np.full((len(models), width), -1, dtype=np.intp)
+        first = 0
+        for row, (model, distortion) in enumerate(zip(models, distortions, strict=True)):
+            columns = list(range(PARAMETER_COUNT))
+            if distortion is not None:
+                own = [terms.index(term) for term in distortion.terms]
+                coefficients[row, own] = distortion.coefficients
+                columns += [PARAMETER_COUNT, *(PARAMETER_COUNT + 1 + column for column in own)]
+            places[row, columns] = np.arange(first, first + len(columns))
+            first += model.parameter_count
         return cls(
             np.array([model.principal_distance_px for model in models], dtype=np.float64),
             np.array([model.principal_point_px for model in models], dtype=np.float64),
             np.array([model.rotation for model in models]).reshape(-1, 3, 3),
-            np.array([(model.offset_x_mm, model.offset_z_mm) for model in models]).reshape(-1, 2),
+            np.array(
+                [
+                    (
+                        model.offset_x_mm,
+                        0.0 if model.distortion is None else model.distortion.offset_y_mm,
+                        model.offset_z_mm,
+                    )
+                    for model in models
+                ]
+            ).reshape(-1, 3),
             np.array([model.cubic_per_px2 for model in models], dtype=np.float64),
+            terms,
+            coefficients,
+            np.array([0.0 if d is None else d.row_behind_mm for d in distortions]),
+            places,
         )
 
     def __len__(self) -> int:
         """Return the number of cameras."""
         return len(self.principal_distance_px)
 
+    @property
+    def distorted(self) -> bool:
+        """Whether any camera has distortion by its field angles."""
+        return self.width > PARAMETER_COUNT
+
+    @property
+    def width(self) -> int:
+        """Parameters of a sensor in the Jacobians: 7, or 8 + K with distortion."""
+        return int(self.places.shape[1])
+
+    @cached_property
+    def owned(self) -> NDArray[np.bool_]:
+        """Which of the ``width`` parameters each sensor has, shape (S, width)."""
+        return self.places >= 0
+
+    def spread_covariance(self, covariance: Array) -> Array:
+        """Return a joint covariance (P, P) by sensor and column, shape (S, width, S, width).
+
+        P counts the parameters that the sensors have, sensor by sensor in the order of
+        ``SensorModel.parameter_names``; what a sensor has not got is certain, 0.
+        """
+        here = np.flatnonzero(self.owned)
+        order = self.places.ravel()[here]
+        full = np.zeros((self.places.size, self.places.size))
+        full[np.ix_(here, here)] = covariance[np.ix_(order, order)]
+        return full.reshape(len(self), self.width, len(self), self.width)
+
     @cached_property
     def matrices(self) -> Array:
-        """The 2x4 matrices (m1; m2) with ``p = m1.X~ / m2.X~``, shape (S, 2, 4).
+        """The 2x4 matrices (m1; m2) with ``p = m1.X~ / m2.X~``, shape (S, 2, 4), undistorted.
 
         In this gauge m2 is the viewing axis, so that m2.X~ is the depth in mm.
         """
         along = np.concatenate([self.rotation[:, 0], self.offset_mm[:, :1]], axis=1)
-        depth = np.concatenate([self.rotation[:, 2], self.offset_mm[:, 1:]], axis=1)
+        depth = np.concatenate([self.rotation[:, 2], self.offset_mm[:, 2:]], axis=1)
         first = (
             self.principal_distance_px[:, None] * along + self.principal_point_px[:, None] * depth
         )
@@ -72,32 +139,83 @@ class CameraStack:
         NaN where the point does not lie in front of the lens. A reading may lie outside the
         sensor: the line of pixels has an end, the projection has none.
         """
+        if self.distorted:
+            return self._distorted(points_mm)[0]
         u, _ = self._field(points_mm)
         return self.principal_point_px + self.principal_distance_px * u
 
     def _field(self, points_mm: Array) -> tuple[Array, Array]:
         """Return u = x/z and the depth z [mm], both (N, S); NaN at and behind the lens."""
         sensor: Array = np.einsum("sij,nj->nsi", self.rotation[:, ::2], points_mm)
-        sensor += self.offset_mm
+        sensor += self.offset_mm[:, ::2]
         depth = np.where(sensor[..., 1] > 0.0, sensor[..., 1], np.nan)
         return sensor[..., 0] / depth, depth
 
+    def field_angles(self, points_mm: Array) -> tuple[Array, Array]:
+        """Return u = x/z and v = y/(z + row_behind), both (N, S); NaN at and behind the lens.
+
+        v is the field angle along the slit only where the sensor has distortion: see offset_mm.
+        """
+        sensor: Array = np.einsum("sij,nj->nsi", self.rotation, points_mm) + self.offset_mm
+        depth = np.where(sensor[..., 2] > 0.0, sensor[..., 2], np.nan)
+        return sensor[..., 0] / depth, sensor[..., 1] / (depth + self.row_behind_mm)
+
     def linearised(self, points_mm: Array) -> tuple[Array, Array]:
         """Project points (N, 3) and return readings (N, S) and d reading / d point (N, S, 3)."""
+        if self.distorted:
+            reading, by_frame, _, _ = self._distorted(points_mm)
+            slope: Array = np.einsum("nsi,sij->nsj", by_frame, self.rotation)
+            return reading, slope
         u, depth = self._field(points_mm)
         gain = self.principal_distance_px / depth
         slope = gain[..., None] * (self.rotation[:, 0] - u[..., None] * self.rotation[:, 2])
         return self.principal_point_px + self.principal_distance_px * u, slope
 
     def parameter_jacobian(self, points_mm: Array) -> Array:
-        """Return d reading / d parameters, shape (N, S, 7), in the order of PARAMETERS."""
+        """Return d reading / d parameters, shape (N, S, width).
+
+        The order is that of PARAMETERS, then offset_y_mm and the terms' coefficients where any
+        sensor has distortion; 0 for what a sensor has not got.
+        """
         rotated = np.einsum("sij,nj->nsi", self.rotation, points_mm)
-        u, depth = self._field(points_mm)
-        return reading_slopes(rotated, u, self.principal_distance_px / depth)
+        if not self.distorted:
+            u, depth = self._field(points_mm)
+            return reading_slopes(rotated, u, self.principal_distance_px / depth)
+        _, by_frame, angle, values = self._distorted(points_mm)
+        jacobian = np.empty((*angle.shape, self.width))
+        jacobian[..., 0] = angle
+        jacobian[..., 1] = 1.0
+        # A left rotation w moves R X by w x R X.
+        jacobian[..., 2:5] = np.cross(rotated, by_frame)
+        jacobian[..., 5] = by_frame[..., 0]
+        jacobian[..., 6] = by_frame[..., 2]
+        jacobian[..., 7] = by_frame[..., 1]
+        jacobian[..., 8:] = self.principal_distance_px[:, None] * values
+        jacobian *= self.owned
+        return jacobian
+
+    def _distorted(self, points_mm: Array) -> tuple[Array, Array, Array, Array]:
+        """Return readings, their slopes by a shift in the sensor's frame, u + d, and the terms.
+
+        Shapes (N, S), (N, S, 3), (N, S) and (N, S, K).
+        """
+        sensor: Array = np.einsum("sij,nj->nsi", self.rotation, points_mm) + self.offset_mm
+        depth = np.where(sensor[..., 2] > 0.0, sensor[..., 2], np.nan)
+        to_row = depth + self.row_behind_mm
+        u, v = sensor[..., 0] / depth, sensor[..., 1] / to_row
+        values = term_values(u, v, self.terms)
+        slope_u, slope_v = term_slopes(u, v, self.terms)
+        angle = u + np.einsum("nsk,sk->ns", values, self.coefficients)
+        c = self.principal_distance_px
+        by_frame = np.empty((*u.shape, 3))
+        by_frame[..., 0] = c / depth * (1.0 + np.einsum("nsk,sk->ns", slope_u, self.coefficients))
+        by_frame[..., 1] = c / to_row * np.einsum("nsk,sk->ns", slope_v, self.coefficients)
+        by_frame[..., 2] = -(u * by_frame[..., 0] + v * by_frame[..., 1])
+        return self.principal_point_px + c * angle, by_frame, angle, values
 
 
 def reading_slopes(rotated_mm: Array, u: Array, gain: Array) -> Array:
-    """Return d reading / d parameters, shape (..., 7), in the order of PARAMETERS.
+    """Return d reading / d parameters without distortion, shape (..., 7), as in PARAMETERS.
 
     Args:
         rotated_mm: R X, the points turned but not shifted, shape (..., 3) [mm].

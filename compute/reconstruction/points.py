@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from compute.camera.model import PARAMETER_COUNT, SensorModel
+from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.reconstruction.estimate import PointBatch, PointFlag
 from compute.reconstruction.linear import reconstruct_linear
@@ -40,8 +40,8 @@ def reconstruct(
         models: S calibrated cameras (or their stack, when it is used again and again).
         readings_px: shape (N, S) [px]; NaN where a sensor did not see the point.
         sigma_px: standard deviations of the readings, shape (N, S) or (S,) [px], positive.
-        parameter_covariance: joint covariance of the cameras' parameters, shape (7 S, 7 S).
-            None: the cameras are taken as exact.
+        parameter_covariance: joint covariance of the cameras' parameters, shape (P, P), sensor by
+            sensor in the order of ``SensorModel.parameter_names``. None: taken as exact.
 
     Returns:
         The points; those that cannot be had carry NaN and a flag that says why.
@@ -102,7 +102,7 @@ def _whitening(
         return np.eye(len(cameras)) / sigma[:, :, None]
     sensors = len(cameras)
     slopes = np.nan_to_num(cameras.parameter_jacobian(position)) * used[..., None]
-    blocks = parameter_covariance.reshape(sensors, PARAMETER_COUNT, sensors, PARAMETER_COUNT)
+    blocks = cameras.spread_covariance(parameter_covariance)
     covariance: Array = np.einsum("nsp,sptq,ntq->nst", slopes, blocks, slopes)
     diagonal = np.arange(sensors)
     covariance[:, diagonal, diagonal] += sigma**2

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from compute.camera.model import Vector3, vector3
-from compute.errors import DegeneratePoints, NoConvergence, TooFewPoints
-from compute.optics.aberrations.field_distortion import (
+from compute.camera.field_distortion import (
     Term,
     check_terms,
     distortion,
     term_slopes,
     term_values,
 )
+from compute.camera.model import Vector3, vector3
+from compute.errors import DegeneratePoints, NoConvergence, TooFewPoints
 
 Array = NDArray[np.float64]
 

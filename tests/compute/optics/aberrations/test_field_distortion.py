@@ -8,10 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from compute.camera.model import SensorModel
-from compute.camera.stack import CameraStack
-from compute.errors import DegeneratePoints, InvalidParameter, NoConvergence, TooFewPoints
-from compute.optics.aberrations.field_distortion import (
+from compute.camera.field_distortion import (
     DEGENERATE,
     all_terms,
     check_terms,
@@ -22,6 +19,9 @@ from compute.optics.aberrations.field_distortion import (
     term_values,
     undistorted,
 )
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+from compute.errors import DegeneratePoints, InvalidParameter, NoConvergence, TooFewPoints
 from compute.optics.aberrations.field_fit import FieldModel, fit_field_model
 
 RNG = np.random.default_rng(5)

@@ -1,15 +1,17 @@
 """Distortion as a polynomial in both field angles: its terms, values, slopes and inverse.
 
 A point at x, y, z in a sensor's frame is read at ``p = p0 + c (u + d(u, v))`` with the field
-angles ``u = x/z`` along the row and ``v = y/z`` along the lens's axis, and
-``d = sum a_ij u^i v^j``. With u alone it is what the thesis fits ([3.4], [3.21], Tables 3.1 and
-3.2); v comes in by the skew effect, see ``skew_rays``.
+angles ``u = x/z`` along the row and ``v = y/(z + d)`` along the lens's axis, and
+``d(u, v) = sum a_ij u^i v^j``; the light that is read goes to the row, the distance d behind the
+lens, and not to the lens's middle. With u alone it is what the thesis fits ([3.4], [3.21],
+Tables 3.1 and 3.2); v comes in by the skew effect, see ``skew_rays``.
 
 Five terms are no distortion: a camera does the same by its own parameters, at least to first
 order, and a fit of both has no single solution. They are in DEGENERATE.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -29,6 +31,38 @@ DEGENERATE: Final[dict[Term, str]] = {
     (1, 1): "tilt, a turn about the row",
 }
 """Terms that a camera's own parameters make up for, and which."""
+
+
+@dataclass(frozen=True)
+class FieldDistortion:
+    """What a sensor's lens adds to the angle u that is read, as ``sum a_ij u^i v^j``.
+
+    Args:
+        terms: powers (i, j); none of those in DEGENERATE.
+        coefficients: a_ij, in the order of the terms.
+        offset_y_mm: y of the world's origin in the sensor's frame, along the slit [mm]. No reading
+            of a camera without distortion depends on it; v does.
+        row_behind_mm: how far behind the lens the row of pixels is, its glass taken as air, about
+            the principal distance [mm]; known, not fitted. 0 where it is not known: then v is
+            taken to the lens's middle, which costs some hundredths of a pixel in a wide field.
+
+    Raises:
+        InvalidParameter: terms that are refused by ``check_terms``, or not one coefficient each.
+    """
+
+    terms: tuple[Term, ...]
+    coefficients: tuple[float, ...]
+    offset_y_mm: float = 0.0
+    row_behind_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_terms(self.terms)
+        if len(self.coefficients) != len(self.terms):
+            raise InvalidParameter(
+                f"{len(self.coefficients)} coefficients for {len(self.terms)} terms; give one each",
+                coefficients=len(self.coefficients),
+            )
+
 
 _TURNS: Final = 50
 _SETTLED: Final = 1e-14

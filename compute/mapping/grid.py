@@ -1,0 +1,62 @@
+"""VoxelGrid: a box of equal cells in object space."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.model import Vector3
+from compute.errors import InvalidParameter
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VoxelGrid:
+    """Equal cells along the axes of the world frame.
+
+    Args:
+        origin_mm: the corner of the first cell with the least coordinates [mm].
+        pitch_mm: edges of a cell [mm], positive.
+        cells: how many there are along x, y and z, each 1 or more.
+
+    Raises:
+        InvalidParameter: a value that is none of that.
+    """
+
+    origin_mm: Vector3
+    pitch_mm: Vector3
+    cells: tuple[int, int, int]
+
+    def __post_init__(self) -> None:
+        if not all(np.isfinite(value) for value in self.origin_mm):
+            raise InvalidParameter(f"origin_mm is {self.origin_mm}; it must be finite")
+        if not all(0.0 < value < np.inf for value in self.pitch_mm):
+            raise InvalidParameter(f"pitch_mm is {self.pitch_mm}; it must be positive")
+        if not all(count >= 1 for count in self.cells):
+            raise InvalidParameter(f"cells is {self.cells}; there must be at least one each way")
+
+    @property
+    def end_mm(self) -> Array:
+        """The corner opposite to the origin, shape (3,) [mm]."""
+        end: Array = np.asarray(self.origin_mm) + np.asarray(self.pitch_mm) * np.asarray(self.cells)
+        return end
+
+    def locate(self, points_mm: Array) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
+        """Return the cells of points, the places in them, and which points lie in the box.
+
+        A point beyond the box is taken to the nearest place on its surface.
+
+        Args:
+            points_mm: shape (N, 3) [mm], finite.
+
+        Returns:
+            Cell indices (N, 3), fractions in [0, 1] (N, 3), and whether inside (N,). A point on a
+            face between two cells belongs to the upper one, on the box's end to the last.
+        """
+        place = (points_mm - np.asarray(self.origin_mm)) / np.asarray(self.pitch_mm)
+        count = np.asarray(self.cells)
+        inside = ((place >= 0.0) & (place <= count)).all(axis=1)
+        place = np.clip(place, 0.0, count)
+        cell = np.minimum(place.astype(np.intp), count - 1)
+        return cell, place - cell, inside

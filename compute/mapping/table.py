@@ -104,7 +104,9 @@ class CorrectionTable:
         cell, place, inside = self.grid.locate(np.where(known[:, None], points_mm, 0.0))
         value, slope = self._splines(cell, place)
         # Beyond the box the correction does not change along the axes that are clamped.
-        clamped = (points_mm < np.asarray(self.grid.origin_mm)) | (points_mm > self.grid.end_mm)
+        clamped: NDArray[np.bool_] = np.logical_or(
+            points_mm < np.asarray(self.grid.origin_mm), points_mm > self.grid.end_mm
+        )
         slope[np.broadcast_to(clamped[:, None, :], slope.shape)] = 0.0
         corner, _ = basis(place, 1)
         variance = _tensor(self.variance_px2, cell, corner)

@@ -100,7 +100,7 @@ class CorrectionTable:
 
     def at(self, points_mm: Array) -> Corrections:
         """Return the corrections at points (N, 3) [mm]; NaN points have none and are outside."""
-        known: NDArray[np.bool_] = np.isfinite(points_mm).all(axis=1)
+        known = np.asarray(np.isfinite(points_mm).all(axis=1))
         cell, place, inside = self.grid.locate(np.where(known[:, None], points_mm, 0.0))
         value, slope = self._splines(cell, place)
         # Beyond the box the correction does not change along the axes that are clamped.

@@ -1,0 +1,1 @@
+"""Wrong, missing and exchanged labels in control data: found, named, and mended on request."""

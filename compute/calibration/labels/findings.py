@@ -1,0 +1,51 @@
+"""What a search for label errors in control data says."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+LabelErrorKind = Literal["wrong", "exchanged", "missing"]
+LabelPolicy = Literal["report", "exclude", "repair"]
+
+
+@dataclass(frozen=True)
+class LabelFinding:
+    """One label error.
+
+    Args:
+        kind: "wrong": the reading is none of this point's. "exchanged": readings carry each
+            other's labels. "missing": the reading belongs to another point, which has none.
+        sensor: the sensor's name; None: all sensors, the points themselves carry each other's
+            labels.
+        points: counted from 1. "wrong": the point. "exchanged": the reading labelled with each
+            of these belongs to the next, the last one's to the first. "missing": the label that
+            the reading carries, and the point that it belongs to.
+        probability: that this is so, among all explanations looked at, from 0 to 1.
+        off_px: by how much the readings labelled ``points`` miss what the sensor, calibrated
+            without the error, reads there [px]; for all sensors, by that which misses it most;
+            NaN where there is no reading is given as None.
+        off_sigma: the same over the standard deviation of that difference, noise and the
+            calibration's uncertainty.
+    """
+
+    kind: LabelErrorKind
+    sensor: str | None
+    points: tuple[int, ...]
+    probability: float
+    off_px: tuple[float | None, ...]
+    off_sigma: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class LabelReport:
+    """The label errors of a device's control data.
+
+    Args:
+        findings: the errors, those of all sensors first, then sensor by sensor.
+        sigma_px: standard deviation of a reading that each sensor's search ended with [px].
+        clear: for each sensor, probability of the explanation that the findings make together;
+            low where others explain its readings about as well.
+    """
+
+    findings: tuple[LabelFinding, ...]
+    sigma_px: tuple[float, ...]
+    clear: tuple[float, ...]

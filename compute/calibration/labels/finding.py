@@ -1,22 +1,34 @@
-"""One wrong or exchanged label, and how sure that is."""
+"""One label error in control data, and how sure it is."""
 
 from dataclasses import dataclass
 from typing import Literal
 
+LabelErrorKind = Literal["wrong", "exchanged", "missing"]
+
 
 @dataclass(frozen=True)
 class LabelFinding:
-    """A reading that cannot be its point's, or an exchange that mends two.
+    """One label error.
 
     Args:
-        kind: "wrong": the reading fits no other point. "exchanged": the readings of two points
-            belong to one another.
-        sensor: the sensor's name; None: the points themselves are exchanged, for all sensors.
-        points: the points concerned, counted from 1: one or two.
-        probability: how sure that is, 0 .. 1.
+        kind: "wrong": the reading is none of this point's. "exchanged": readings carry each
+            other's labels. "missing": the reading belongs to another point, which has none.
+        sensor: the sensor's name; None: all sensors, the points themselves carry each other's
+            labels.
+        points: counted from 1. "wrong": the point. "exchanged": the reading labelled with each
+            of these belongs to the next, the last one's to the first. "missing": the label that
+            the reading carries, and the point that it belongs to.
+        probability: that this is so, among all explanations looked at, from 0 to 1.
+        off_px: by how much the readings labelled ``points`` miss what the sensor, calibrated
+            without the error, reads there [px]; for all sensors, by that which misses it most;
+            NaN where there is no reading is given as None.
+        off_sigma: the same over the standard deviation of that difference, noise and the
+            calibration's uncertainty.
     """
 
-    kind: Literal["wrong", "exchanged"]
+    kind: LabelErrorKind
     sensor: str | None
     points: tuple[int, ...]
     probability: float
+    off_px: tuple[float | None, ...]
+    off_sigma: tuple[float | None, ...]

@@ -1,0 +1,132 @@
+"""Many weighted fits of one 1D camera at once, in its projective form of seven numbers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.linear import normalisation
+
+Array = NDArray[np.float64]
+
+WIDTH = 7
+NEAREST = 0.05
+"""Smallest depth of a point in a trial camera, the centroid's being 1."""
+DAMPING_FLOOR, DAMPING_CEILING = 1e-12, 1e8
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectiveCamera:
+    """Control points, ready for cameras ``p = (a.X + b) / (1 + g.X)`` with theta = (a, b, g).
+
+    All points lie in front of a camera and so does their centroid, the origin here: no camera
+    that matters is left out by setting the depth there to 1, as [5.1] does at the world's origin.
+
+    Args:
+        points: control points in the frame of ``normalisation``, shape (N, 3).
+        middle_px: subtracted from readings.
+        scale_px: readings are divided by it.
+    """
+
+    points: Array
+    middle_px: float
+    scale_px: float
+
+    @classmethod
+    def of(cls, points_mm: Array, readings_px: Array) -> "ProjectiveCamera":
+        """Prepare points (N, 3) and the readings (N,) of one sensor; NaN where not seen."""
+        seen = np.isfinite(readings_px)
+        transform = normalisation(points_mm[seen])
+        points = points_mm @ transform[:3, :3].T + transform[:3, 3]
+        return cls(points, float(readings_px[seen].mean()), float(readings_px[seen].std()) or 1.0)
+
+    def project(self, theta: Array) -> Array:
+        """Return the readings of cameras (K, 7), shape (K, N) [px]."""
+        numerator = theta[:, :3] @ self.points.T + theta[:, 3:4]
+        readings: Array = numerator / (1.0 + theta[:, 4:] @ self.points.T)
+        return readings * self.scale_px + self.middle_px
+
+    def linearised(self, theta: Array) -> tuple[Array, Array]:
+        """Return readings (K, N) [px] and their slopes by theta, shape (K, N, 7)."""
+        depth = 1.0 + theta[:, 4:] @ self.points.T
+        readings = (theta[:, :3] @ self.points.T + theta[:, 3:4]) / depth
+        slopes = np.empty((*readings.shape, WIDTH))
+        slopes[..., :3] = self.points / depth[..., None]
+        slopes[..., 3] = 1.0 / depth
+        slopes[..., 4:] = -readings[..., None] * slopes[..., :3]
+        slopes *= self.scale_px
+        return readings * self.scale_px + self.middle_px, slopes
+
+    def algebraic(self, readings_px: Array, weights: Array) -> Array:
+        """Solve [5.5] for readings (K, N) with weights (K, N), 0 for none; theta (K, 7)."""
+        q = (np.where(weights > 0.0, readings_px, self.middle_px) - self.middle_px) / self.scale_px
+        design = np.empty((*q.shape, WIDTH))
+        design[..., :3] = self.points
+        design[..., 3] = 1.0
+        design[..., 4:] = -q[..., None] * self.points
+        design *= weights[..., None]
+        return self._in_front(_solve(design, q * weights, 1e-12))
+
+    def fit(self, readings_px: Array, weights: Array, theta: Array, steps: int) -> Array:
+        """Minimise the weighted squares by Levenberg-Marquardt from theta (K, 7).
+
+        Args:
+            readings_px: shape (K, N); anything finite where the weight is 0.
+            weights: 1 / standard deviation, shape (K, N) [1/px]; 0: left out.
+            theta: starting cameras with all points in front.
+            steps: trial steps at most; ends when no camera gains by one.
+        """
+        damping = np.full(len(theta), 1e-4)
+        cost = self._cost(theta, readings_px, weights)
+        active = np.arange(len(theta))
+        theta = theta.copy()
+        for _ in range(steps):
+            fitted, slopes = self.linearised(theta[active])
+            weight = weights[active]
+            step = _solve(
+                slopes * weight[..., None],
+                (readings_px[active] - fitted) * weight,
+                damping[active],
+            )
+            trial = self._in_front(theta[active] + step)
+            new = self._cost(trial, readings_px[active], weight)
+            better = new < cost[active]
+            gain = cost[active] - new
+            theta[active[better]] = trial[better]
+            damping[active] = np.clip(
+                np.where(better, damping[active] * 0.1, damping[active] * 10.0),
+                DAMPING_FLOOR,
+                DAMPING_CEILING,
+            )
+            settled = (better & (gain <= 1e-9 * cost[active])) | (
+                ~better & ((gain >= -1e-9 * cost[active]) | (damping[active] >= DAMPING_CEILING))
+            )
+            cost[active[better]] = new[better]
+            active = active[~settled]
+            if len(active) == 0:
+                break
+        return theta
+
+    def _cost(self, theta: Array, readings_px: Array, weights: Array) -> Array:
+        squares: Array = (((self.project(theta) - readings_px) * weights) ** 2).sum(axis=1)
+        return squares
+
+    def _in_front(self, theta: Array) -> Array:
+        """Flatten the depth's slope where a point would come too near or behind."""
+        lowest = (theta[:, 4:] @ self.points.T).min(axis=1)
+        shrink = np.minimum(1.0, (1.0 - NEAREST) / np.maximum(-lowest, 1e-12))
+        theta = theta.copy()
+        theta[:, 4:] *= shrink[:, None]
+        return theta
+
+
+def _solve(design: Array, right: Array, damping: Array | float) -> Array:
+    """Solve least squares (K, N, 7) x (K, 7) = (K, N), each damped by its own diagonal."""
+    scale = np.sqrt((design**2).sum(axis=1)) + 1e-150
+    design = design / scale[:, None]
+    normal = design.swapaxes(1, 2) @ design
+    here = np.arange(WIDTH)
+    normal[:, here, here] += np.broadcast_to(np.asarray(damping), len(normal))[:, None] + 1e-13
+    slope = (design.swapaxes(1, 2) @ right[..., None])[..., 0]
+    step: Array = np.linalg.solve(normal, slope[..., None])[..., 0] / scale
+    return step

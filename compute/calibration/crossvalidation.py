@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.result import Calibration, Method
+from compute.calibration.result import Calibration
 from compute.calibration.run import calibrate
+from compute.calibration.settings import DEFAULTS, CalibrationSettings
 from compute.calibration.weights import reading_sigma
 from compute.camera.model import SensorGeometry
 from compute.errors import LumilineError
@@ -34,7 +35,7 @@ def leave_one_out(
     readings_px: Array,
     sensors: Sequence[SensorGeometry],
     sigma_px: Array | None = None,
-    method: Method = "metric",
+    settings: CalibrationSettings = DEFAULTS,
 ) -> Array:
     """Calibrate N times without one point and return its errors, shape (N, 3) [mm].
 
@@ -44,8 +45,8 @@ def leave_one_out(
     """
     errors = np.full(points_mm.shape, np.nan)
     near = None
-    if method == "metric":
-        near = calibrate(points_mm, readings_px, sensors, sigma_px, method).models
+    if settings.method == "metric":
+        near = calibrate(points_mm, readings_px, sensors, sigma_px, settings).models
     for index in range(len(points_mm)):
         rest = np.arange(len(points_mm)) != index
         try:
@@ -54,7 +55,7 @@ def leave_one_out(
                 readings_px[rest],
                 sensors,
                 None if sigma_px is None else sigma_px[rest],
-                method,
+                settings,
                 near,
             )
         except LumilineError:

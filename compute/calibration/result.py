@@ -6,9 +6,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.assessment import Diagnosis, DistortionSelection
+from compute.calibration.labels.finding import LabelFinding
+from compute.calibration.settings import CalibrationSettings, Method
 from compute.camera.model import SensorModel, Vector3, vector3
-
-Method = Literal["metric", "dlt-iterative"]
 
 
 @dataclass(frozen=True)
@@ -69,21 +70,57 @@ class AxisErrors:
 
 
 @dataclass(frozen=True)
+class CrossValidation:
+    """Points and readings predicted by calibrations that never saw them.
+
+    Args:
+        scheme: "points": left out one by one. "blocks": in blocks of space.
+        groups: how many were left out in turn.
+        errors: of the points; None where none could be had.
+        differences_mm: reconstructed minus given, point by point; None where not to be had.
+        reading_rms_px: RMS of predicted minus measured readings for each sensor [px]; None where
+            not to be had.
+    """
+
+    scheme: Literal["points", "blocks"]
+    groups: int
+    errors: AxisErrors | None
+    differences_mm: tuple[Vector3 | None, ...]
+    reading_rms_px: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
 class Calibration:
     """The camera models of one device, with what is known of their errors.
 
     Args:
         method: how it was made.
         sensors: one fit for each sensor, in the device's order.
-        covariance: joint covariance of all parameters, shape (7 S, 7 S), sensor by sensor in the
-            order of ``compute.camera.model.PARAMETERS``.
+        covariance: joint covariance of all parameters, shape (P, P), sensor by sensor in the
+            order of ``SensorModel.parameter_names``; 0 for what was not fitted.
         residuals_px: fitted minus measured reading [px], shape (N, S); None where not seen.
+        settings: what the run was asked to do; None in documents older than settings.
+        distortion: how its terms were chosen; None where none were asked for.
+        reading_weights: weights between 0 and 1 that a robust loss left to the readings, shape
+            (N, S), None where not seen; None with a linear loss.
+        point_shifts_mm: fitted minus given control points, shape (N, 3) [mm]; None where they
+            were taken as exact.
+        labels: wrong and exchanged labels that were found.
+        cross_validation: by points and by blocks, as far as they were made.
+        diagnosis: None where it was not made.
     """
 
     method: Method
     sensors: tuple[SensorFit, ...]
     covariance: tuple[tuple[float, ...], ...]
     residuals_px: tuple[tuple[float | None, ...], ...]
+    settings: CalibrationSettings | None = None
+    distortion: DistortionSelection | None = None
+    reading_weights: tuple[tuple[float | None, ...], ...] | None = None
+    point_shifts_mm: tuple[Vector3, ...] | None = None
+    labels: tuple[LabelFinding, ...] = ()
+    cross_validation: tuple[CrossValidation, ...] = ()
+    diagnosis: Diagnosis | None = None
 
     @property
     def models(self) -> tuple[SensorModel, ...]:

@@ -1,6 +1,6 @@
 """Calibrate a device: every sensor's model from control points, with a joint covariance."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 from compute.calibration.checks import check_observations
 from compute.calibration.iterative import iterative_dlt
 from compute.calibration.metric import RefinedSensor, at_solution, refine
-from compute.calibration.result import Calibration, Method, SensorFit
+from compute.calibration.result import Calibration, SensorFit
+from compute.calibration.settings import DEFAULTS, CalibrationSettings
 from compute.camera.dlt import model_from_matrix
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.errors import InvalidParameter, NoConvergence
 from compute.reconstruction.points import chi2_limit
 
 Array = NDArray[np.float64]
+
+Progress = Callable[[float, str], None]
 
 SIGMA_FLOOR_PX = 1e-6
 """Smallest deviation estimated from residuals: exact data still leave rounding."""
@@ -30,8 +33,9 @@ def calibrate(
     readings_px: Array,
     sensors: Sequence[SensorGeometry],
     sigma_px: Array | None = None,
-    method: Method = "metric",
+    settings: CalibrationSettings = DEFAULTS,
     near: Sequence[SensorModel] | None = None,
+    progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate S sensors from N control points.
 
@@ -45,8 +49,10 @@ def calibrate(
         sensors: the device's sensors in order.
         sigma_px: standard deviations of the readings, shape (N, S) [px]. None: one deviation
             for each sensor, estimated from its residuals.
-        method: "metric" or "dlt-iterative".
+        settings: method, distortion, the points' own deviation, loss, labels.
         near: for "metric", cameras known to be close, from which alone it is searched then.
+        progress: called with the fraction done and the stage in words; what it raises passes
+            through, which is how a run is cancelled.
 
     Raises:
         TooFewPoints, DegeneratePoints, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor,
@@ -57,17 +63,18 @@ def calibrate(
     readings = np.asarray(readings_px, dtype=np.float64)
     deviations = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
     check_observations(points, readings, sensors, deviations)
-    if method not in ("metric", "dlt-iterative"):
-        raise InvalidParameter(f'method is "{method}"; it must be "metric" or "dlt-iterative"')
-
+    if settings != CalibrationSettings(settings.method):
+        raise InvalidParameter(f"{settings} is not there yet")
     fits = []
     residuals = np.full(readings.shape, np.nan)
     covariance = np.zeros((PARAMETER_COUNT * len(sensors),) * 2)
     for column, sensor in enumerate(sensors):
+        if progress is not None:
+            progress(column / len(sensors), f"sensor {sensor.name}")
         seen = np.isfinite(readings[:, column])
         sigma = None if deviations is None else deviations[seen, column]
         unit = np.ones(int(seen.sum())) if sigma is None else sigma
-        if method == "metric":
+        if settings.method == "metric":
             start = near[column] if near else None
             refined = refine(points[seen], readings[seen, column], unit, sensor, start)
         else:
@@ -78,12 +85,13 @@ def calibrate(
         residuals[seen, column] = refined.residuals_px
         fits.append(fit)
     return Calibration(
-        method,
+        settings.method,
         tuple(fits),
         tuple(tuple(row) for row in covariance.tolist()),
         tuple(
             tuple(None if np.isnan(value) else float(value) for value in row) for row in residuals
         ),
+        settings,
     )
 
 

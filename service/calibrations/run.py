@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 from compute.calibration.crossvalidation import fitted_errors, leave_one_out
 from compute.calibration.result import AxisErrors, Calibration
 from compute.calibration.run import calibrate
+from compute.calibration.settings import CalibrationSettings
 from hardware.driver import SensorDescription
 from service.calibrations.observations import geometry, observations
 from service.calibrations.schema import (
@@ -59,11 +60,12 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
     points = np.array([point.position_mm for point in request.points], dtype=np.float64)
     points = points.reshape(-1, 3)
     geometries = geometry(sensors)
-    result = calibrate(points, observed.readings_px, geometries, sigma, request.method)
+    settings = CalibrationSettings(request.method)
+    result = calibrate(points, observed.readings_px, geometries, sigma, settings)
     fitted = fitted_errors(result, points, observed.readings_px, sigma)
     left_out = None
     if len(points) <= LEAVE_ONE_OUT_POINTS:
-        left_out = leave_one_out(points, observed.readings_px, geometries, sigma, request.method)
+        left_out = leave_one_out(points, observed.readings_px, geometries, sigma, settings)
     errors = ControlPointErrors(
         fitted=_point_errors(fitted),
         leave_one_out=None if left_out is None else _point_errors(left_out),

@@ -4,7 +4,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, StringConstraints, Tag
 
-from compute.calibration.result import AxisErrors, Calibration, Method
+from compute.calibration.result import AxisErrors, Calibration
+from compute.calibration.settings import Method
 from compute.camera.model import Vector3
 from service.schema import Document, Given, Moment, Name, Note, Position, Slug
 

@@ -15,8 +15,9 @@ from pydantic import TypeAdapter, ValidationError
 from rich.table import Table
 
 from compute.calibration.crossvalidation import fitted_errors, leave_one_out
-from compute.calibration.result import AxisErrors, Calibration, Method
+from compute.calibration.result import AxisErrors, Calibration
 from compute.calibration.run import calibrate
+from compute.calibration.settings import CalibrationSettings, Method
 from compute.camera.model import SensorGeometry
 from compute.errors import LumilineError
 from service.calibrations.schema import LEAVE_ONE_OUT_POINTS
@@ -39,11 +40,13 @@ def run_calibrate(path: Path, pixels: int, method: str, output: Path | None) -> 
         table = read_observations(path)
         sensors = [SensorGeometry(name, pixels) for name in table.sensors]
         arrays = table.points_mm, table.readings_px
-        found = calibrate(*arrays, sensors, table.sigma_px, chosen)
+        found = calibrate(*arrays, sensors, table.sigma_px, CalibrationSettings(chosen))
         rows = [("fitted", AxisErrors.of(fitted_errors(found, *arrays, table.sigma_px)), "")]
         if len(table.points_mm) <= LEAVE_ONE_OUT_POINTS:
             with progress_console.status("leaving out one point after another"):
-                left_out = leave_one_out(*arrays, sensors, table.sigma_px, chosen)
+                left_out = leave_one_out(
+                    *arrays, sensors, table.sigma_px, CalibrationSettings(chosen)
+                )
             rows.append(("leave one out", AxisErrors.of(left_out), ""))
     except LumilineError as error:
         raise fail(error.detail) from error

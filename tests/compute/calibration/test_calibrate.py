@@ -262,8 +262,6 @@ def test_shapes_must_fit() -> None:
         calibrate(points, readings[:, :3], geometry(rig()))
     with pytest.raises(InvalidParameter, match="shape"):
         calibrate(points[:, :2], readings, geometry(rig()))
-    with pytest.raises(InvalidParameter, match="metric"):
-        calibrate(points, readings, geometry(rig()), method="best")  # type: ignore[arg-type]
 
 
 # --- cross-validation --------------------------------------------------------------------------

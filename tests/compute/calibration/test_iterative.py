@@ -6,12 +6,15 @@ from numpy.typing import NDArray
 
 from compute.calibration.iterative import iterative_dlt
 from compute.calibration.run import calibrate
+from compute.calibration.settings import CalibrationSettings
 from compute.camera.stack import CameraStack
 from compute.errors import NoConvergence
 from compute.reconstruction.linear import reconstruct_linear
 from tests.compute.rig import control_points, geometry, project, rig
 
 Array = NDArray[np.float64]
+
+PUBLISHED = CalibrationSettings("dlt-iterative")
 
 
 def distorted(ideal: Array, cubic: float, principal_point: float) -> Array:
@@ -41,7 +44,7 @@ def test_the_cubic_term_is_found() -> None:
     cubic = 2e-9
     ideal = project(models, points)
     readings = distorted(ideal, cubic, 1023.5)
-    calibration = calibrate(points, readings, geometry(models), method="dlt-iterative")
+    calibration = calibrate(points, readings, geometry(models), settings=PUBLISHED)
     for fit in calibration.sensors:
         assert fit.model.cubic_per_px2 == pytest.approx(cubic, rel=0.2)
     stack = CameraStack.of(calibration.models)

@@ -1,14 +1,18 @@
 """Which peaks of the sensors belong to one marker, when several are seen at once."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
+from compute.mapping.table import CorrectionTable
+from compute.reconstruction.estimate import PointBatch
 from compute.reconstruction.points import chi2_limit, reconstruct
 
 Array = NDArray[np.float64]
+Solve = Callable[[Array, Array], PointBatch]
 
 MAX_CANDIDATES = 2_500
 """Combinations of peaks that are tried; 7 markers on 4 sensors make 2,401."""
@@ -40,6 +44,7 @@ def match_peaks(
     position_px: Array,
     sigma_px: Array,
     parameter_covariance: Array | None = None,
+    corrections: CorrectionTable | None = None,
 ) -> Correspondence:
     """Group the peaks of S sensors to markers by the consistency of four or more planes.
 
@@ -56,15 +61,31 @@ def match_peaks(
         position_px: peaks of each sensor, shape (S, K); NaN where there are fewer than K.
         sigma_px: their standard deviations, shape (S, K).
         parameter_covariance: as in ``reconstruct``.
+        corrections: as in ``reconstruct``.
     """
-    sensors = len(cameras)
+
+    def solve(readings_px: Array, sigma_px: Array) -> PointBatch:
+        return reconstruct(cameras, readings_px, sigma_px, parameter_covariance, corrections)
+
+    return group_peaks(solve, position_px, sigma_px)
+
+
+def group_peaks(solve: Solve, position_px: Array, sigma_px: Array) -> Correspondence:
+    """Group peaks as ``match_peaks`` does, with whatever makes points of readings.
+
+    Args:
+        solve: takes readings (N, S) and their standard deviations (N, S).
+        position_px: as in ``match_peaks``.
+        sigma_px: as in ``match_peaks``.
+    """
+    sensors = len(position_px)
     counts = np.isfinite(position_px).sum(axis=1)
     free = np.isfinite(position_px)
     groups: list[tuple[Array, Array, bool]] = []
     seeing = np.flatnonzero(counts > 0)
     combinations = int(np.prod(counts[seeing], dtype=np.int64)) if len(seeing) >= 3 else 0
     if len(seeing) >= 4 and 1 < combinations <= MAX_CANDIDATES:
-        groups = _consistent(cameras, position_px, sigma_px, parameter_covariance, seeing, free)
+        groups = _consistent(solve, position_px, sigma_px, seeing, free)
     left = free.sum(axis=1)
     if (left == 1).sum() >= 3 and left.max() == 1:
         # One peak on each sensor: nothing to choose, three of them do.
@@ -81,21 +102,20 @@ def match_peaks(
 
 
 def _consistent(
-    cameras: CameraStack,
+    solve: Solve,
     position_px: Array,
     sigma_px: Array,
-    parameter_covariance: Array | None,
     seeing: NDArray[np.intp],
     free: NDArray[np.bool_],
 ) -> list[tuple[Array, Array, bool]]:
     """Return the consistent groups, best first; marks their peaks as no longer free."""
     axes = [np.flatnonzero(free[sensor]) for sensor in seeing]
     choice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(seeing))
-    readings = np.full((len(choice), len(cameras)), np.nan)
+    readings = np.full((len(choice), len(position_px)), np.nan)
     sigmas = np.full_like(readings, np.nan)
     readings[:, seeing] = position_px[seeing, choice]
     sigmas[:, seeing] = sigma_px[seeing, choice]
-    points = reconstruct(cameras, readings, sigmas, parameter_covariance)
+    points = solve(readings, sigmas)
     freedom = len(seeing) - 3
     limit = chi2_limit(freedom, FALSE_REJECTION)
     chi2 = np.where(np.isfinite(points.chi2), points.chi2, np.inf)

@@ -29,6 +29,8 @@ class PointFlag(IntFlag):
     """Another grouping of the sensors' peaks is as likely."""
     DOUBTFUL_PEAK = 64
     """One of its peaks is saturated or merged with another."""
+    OUTSIDE_MAP = 128
+    """The correction table vouches for the reading of some used sensor not there."""
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,12 @@ class DegeneratePoints(LumilineError):
     code = "coplanar-points"
 
 
+class UndeterminedParameters(LumilineError):
+    """Observations leave a combination of unknowns open: more than one solution fits."""
+
+    code = "undetermined-parameters"
+
+
 class NonFiniteValue(LumilineError):
     """A value is NaN or infinite."""
 

@@ -1,0 +1,1 @@
+"""Bundle adjustment of 1D cameras: sensors, bodies' shapes and poses from readings, jointly."""

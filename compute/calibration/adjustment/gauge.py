@@ -1,0 +1,101 @@
+"""The world frame where no coordinates are known: rigid motions, and how one frame is chosen."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+
+Array = NDArray[np.float64]
+
+_AXES = np.eye(3)
+
+
+def rigid_motion_slopes(models: Sequence[SensorModel]) -> Array:
+    """Return d parameters / d (turn, shift) of the world, shape (P, 6).
+
+    For ``X <- X + w x X + t`` with cameras that go on reading the same of the moved points.
+    """
+    blocks = []
+    for model in models:
+        block = np.zeros((model.parameter_count, 6))
+        block[2:5, :3] = -model.rotation
+        block[5, 3:], block[6, 3:] = -model.rotation[0], -model.rotation[2]
+        if model.distortion is not None:
+            block[7, 3:] = -model.rotation[1]
+        blocks.append(block)
+    return np.concatenate(blocks)
+
+
+def moved_world(model: SensorModel, rotation: Array, translation_mm: Array) -> SensorModel:
+    """Return a camera that reads of ``rotation X + translation`` what it has read of X."""
+    turned = model.rotation @ rotation.T
+    shift = turned @ translation_mm
+    x, y, z = Rotation.from_matrix(turned).as_rotvec().tolist()
+    distortion = model.distortion
+    if distortion is not None:
+        distortion = replace(distortion, offset_y_mm=distortion.offset_y_mm - float(shift[1]))
+    return replace(
+        model,
+        rotation_vector_rad=(x, y, z),
+        offset_x_mm=model.offset_x_mm - float(shift[0]),
+        offset_z_mm=model.offset_z_mm - float(shift[2]),
+        distortion=distortion,
+    )
+
+
+def volume_datum(cameras: CameraStack, points_mm: Array, weights: Array) -> Array:
+    """Return D, shape (P, 6), for the datum ``D' dp = 0`` of least change over a volume.
+
+    A change dp of the parameters moves each point that is reconstructed from given readings by
+    ``dX = -(A'A)^-1 A'J dp``. The datum keeps the sums of dX and of X x dX at 0: no rigid motion
+    brings the points nearer to where they were. Free-network adjustment with inner constraints,
+    e.g. Kuang, Geodetic Network Analysis and Optimal Design, 1996, section 3.4.
+
+    Args:
+        cameras: S cameras.
+        points_mm: shape (N, 3) [mm].
+        weights: 1 / standard deviation of the readings, 0 where not seen, shape (N, S) [1/px].
+            Points that fewer than three sensors saw do not count.
+    """
+    _, slopes = cameras.linearised(points_mm)
+    whitened = np.nan_to_num(slopes) * weights[..., None]
+    by_parameter = np.nan_to_num(cameras.parameter_jacobian(points_mm)) * weights[..., None]
+    normal = np.einsum("nsi,nsj->nij", whitened, whitened)
+    spectrum = np.linalg.eigvalsh(normal)
+    fit = ((weights > 0.0).sum(axis=1) >= 3) & (spectrum[:, 0] > 1e-10 * spectrum[:, 2])
+    response = -np.einsum(
+        "nij,nsj,nsp->nisp", np.linalg.inv(normal[fit]), whitened[fit], by_parameter[fit]
+    )
+    arms = points_mm[fit] - points_mm[fit].mean(axis=0)
+    crosses = np.cross(arms[:, None], _AXES[None]).transpose(0, 2, 1)  # (n, i, j): (X x e_j)_i
+    turning = np.einsum("nij,njsp->isp", crosses, response)
+    shifting = response.sum(axis=0)
+    datum = np.concatenate([turning, shifting]).reshape(6, -1)
+    here = np.flatnonzero(cameras.owned)
+    ordered = np.empty((6, len(here)))
+    ordered[:, cameras.places.ravel()[here]] = datum[:, here]
+    return np.ascontiguousarray(ordered.T)
+
+
+def centring(models: Sequence[SensorModel], middle_mm: Array) -> Array:
+    """Return T, shape (P, P), that turns steps into those of cameras with the origin at a point.
+
+    Seen from the middle of what is measured, turns and shifts of a camera differ most.
+    """
+    size = sum(model.parameter_count for model in models)
+    change = np.eye(size)
+    first = 0
+    for model in models:
+        a, b, c = (model.rotation @ middle_mm).tolist()
+        # d(offset + R m) = d offset + w x (R m)
+        change[first + 5, first + 2 : first + 5] = (0.0, c, -b)
+        change[first + 6, first + 2 : first + 5] = (b, -a, 0.0)
+        if model.distortion is not None:
+            change[first + 7, first + 2 : first + 5] = (-c, 0.0, a)
+        first += model.parameter_count
+    return change

@@ -1,0 +1,252 @@
+"""adjust: Levenberg-Marquardt over sensors, shapes and poses, poses eliminated in each step."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.adjustment.covariance import check_poses, global_covariance
+from compute.calibration.adjustment.equations import State, build
+from compute.calibration.adjustment.loss import (
+    HUBER_LIMIT,
+    Loss,
+    loss_weights,
+    robust_scale,
+    total_loss,
+)
+from compute.calibration.adjustment.poses import PoseSet
+from compute.calibration.adjustment.prior import SensorPrior
+from compute.calibration.adjustment.result import Adjusted
+from compute.camera.model import SensorModel
+from compute.errors import InvalidParameter, NoConvergence
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+MAX_ITERATIONS: Final = 200
+SETTLED: Final = 1e-9
+"""Largest decrease of chi2 that a step may still promise at the end: its length is then less
+than 3e-5 standard deviations."""
+ROUNDING: Final = 1e-13
+"""The same, relative to chi2: what its own rounding hides."""
+UNDAMPED: Final = 1e-3
+"""Largest damping at which what a step promises tells how far the minimum is."""
+STUCK: Final = 1e14
+"""Damping at which no step at all makes the sum smaller."""
+
+
+def adjust(
+    models: Sequence[SensorModel],
+    pose_sets: Sequence[PoseSet],
+    *,
+    prior: SensorPrior | None = None,
+    free: NDArray[np.bool_] | None = None,
+    free_frame: bool = False,
+    loss: Loss = "linear",
+    max_iterations: int = MAX_ITERATIONS,
+    progress: Progress | None = None,
+) -> Adjusted:
+    """Fit sensors, shapes and poses to the readings, each over its standard deviation.
+
+    The world frame must come from somewhere: from known positions, from the prior, or, with
+    ``free_frame``, from the start: then no rigid motion brings the points that the readings
+    make nearer to where they were in the solution's own frame (a free network; the caller turns
+    the whole to where it belongs), and the covariance is that of this frame.
+
+    Args:
+        models: the sensors to start from, without a cubic term.
+        pose_sets: poses to start from, with their readings.
+        prior: what is known of the sensors.
+        free: which of the sensors' parameters are adjusted, shape (P,); None: all.
+        free_frame: nothing here knows the world's frame.
+        loss: "linear", least squares, or "robust", Huber's loss.
+        max_iterations: steps that are tried at most.
+        progress: called with the fraction done and the stage; what it raises passes through.
+
+    Raises:
+        InvalidParameter: shapes that do not fit, or a cubic term.
+        NoConvergence: a marker that was read starts behind a lens, or the steps do not settle.
+        UndeterminedParameters: more than one solution fits.
+    """
+    state = _checked(models, pose_sets)
+    count = sum(model.parameter_count for model in state.models)
+    shapes = sum(poses.shape.freedom for poses in state.pose_sets)
+    if free is not None and free.shape != (count,):
+        raise InvalidParameter(f"free has shape {free.shape}; it must be ({count},)")
+    varied = np.ones(count + shapes, dtype=np.bool_)
+    if free is not None:
+        varied[:count] = free
+    if free_frame and not varied.all():
+        raise InvalidParameter("a free frame needs all parameters free; held ones fix the frame")
+    search = _Search(state, prior, varied, progress, max_iterations)
+    if loss == "robust":
+        # Far from the minimum all residuals are large, and none says yet which is wrong.
+        scale = robust_scale(search.state, search.residuals)
+        while scale > 1.0:
+            search.run(HUBER_LIMIT * scale, SETTLED + 1e-4 * scale**2)
+            scale = min(robust_scale(search.state, search.residuals), scale / 1.5)
+        search.run(HUBER_LIMIT, SETTLED)
+    else:
+        search.run(np.inf, SETTLED)
+    return _finished(search, HUBER_LIMIT if loss == "robust" else np.inf, free_frame)
+
+
+@dataclass(eq=False)
+class _Search:
+    """The state of a search and its steps."""
+
+    state: State
+    prior: SensorPrior | None
+    varied: NDArray[np.bool_]
+    progress: Progress | None
+    max_iterations: int
+    iterations: int = 0
+
+    def __post_init__(self) -> None:
+        self.residuals = self.state.residuals()
+        for number, residual in enumerate(self.residuals):
+            if np.isnan(residual).any():
+                pose, marker, sensor = np.argwhere(np.isnan(residual))[0]
+                raise NoConvergence(
+                    f"marker {marker + 1} of pose {pose + 1} (set {number + 1}) starts behind "
+                    f"sensor {self.state.models[sensor].name}, which has read it; start nearer",
+                    sensor=self.state.models[sensor].name,
+                    pose=int(pose) + 1,
+                )
+
+    def run(self, limit: float, settled: float) -> None:
+        """Step until the next one promises less than ``settled``, with the loss of a limit."""
+        damping = 1e-4
+        loss = total_loss(self.state, self.residuals, self.prior, limit)
+        while True:
+            weights = loss_weights(self.residuals, limit)
+            equations = build(self.state, weights, self.prior)
+            while True:
+                if self.progress is not None:
+                    self.progress(min(self.iterations / self.max_iterations, 1.0), "adjustment")
+                if self.iterations >= self.max_iterations:
+                    raise NoConvergence(
+                        f"the adjustment has not settled after {self.iterations} steps "
+                        f"(chi2 {loss:.6g}); start nearer, or look for wrong readings"
+                    )
+                self.iterations += 1
+                reduced = equations.reduced(damping)
+                step = np.zeros(len(self.varied))
+                step[self.varied] = _solved(
+                    reduced.normal[np.ix_(self.varied, self.varied)],
+                    -reduced.gradient[self.varied],
+                )
+                local = reduced.local_steps(equations, step)
+                promised = -float(equations.gradient @ step) - sum(
+                    float((block.gradient * one).sum())
+                    for block, one in zip(equations.blocks, local, strict=True)
+                )
+                trial = _moved(self.state, step, local)
+                new = np.inf
+                if all(model.principal_distance_px > 0.0 for model in trial.models):
+                    residuals = trial.residuals()
+                    new = total_loss(trial, residuals, self.prior, limit)
+                # NaN, a point behind a lens, is not better.
+                better = new <= loss
+                ending = damping <= UNDAMPED and promised <= settled + ROUNDING * loss
+                if better:
+                    self.state, self.residuals, loss = trial, residuals, new
+                    damping = max(damping * 0.1, 1e-12)
+                    break
+                if ending:
+                    break
+                damping *= 10.0
+                if damping > STUCK:
+                    raise NoConvergence(
+                        f"the adjustment is stuck at chi2 {loss:.6g}: no step makes it smaller; "
+                        "start nearer, or look for wrong readings"
+                    )
+            if ending:
+                return
+
+
+def _checked(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> State:
+    for model in models:
+        if model.cubic_per_px2 != 0.0:
+            raise InvalidParameter(
+                f"sensor {model.name} has the cubic term {model.cubic_per_px2:g}; "
+                "only metric cameras are adjusted",
+                sensor=model.name,
+            )
+    for number, poses in enumerate(pose_sets):
+        if poses.readings_px.shape[-1] != len(models):
+            raise InvalidParameter(
+                f"set {number + 1} has readings of {poses.readings_px.shape[-1]} sensors; "
+                f"there are {len(models)}"
+            )
+    return State(tuple(models), tuple(pose_sets))
+
+
+def _solved(normal: Array, right: Array) -> Array:
+    """Solve the damped equations, scaled to a diagonal of 1."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), np.finfo(np.float64).tiny))
+    scaled = normal * scale[:, None] * scale
+    try:
+        return np.asarray(scale * np.linalg.solve(scaled, scale * right), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.zeros_like(right)
+
+
+def _moved(state: State, step: Array, local: Sequence[Array]) -> State:
+    models = []
+    first = 0
+    for model in state.models:
+        models.append(model.moved(step[first : first + model.parameter_count]))
+        first += model.parameter_count
+    pose_sets = []
+    for poses, one in zip(state.pose_sets, local, strict=True):
+        moved = poses.moved(one)
+        if poses.shape.freedom:
+            shape = poses.shape.moved(step[first : first + poses.shape.freedom])
+            moved = replace(moved, shape=shape)
+            first += poses.shape.freedom
+        pose_sets.append(moved)
+    return State(tuple(models), tuple(pose_sets))
+
+
+def _finished(search: _Search, limit: float, free_frame: bool) -> Adjusted:
+    state, residuals = search.state, search.residuals
+    weights = loss_weights(residuals, limit)
+    equations = build(state, weights, search.prior)
+    check_poses(state, equations)
+    reduced = equations.reduced()
+    spread = None
+    if any((one < 1.0).any() for one in weights):
+        variances = [np.where(one < 1.0, limit**2, 1.0) for one in weights]
+        spread = build(state, variances, search.prior)
+    covariance = global_covariance(state, reduced, search.varied, free_frame, spread)
+    full = [(one >= 1.0) & poses.seen for one, poses in zip(weights, state.pose_sets, strict=True)]
+    chi2 = total_loss(
+        state,
+        [np.where(use, one, 0.0) for use, one in zip(full, residuals, strict=True)],
+        search.prior,
+        np.inf,
+    )
+    known = sum(int(use.sum()) for use in full)
+    for poses in state.pose_sets:
+        known += len(poses.shape.equations()[0]) + (3 * len(poses) if poses.prior() else 0)
+    if search.prior is not None:
+        known += int(np.linalg.matrix_rank(search.prior.information, hermitian=True))
+    unknown = int(search.varied.sum()) - (6 if free_frame else 0)
+    unknown += sum(len(poses) * poses.unknowns for poses in state.pose_sets)
+    return Adjusted(
+        state.models,
+        state.pose_sets,
+        covariance,
+        tuple(
+            np.where(poses.seen, one, np.nan)
+            for poses, one in zip(state.pose_sets, residuals, strict=True)
+        ),
+        tuple(weights),
+        chi2,
+        known - unknown,
+        search.iterations,
+        reduced,
+    )

@@ -1,0 +1,72 @@
+"""Exchanges common to all sensors: two control points carry each other's labels."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import comb, exp, log
+from typing import Final
+
+from compute.calibration.labels.sensor_search import SensorLabels, SensorReadings, search_labels
+
+COMMON_CHANCE: Final = 0.02
+"""That two points have each other's labels in all sensors, before looking."""
+
+
+@dataclass(frozen=True, eq=False)
+class CommonExchange:
+    """Two points, counted from 0, that carry each other's labels, and how sure that is."""
+
+    pair: tuple[int, int]
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceLabels:
+    """What is wrong in all sensors, and in each with those exchanges mended."""
+
+    common: tuple[CommonExchange, ...]
+    readings: tuple[SensorReadings, ...]
+    sensors: tuple[SensorLabels, ...]
+
+
+def search_device(
+    readings: Sequence[SensorReadings], ended: Callable[[int], None] = lambda _: None
+) -> DeviceLabels:
+    """Search each sensor, then take exchanges that are likelier of the points than of sensors.
+
+    Args:
+        readings: of each sensor, of the same points.
+        ended: told of each sensor's first search when it ends.
+    """
+    now = list(readings)
+    found = []
+    for index, one in enumerate(now):
+        found.append(search_labels(one))
+        ended(index)
+    common: list[CommonExchange] = []
+    refused: set[tuple[int, int]] = set()
+    while True:
+        pair = next((p for p in _pairs(found) if p not in refused), None)
+        if pair is None:
+            return DeviceLabels(tuple(common), tuple(now), tuple(found))
+        swapped = [one.exchanged(*pair) for one in now]
+        after = [search_labels(one) for one in swapped]
+        prior = log(COMMON_CHANCE / comb(len(now[0].points_mm), 2))
+        gain = prior + sum(
+            new.best.log_posterior - old.best.log_posterior
+            for new, old in zip(after, found, strict=True)
+        )
+        refused.add(pair)
+        if gain > 0.0:
+            common.append(CommonExchange(pair, 1.0 / (1.0 + exp(-min(gain, 700.0)))))
+            now, found = swapped, after
+
+
+def _pairs(found: Sequence[SensorLabels]) -> list[tuple[int, int]]:
+    """Return the pairs that any sensor has as exchanged, those of most sensors first."""
+    counted: dict[tuple[int, int], int] = {}
+    for labels in found:
+        for cycle in sorted(labels.best.hypothesis.cycles):
+            if len(cycle) == 2:
+                pair = (cycle[0], cycle[1])
+                counted[pair] = counted.get(pair, 0) + 1
+    return sorted(counted, key=lambda pair: (-counted[pair], pair))

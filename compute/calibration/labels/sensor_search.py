@@ -1,0 +1,267 @@
+"""The label errors of one sensor: search in the linearised camera, judgement in the camera."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations, permutations, product
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_distribution
+
+from compute.calibration.labels.evidence import Evidence, ScalePrior
+from compute.calibration.labels.hypothesis import Hypothesis
+from compute.calibration.labels.linear_search import LinearCamera, explore
+from compute.calibration.labels.projective import WIDTH, ProjectiveCamera
+from compute.calibration.labels.robust import robust_starts
+
+Array = NDArray[np.float64]
+
+JUDGED: Final = 12
+"""Explanations of a linear search that are worked out in the camera itself."""
+COMPARED: Final = 40
+"""As many in the last one: what the probabilities rest on."""
+ROBUST_STARTS: Final = 3
+ROUNDS: Final = 8
+FIT_STEPS: Final = 40
+ORDINARY: Final = 1e-3
+"""Chance that squares as large as a clean sensor's make it look twice."""
+START_SIGMAS: Final = 5.0
+"""Residuals of a robust start beyond this many of its deviations are its wrong readings."""
+PROPOSALS: Final = 200
+
+
+@dataclass(frozen=True, eq=False)
+class SensorReadings:
+    """What the search is about: one sensor's readings of the control points.
+
+    Args:
+        points_mm: all control points, shape (N, 3).
+        readings_px: shape (N,); NaN where not seen.
+        sigma_px: deviations, shape (N,); of any value where not seen.
+        pixels: the sensor's pixels.
+        scale: what is known of a common factor of the deviations.
+    """
+
+    points_mm: Array
+    readings_px: Array
+    sigma_px: Array
+    pixels: int
+    scale: ScalePrior
+
+    @cached_property
+    def seen(self) -> NDArray[np.intp]:
+        """Points with a reading."""
+        return np.flatnonzero(np.isfinite(self.readings_px))
+
+    @cached_property
+    def camera(self) -> ProjectiveCamera:
+        """The camera's form for these points."""
+        return ProjectiveCamera.of(self.points_mm, self.readings_px)
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """Marginal likelihoods of explanations."""
+        return Evidence(self.pixels, self.scale)
+
+    def exchanged(self, first: int, second: int) -> "SensorReadings":
+        """Return them with the readings of two points exchanged."""
+        readings, sigma = self.readings_px.copy(), self.sigma_px.copy()
+        readings[[first, second]] = readings[[second, first]]
+        sigma[[first, second]] = sigma[[second, first]]
+        return SensorReadings(self.points_mm, readings, sigma, self.pixels, self.scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """An explanation, worked out: log posterior (up to the sensor's constant) and camera."""
+
+    hypothesis: Hypothesis
+    log_posterior: float
+    theta: Array
+    chi2: float
+    kept: int
+
+
+@dataclass(eq=False)
+class _Pool:
+    """Explanations judged so far."""
+
+    data: SensorReadings
+    judged: dict[Hypothesis, Judged] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Judged:
+        return max(self.judged.values(), key=lambda one: one.log_posterior)
+
+    def judge(self, hypotheses: Iterable[Hypothesis], theta: Array) -> None:
+        """Fit the camera under each explanation from ``theta`` (7,) and keep the better fit."""
+        for one in judge(self.data, list(dict.fromkeys(hypotheses)), theta):
+            before = self.judged.get(one.hypothesis)
+            if before is None or one.log_posterior > before.log_posterior:
+                self.judged[one.hypothesis] = one
+
+    def look_around(self, theta: Array, seeds: Sequence[Hypothesis], count: int) -> None:
+        """Search in the camera linearised at ``theta`` and judge the best found."""
+        data = self.data
+        seen = data.seen
+        fitted, slopes = data.camera.linearised(theta[None])
+        sigma = data.sigma_px[seen]
+        basis = np.linalg.qr(slopes[0, seen] / sigma[:, None])[0]
+        place = {int(point): index for index, point in enumerate(seen)}
+        local = [h for h in (_renamed(seed, place) for seed in seeds) if h is not None]
+        camera = LinearCamera(basis, fitted[0, seen], data.readings_px[seen], sigma, data.evidence)
+        back = {index: point for point, index in place.items()}
+        found = [_renamed(h, back) for _, h in explore(camera, [Hypothesis(), *local], count)]
+        self.judge([h for h in found if h is not None], theta)
+
+
+@dataclass(frozen=True, eq=False)
+class SensorLabels:
+    """The best explanation of one sensor's readings, and its rivals.
+
+    Args:
+        best: the best one.
+        judged: all that were worked out, the best one among them.
+        factor: of the stated deviations, after looking.
+    """
+
+    best: Judged
+    judged: tuple[Judged, ...]
+    factor: float
+
+    def probability(self, error: Hypothesis | None = None) -> float:
+        """Return the share of the explanations that hold these errors, or the best one's own."""
+        weights = np.exp([one.log_posterior - self.best.log_posterior for one in self.judged])
+        if error is None:
+            return float(1.0 / weights.sum())
+        holds = [
+            error.wrong <= one.hypothesis.wrong
+            and error.cycles <= one.hypothesis.cycles
+            and error.moved <= one.hypothesis.moved
+            for one in self.judged
+        ]
+        return float(weights[holds].sum() / weights.sum())
+
+
+def search_labels(data: SensorReadings) -> SensorLabels:
+    """Find the explanation of a sensor's readings with the highest posterior probability.
+
+    From the least squares of all readings where these look ordinary, otherwise from robust
+    starts too; then around the best explanation until no better one is found.
+    """
+    pool = _Pool(data)
+    camera, none = data.camera, Hypothesis()
+    values = np.where(np.isfinite(data.readings_px), data.readings_px, camera.middle_px)[None]
+    weights = np.where(np.isfinite(data.readings_px), 1.0 / data.sigma_px, 0.0)[None]
+    plain = camera.fit(values, weights, camera.algebraic(values, weights), FIT_STEPS)[0]
+    pool.judge([none], plain)
+    pool.look_around(pool.best.theta, [], JUDGED)
+    if not (np.isinf(data.scale.freedom) and pool.best.hypothesis == none and _ordinary(pool)):
+        tried: set[Hypothesis] = set()
+        for start in robust_starts(camera, data.readings_px, data.sigma_px, ROBUST_STARTS):
+            outliers = _outliers(data, start)
+            if outliers not in tried:
+                tried.add(outliers)
+                pool.look_around(start, [outliers], JUDGED)
+    last = None
+    for _ in range(ROUNDS):
+        best = pool.best
+        if best.hypothesis == last:
+            break
+        last = best.hypothesis
+        pool.look_around(best.theta, [best.hypothesis], COMPARED)
+        pool.judge(_rearranged(data, pool.best), pool.best.theta)
+    best = pool.best
+    return SensorLabels(
+        best, tuple(pool.judged.values()), data.evidence.factor(best.chi2, best.kept)
+    )
+
+
+def judge(data: SensorReadings, hypotheses: Sequence[Hypothesis], theta: Array) -> list[Judged]:
+    """Fit the camera under each explanation, all at once, from one start (7,)."""
+    if not hypotheses:
+        return []
+    mended = [h.mended(data.readings_px, data.sigma_px) for h in hypotheses]
+    readings = np.array([one for one, _ in mended])
+    kept = np.isfinite(readings)
+    sigma = np.where(kept, np.array([one for _, one in mended]), 1.0)
+    weights = np.where(kept, 1.0 / sigma, 0.0)
+    readings = np.where(kept, readings, data.camera.middle_px)
+    starts = np.broadcast_to(theta, (len(hypotheses), WIDTH))
+    found = data.camera.fit(readings, weights, starts, FIT_STEPS)
+    fitted, slopes = data.camera.linearised(found)
+    chi2 = (((fitted - readings) * weights) ** 2).sum(axis=1)
+    weighted = slopes * weights[..., None]
+    sign, log_determinant = np.linalg.slogdet(weighted.swapaxes(1, 2) @ weighted)
+    count = kept.sum(axis=1)
+    unseen = len(data.readings_px) - len(data.seen)
+    log_posterior = data.evidence.log_likelihood(
+        chi2,
+        count,
+        log_determinant,
+        np.log(sigma).sum(axis=1),
+        np.array([len(h.wrong) for h in hypotheses]),
+    ) + np.array([h.log_prior(len(data.seen), unseen) for h in hypotheses])
+    return [
+        Judged(hypothesis, float(log_posterior[row]), found[row], float(chi2[row]), int(count[row]))
+        for row, hypothesis in enumerate(hypotheses)
+        if sign[row] > 0.0 and count[row] > WIDTH
+    ]
+
+
+def _ordinary(pool: _Pool) -> bool:
+    best = pool.best
+    return bool(
+        best.chi2 / pool.data.scale.factor**2
+        <= chi2_distribution.isf(ORDINARY, max(best.kept - WIDTH, 1))
+    )
+
+
+def _outliers(data: SensorReadings, theta: Array) -> Hypothesis:
+    """Return what a robust start takes for wrong, by its own residuals' deviation."""
+    seen = data.seen
+    off = np.abs(data.camera.project(theta[None])[0, seen] - data.readings_px[seen])
+    off = off / data.sigma_px[seen]
+    most = (len(seen) + WIDTH + 1) // 2
+    nearest = np.sort(off)[:most]
+    deviation = max(float(np.sqrt((nearest**2).sum() / max(most - WIDTH, 1))), data.scale.factor)
+    order = np.argsort(-off, kind="stable")[: max(len(seen) - WIDTH - 1, 0)]
+    return Hypothesis(frozenset(int(seen[k]) for k in order if off[k] > START_SIGMAS * deviation))
+
+
+def _rearranged(data: SensorReadings, best: Judged) -> list[Hypothesis]:
+    """Return explanations in which wrong readings belong to other points.
+
+    To each other's in cycles of three, or to points without a reading; those first that the
+    camera makes most likely.
+    """
+    wrong = sorted(best.hypothesis.wrong)
+    fitted = data.camera.project(best.theta[None])[0]
+    off = np.abs(data.readings_px[:, None] - fitted)  # reading labelled i, at point j
+    proposed: list[tuple[float, Hypothesis]] = []
+    for a, b, c in permutations(wrong, 3):
+        if a < min(b, c):
+            worst = float(max(off[a, b], off[b, c], off[c, a]))
+            proposed.append((worst, best.hypothesis.with_cycle((a, b, c))))
+    for pair in combinations(wrong, 2):
+        worst = float(max(off[pair[0], pair[1]], off[pair[1], pair[0]]))
+        proposed.append((worst, best.hypothesis.with_cycle(pair)))
+    unseen = np.flatnonzero(~np.isfinite(data.readings_px)).tolist()
+    for carried, own in product(wrong, unseen):
+        if all(own != taken for _, taken in best.hypothesis.moved):
+            moved = best.hypothesis.with_moved(carried, own)
+            proposed.append((float(off[carried, own]), moved))
+    proposed.sort(key=lambda entry: entry[0])
+    return [hypothesis for _, hypothesis in proposed[:PROPOSALS]]
+
+
+def _renamed(hypothesis: Hypothesis, names: dict[int, int]) -> Hypothesis | None:
+    """Return it with its points renamed; None where one has no name."""
+    if hypothesis.moved or not hypothesis.touched <= names.keys():
+        return None
+    renamed = Hypothesis(frozenset(names[point] for point in hypothesis.wrong))
+    for cycle in hypothesis.cycles:
+        renamed = renamed.with_cycle(names[point] for point in cycle)
+    return renamed

@@ -22,6 +22,8 @@ from service.openapi import install_openapi
 from service.planning.router import router as device_profiles
 from service.problem_handlers import install_problem_handlers, no_such_websocket
 from service.reconstructions.router import router as reconstructions
+from service.runs.manager import RunManager
+from service.runs.router import router as runs_router
 from service.server import router as server
 from service.settings import Settings
 from service.start import prepare
@@ -65,9 +67,15 @@ def create_app(
                 app.state.database, app.state.live = database, manager
                 app.state.operation = operation
                 await run_sync(operation.autostart, *named)
-                if started is not None:
-                    started()
-                yield
+                runs = RunManager(database, settings.runs_at_once)
+                app.state.runs = runs
+                try:
+                    await run_sync(runs.start)
+                    if started is not None:
+                        started()
+                    yield
+                finally:
+                    await run_sync(runs.close)
             finally:
                 app.state.live = None
                 await run_sync(manager.close)
@@ -90,6 +98,7 @@ def create_app(
     for router in (
         devices,
         calibrations,
+        runs_router,
         reconstructions,
         line_scans,
         device_profiles,

@@ -1,4 +1,4 @@
-"""What endpoints get handed: the database and the operation of devices, of this application."""
+"""What endpoints get handed: database, operation of devices, runs, settings of this application."""
 
 from typing import Annotated
 
@@ -6,6 +6,8 @@ from fastapi import Depends, Request
 
 from service.database.engine import Database
 from service.devices.operation import Operation
+from service.runs.manager import RunManager
+from service.settings import Settings
 
 
 def _database(request: Request) -> Database:
@@ -18,5 +20,17 @@ def _operation(request: Request) -> Operation:
     return operation
 
 
+def _runs(request: Request) -> RunManager:
+    runs: RunManager = request.app.state.runs
+    return runs
+
+
+def _settings(request: Request) -> Settings:
+    settings: Settings = request.app.state.settings
+    return settings
+
+
 DatabaseDep = Annotated[Database, Depends(_database)]
 OperationDep = Annotated[Operation, Depends(_operation)]
+RunsDep = Annotated[RunManager, Depends(_runs)]
+SettingsDep = Annotated[Settings, Depends(_settings)]

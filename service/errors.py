@@ -21,6 +21,30 @@ class UnknownReconstruction(LumilineError):
     code = "unknown-reconstruction"
 
 
+class UnknownRun(LumilineError):
+    """No run has the given id."""
+
+    code = "unknown-run"
+
+
+class UnknownCorrectionTable(LumilineError):
+    """No correction table has the given id."""
+
+    code = "unknown-correction-table"
+
+
+class UnknownCapture(LumilineError):
+    """No capture session has the given id."""
+
+    code = "unknown-capture"
+
+
+class UnknownTarget(LumilineError):
+    """The capture session has no target of the given name."""
+
+    code = "unknown-target"
+
+
 class UnknownRecording(LumilineError):
     """No recording of the given name lies in the data directory's folder of recordings."""
 
@@ -55,6 +79,24 @@ class ReconstructionExists(LumilineError):
     """A reconstruction of this id exists already; choose another id, or leave it out."""
 
     code = "reconstruction-exists"
+
+
+class RunExists(LumilineError):
+    """A run of this id exists already; choose another id, or leave it out."""
+
+    code = "run-exists"
+
+
+class CorrectionTableExists(LumilineError):
+    """A correction table of this id exists already; tables are never overwritten."""
+
+    code = "correction-table-exists"
+
+
+class CaptureExists(LumilineError):
+    """A capture session of this id exists already; choose another id, or leave it out."""
+
+    code = "capture-exists"
 
 
 class DeviceInUse(LumilineError):
@@ -105,6 +147,66 @@ class CalibrationOfAnotherDevice(LumilineError):
     code = "calibration-of-another-device"
 
 
+class NothingToRollBack(LumilineError):
+    """The device's history has no earlier activation to go back to."""
+
+    code = "nothing-to-roll-back"
+
+
+class ForeignTable(LumilineError):
+    """The correction table belongs to another calibration than the one in question."""
+
+    code = "foreign-correction-table"
+
+
+class InvalidTableFile(LumilineError):
+    """An uploaded file is no correction table, is cut short, contradicts itself or hides data."""
+
+    code = "invalid-table-file"
+
+
+class TableHasHoles(LumilineError):
+    """Cells inside a correction table's volume, or all of a sensor's, have no measurement."""
+
+    code = "table-has-holes"
+
+
+class DeviceNotRunning(LumilineError):
+    """What is captured comes from a running device; start it first."""
+
+    code = "device-not-running"
+
+
+class CaptureIncomplete(LumilineError):
+    """Targets of the capture session are not captured yet."""
+
+    code = "capture-incomplete"
+
+
+class CaptureComplete(LumilineError):
+    """All targets of the session are captured; name one to capture it again."""
+
+    code = "capture-complete"
+
+
+class NothingSeen(LumilineError):
+    """Fewer sensors than a point needs saw one clear peak in enough of the frames."""
+
+    code = "nothing-seen"
+
+
+class TargetMoved(LumilineError):
+    """Readings of a target held still spread by more than their noise explains."""
+
+    code = "target-moved"
+
+
+class WorkerEnded(LumilineError):
+    """The process that computed ended without a result, or was ended by its limits."""
+
+    code = "worker-ended"
+
+
 class Busy(LumilineError):
     """The server does as much of this at once as it may; try again a little later."""
 
@@ -142,7 +244,7 @@ class DuplicateKey(LumilineError):
 
 
 class UnsupportedMediaType(LumilineError):
-    """The request's body is not declared as ``application/json``."""
+    """The request's body is not declared as what the path takes, mostly ``application/json``."""
 
     code = "unsupported-media-type"
 

@@ -37,6 +37,10 @@ TAGS: Final = [
         "description": "Camera models from control points. Immutable: create, read, activate, "
         "retire.",
     },
+    {
+        "name": "runs",
+        "description": "Calibrations and maps computed beside the requests: post, follow, cancel.",
+    },
     {"name": "reconstructions", "description": "3D points from readings that you post."},
     {"name": "line-scans", "description": "Peaks of lines that you post, and their picture."},
     {

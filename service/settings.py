@@ -59,8 +59,14 @@ class Settings(BaseSettings):
     """Where the live pipeline computes: ``cpu``, ``cuda:0``, ...; None: the compute's choice."""
     stream_queue_messages: int = Field(default=2000, ge=1)
     """Messages that wait for one stream client before the oldest are dropped (and counted)."""
+    runs_at_once: int = Field(default=1, ge=1, le=64)
+    """Calibrations and mappings computed at the same time, each on one core."""
+    runs_waiting: int = Field(default=100, ge=1)
+    """Runs that may wait for their turn before another is refused."""
     body_limit_bytes: int = Field(default=8 * 1024 * 1024, ge=1024)
     """Largest request body [bytes]."""
+    table_limit_bytes: int = Field(default=64 * 1024 * 1024, ge=1024)
+    """Largest file of a correction table that is uploaded [bytes]."""
 
     @property
     def effective_database_url(self) -> str:

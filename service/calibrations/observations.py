@@ -102,4 +102,4 @@ def _check_inside(value_px: float, sensor: SensorDescription, point: str) -> Non
 
 def geometry(sensors: Sequence[SensorDescription]) -> list[SensorGeometry]:
     """Return what the computation needs to know of the sensors."""
-    return [SensorGeometry(sensor.name, sensor.pixels) for sensor in sensors]
+    return [SensorGeometry(sensor.name, sensor.pixels, sensor.pitch_um) for sensor in sensors]

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,9 @@ from pydantic import TypeAdapter
 
 from compute.calibration.crossvalidation import fitted_errors, leave_one_out
 from compute.calibration.result import AxisErrors, Calibration
-from compute.calibration.run import calibrate
+from compute.calibration.run import Progress, calibrate
 from compute.calibration.settings import CalibrationSettings
+from compute.errors import InvalidParameter
 from hardware.driver import SensorDescription
 from service.calibrations.observations import geometry, observations
 from service.calibrations.schema import (
@@ -27,6 +28,9 @@ from service.calibrations.schema import (
 
 _RESULT = TypeAdapter(Calibration)
 _POINTS = TypeAdapter(list[ControlPoint])
+
+_CALIBRATING: Final = 0.4
+"""Share of the time, roughly, before points are left out one after another."""
 
 
 @dataclass(frozen=True)
@@ -50,28 +54,88 @@ class Outcome:
 
 
 def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription]) -> Outcome:
+    """Calibrate within a request.
+
+    Raises:
+        InvalidParameter: what is asked for takes longer than a request should.
+        LumilineError: what was wrong with the points; see compute.calibration.run.calibrate.
+    """
+    settings = request.settings()
+    few = len(request.points) <= LEAVE_ONE_OUT_POINTS
+    if not few and settings != CalibrationSettings(settings.method):
+        raise InvalidParameter(
+            f"{len(request.points)} points are calibrated with distortion, uncertain points, a "
+            f"robust loss or labels in a run only: POST it to /api/v1/calibration-runs, or give at "
+            f"most {LEAVE_ONE_OUT_POINTS} points",
+            points=len(request.points),
+        )
+    return calibration_outcome(
+        _silent, request.device, request.points, sensors, settings, LEAVE_ONE_OUT_POINTS
+    )
+
+
+def calibration_outcome(
+    tell: Progress,
+    device_id: str,
+    given: list[ControlPoint],
+    sensors: Sequence[SensorDescription],
+    settings: CalibrationSettings,
+    most_left_out: int,
+) -> Outcome:
     """Calibrate, and reconstruct the control points with the result and without each point.
+
+    Args:
+        tell: called with the share done and the stage.
+        device_id: the device.
+        given: the control points.
+        sensors: the device's sensors.
+        settings: what is asked for.
+        most_left_out: most points for which each is left out.
 
     Raises:
         LumilineError: what was wrong with the points; see compute.calibration.run.calibrate.
     """
-    observed = observations(request.points, sensors)
-    sigma = observed.all_or_no_sigma()
-    points = np.array([point.position_mm for point in request.points], dtype=np.float64)
-    points = points.reshape(-1, 3)
+    points, observed, sigma = control_arrays(given, sensors)
     geometries = geometry(sensors)
-    settings = CalibrationSettings(request.method)
-    result = calibrate(points, observed.readings_px, geometries, sigma, settings)
-    fitted = fitted_errors(result, points, observed.readings_px, sigma)
+    leave_out = len(points) <= most_left_out
+    share = _CALIBRATING if leave_out else 1.0
+    result = calibrate(
+        points,
+        observed,
+        geometries,
+        sigma,
+        settings,
+        progress=lambda done, stage: tell(share * done, stage),
+    )
+    fitted = fitted_errors(result, points, observed, sigma)
     left_out = None
-    if len(points) <= LEAVE_ONE_OUT_POINTS:
-        left_out = leave_one_out(points, observed.readings_px, geometries, sigma, settings)
+    if leave_out:
+        tell(share, "leaving out one point after another")
+        left_out = leave_one_out(points, observed, geometries, sigma, settings)
     errors = ControlPointErrors(
         fitted=_point_errors(fitted),
         leave_one_out=None if left_out is None else _point_errors(left_out),
     )
-    content = calibration_content(request.device, "fitted", request.points, result)
+    content = calibration_content(device_id, "fitted", given, result)
     return Outcome(result, content, errors.model_dump(mode="json"))
+
+
+def control_arrays(
+    given: Sequence[ControlPoint], sensors: Sequence[SensorDescription]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None]:
+    """Return positions (N, 3) [mm], readings (N, S) [px] and their deviations or None.
+
+    Raises:
+        DuplicatePoint, UnknownSensor, ReadingOutsideSensor, InvalidParameter.
+    """
+    observed = observations(given, sensors)
+    sigma = observed.all_or_no_sigma()
+    points = np.array([point.position_mm for point in given], dtype=np.float64).reshape(-1, 3)
+    return points, observed.readings_px, sigma
+
+
+def _silent(_share: float, _stage: str) -> None:
+    """Tell nobody."""
 
 
 def _point_errors(differences_mm: NDArray[np.float64]) -> PointErrors:

@@ -5,13 +5,21 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, StringConstraints, Tag
 
 from compute.calibration.result import AxisErrors, Calibration
-from compute.calibration.settings import Method
+from compute.calibration.settings import (
+    CalibrationSettings,
+    Distortion,
+    LabelPolicy,
+    Loss,
+    Method,
+)
 from compute.camera.model import Vector3
 from service.schema import Document, Given, Moment, Name, Note, Position, Slug
 
 MAX_POINTS = 10_000
 LEAVE_ONE_OUT_POINTS = 100
-"""Most control points for which a calibration is checked by leaving out each one."""
+"""Most control points for which a request's calibration is checked by leaving out each one."""
+RUN_LEAVE_ONE_OUT_POINTS = 2_000
+"""The same for a run's."""
 
 State = Literal["active", "available", "retired"]
 Provenance = Literal["fitted", "nominal"]
@@ -53,16 +61,48 @@ class ControlPoint(Given):
     readings: Readings
 
 
-class NewCalibration(Given):
+class CalibrationOptions(Given):
+    """How a device is calibrated; the members of CalibrationSettings as clients give them."""
+
+    method: Method = Field(
+        default="metric",
+        description="`metric`: the seven-parameter camera, refined geometrically, with the "
+        "distortion asked for. `dlt-iterative`: the published direct linear transformation with a "
+        "cubic term, for comparison.",
+    )
+    distortion: Distortion = Field(
+        default="none",
+        description="Terms of the lens's distortion: `none`, `auto` (chosen by cross-validation "
+        "over blocks of space), the name of a set, or the terms themselves as pairs of powers of "
+        "the two field angles.",
+    )
+    control_sigma_mm: Annotated[float, Field(ge=1e-6, le=1e3)] | None = Field(
+        default=None,
+        description="Standard deviation of each coordinate of the control points; null: exact.",
+    )
+    loss: Loss = Field(default="linear", description="`robust`: wrong readings lose their weight.")
+    labels: LabelPolicy = Field(
+        default="off",
+        description="What is done with wrong and exchanged labels: not looked for, reported, "
+        "left out, or mended.",
+    )
+
+    def settings(self) -> CalibrationSettings:
+        """Return them for the computation.
+
+        Raises:
+            InvalidParameter: one means nothing, or contradicts another.
+        """
+        return CalibrationSettings(
+            self.method, self.distortion, self.control_sigma_mm, self.loss, self.labels
+        )
+
+
+class NewCalibration(CalibrationOptions):
     """Control points from which a device is calibrated."""
 
     id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
     device: Slug
-    method: Method = Field(
-        default="metric",
-        description="`metric`: seven parameters, refined geometrically. `dlt-iterative`: the "
-        "published direct linear transformation with a cubic term, for comparison.",
-    )
     points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS)]
     note: Note = ""
 
@@ -82,7 +122,7 @@ class ControlPointErrors(Document):
     fitted: PointErrors | None = Field(description="The points that made it; null without any.")
     leave_one_out: PointErrors | None = Field(
         description="Each point by a calibration that never saw it; null without any point, or "
-        f"with more than {LEAVE_ONE_OUT_POINTS}."
+        f"with more than {LEAVE_ONE_OUT_POINTS} ({RUN_LEAVE_ONE_OUT_POINTS} by a run)."
     )
 
 

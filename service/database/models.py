@@ -7,9 +7,11 @@ from sqlalchemy import (
     JSON,
     DateTime,
     Dialect,
+    Double,
     ForeignKey,
     ForeignKeyConstraint,
     Index,
+    LargeBinary,
     MetaData,
     String,
     Text,
@@ -89,27 +91,61 @@ class CalibrationRow(Base):
     retired_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
 
 
+class CorrectionTableRow(Base):
+    """A correction table, never changed; ``data`` is the whole of it as an HDF5 file."""
+
+    __tablename__ = "correction_tables"
+    __table_args__ = (
+        ForeignKeyConstraint(
+            ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
+        ),
+        UniqueConstraint("id", "device_id"),
+        Index(None, "device_id", "created_at"),
+    )
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
+    calibration_id: Mapped[str] = mapped_column(String(63))
+    calibration_hash: Mapped[str] = mapped_column(String(64))
+    content_hash: Mapped[str] = mapped_column(String(64))
+    origin: Mapped[str] = mapped_column(String(16))
+    note: Mapped[str] = mapped_column(Text)
+    content: Mapped[dict[str, Any]] = mapped_column(JSON)
+    data: Mapped[bytes] = mapped_column(LargeBinary, deferred=True)
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
 class ActiveCalibrationRow(Base):
-    """The pointer: which of its calibrations a device uses now."""
+    """The pointer: which of its calibrations a device uses now, and with which table."""
 
     __tablename__ = "active_calibrations"
     __table_args__ = (
         ForeignKeyConstraint(
             ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
         ),
+        ForeignKeyConstraint(
+            ["table_id", "device_id"], ["correction_tables.id", "correction_tables.device_id"]
+        ),
     )
 
     device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"), primary_key=True)
     calibration_id: Mapped[str] = mapped_column(String(63))
+    table_id: Mapped[str | None] = mapped_column(String(63))
 
 
 class ActivationRow(Base):
-    """One move of the pointer; rows are only ever added."""
+    """One move of the pointer; rows are only ever added.
+
+    ``restores_id`` is the earlier move that a roll-back went back to.
+    """
 
     __tablename__ = "activations"
     __table_args__ = (
         ForeignKeyConstraint(
             ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
+        ),
+        ForeignKeyConstraint(
+            ["table_id", "device_id"], ["correction_tables.id", "correction_tables.device_id"]
         ),
     )
 
@@ -117,6 +153,9 @@ class ActivationRow(Base):
     device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"), index=True)
     calibration_id: Mapped[str] = mapped_column(String(63))
     previous_calibration_id: Mapped[str | None] = mapped_column(String(63))
+    table_id: Mapped[str | None] = mapped_column(String(63))
+    previous_table_id: Mapped[str | None] = mapped_column(String(63))
+    restores_id: Mapped[int | None]
     activated_at: Mapped[datetime] = mapped_column(UtcDateTime)
     actor: Mapped[str | None] = mapped_column(String(200))
 
@@ -139,3 +178,42 @@ class ReconstructionRow(Base):
     estimates: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
     point_count: Mapped[int]
     created_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
+class RunRow(Base):
+    """A calibration or a mapping that is computed beside the requests, and what became of it."""
+
+    __tablename__ = "runs"
+    __table_args__ = (Index(None, "device_id", "created_at"), Index(None, "state", "created_at"))
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(32))
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
+    state: Mapped[str] = mapped_column(String(16))
+    progress: Mapped[float] = mapped_column(Double)
+    stage: Mapped[str] = mapped_column(String(200))
+    request: Mapped[dict[str, Any]] = mapped_column(JSON, deferred=True)
+    result_id: Mapped[str | None] = mapped_column(String(63))
+    problem: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    owner: Mapped[str | None] = mapped_column(String(200))
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
+    started_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
+    finished_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
+    heartbeat_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
+
+
+class CaptureRow(Base):
+    """Named target positions, and what a device's sensors read of a marker held at each."""
+
+    __tablename__ = "captures"
+    __table_args__ = (Index(None, "device_id", "created_at"),)
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
+    sensors: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
+    settings: Mapped[dict[str, Any]] = mapped_column(JSON)
+    targets: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
+    captured: Mapped[dict[str, Any]] = mapped_column(JSON)
+    note: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
+    updated_at: Mapped[datetime] = mapped_column(UtcDateTime)

@@ -14,8 +14,11 @@ from service.database.models import (
     ActivationRow,
     ActiveCalibrationRow,
     CalibrationRow,
+    CaptureRow,
+    CorrectionTableRow,
     DeviceRow,
     ReconstructionRow,
+    RunRow,
 )
 from service.devices.schema import Device, DeviceChange, NewDevice, Sensor, Source
 from service.errors import DeviceExists, DeviceInUse, DeviceRunning, UnknownDevice
@@ -119,7 +122,15 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
     """
     row = get_device(session, device_id, lock=True)
     if cascade:
-        for table in (ReconstructionRow, ActivationRow, ActiveCalibrationRow, CalibrationRow):
+        for table in (
+            ReconstructionRow,
+            RunRow,
+            CaptureRow,
+            ActivationRow,
+            ActiveCalibrationRow,
+            CorrectionTableRow,
+            CalibrationRow,
+        ):
             session.execute(delete(table).where(table.device_id == device_id))
     else:
         _refuse_if_used(session, device_id, "add ?cascade=true to delete them with it")

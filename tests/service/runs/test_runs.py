@@ -1,0 +1,236 @@
+"""Runs: posted, followed, cancelled, and what becomes of them when the server ends."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.app import create_app
+from service.calibrations.examples import NEW_CALIBRATIONS, simulated_points
+from service.database.engine import Database
+from service.database.models import RunRow
+from service.runs import store
+from service.runs.kinds import KINDS, RunKind
+from service.settings import Settings
+from tests.service.recorded_live import RecordedLive, TestClient
+from tests.service.runs import slow_tasks
+
+URL = "/api/v1/calibration-runs"
+FRAME = NEW_CALIBRATIONS["frame"]["value"]["points"]
+
+
+def body(**changes: Any) -> dict[str, Any]:
+    return {"device": "sim", "points": FRAME} | changes
+
+
+def wait(client: Any, run: str, until: Callable[[Any], bool] | None = None) -> Any:
+    """Follow a run to its end, or until it is as is asked."""
+    end = time.monotonic() + 120.0
+    while True:
+        found = client.get(f"/api/v1/runs/{run}").json()
+        if found["state"] not in store.OPEN or (until is not None and until(found)):
+            return found
+        assert time.monotonic() < end, found
+        time.sleep(0.02)
+
+
+def started(found: Any) -> bool:
+    return bool(found["stage"] == "waits")
+
+
+@pytest.fixture
+def computing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Let calibration runs compute something else."""
+
+    def use(function: Callable[..., Any], *arguments: Any) -> None:
+        kind = KINDS["calibration"]
+        other = RunKind(lambda session, row: (function, arguments), kind.store, kind.results)
+        monkeypatch.setitem(KINDS, "calibration", other)
+
+    return use
+
+
+@pytest.fixture
+def open_client(settings: Settings) -> Iterator[Callable[[], TestClient]]:
+    """Servers over one database, one after the other."""
+
+    def make() -> TestClient:
+        return TestClient(create_app(settings, RecordedLive()), raise_server_exceptions=False)
+
+    return make
+
+
+def test_a_run_makes_the_calibration_that_a_request_makes(client: Any):
+    posted = client.post(URL, json=body(id="first", result_id="made", note="by a run"))
+    assert posted.status_code == 202
+    assert posted.headers["location"] == "/api/v1/runs/first"
+    assert posted.json()["state"] == "queued"
+    found = wait(client, "first")
+    assert (found["state"], found["progress"], found["problem"]) == ("succeeded", 1.0, None)
+    assert found["result"] == "/api/v1/calibrations/made"
+    made = client.get(found["result"]).json()
+    same = client.post("/api/v1/calibrations", json=body(method="metric")).json()
+    assert made["note"] == "by a run"
+    assert made["state"] == "available"
+    models = [fit["model"] for fit in made["result"]["sensors"]]
+    others = [fit["model"] for fit in same["result"]["sensors"]]
+    for one, other in zip(models, others, strict=True):
+        assert one["principal_distance_px"] == pytest.approx(other["principal_distance_px"])
+    listed = client.get("/api/v1/runs", params={"device": "sim", "kind": "calibration"}).json()
+    assert [run["id"] for run in listed["items"]] == ["first"]
+    assert client.get("/api/v1/runs", params={"state": "failed"}).json()["total"] == 0
+
+
+def test_a_run_leaves_out_more_points_than_a_request(sqlite_client: Any):
+    points = simulated_points(np.random.default_rng(5).uniform(-120, 120, (101, 3)))
+    posted = sqlite_client.post(URL, json=body(id="many", points=points, distortion="none"))
+    assert posted.status_code == 202, posted.text
+    made = sqlite_client.get(wait(sqlite_client, "many")["result"]).json()
+    assert made["errors"]["leave_one_out"]["statistics"]["points"] == 101
+
+
+def test_a_failed_run_has_the_problem_of_its_error(sqlite_client: Any, computing: Any):
+    computing(slow_tasks.fail)
+    sqlite_client.post(URL, json=body(id="failing"))
+    found = wait(sqlite_client, "failing")
+    assert found["state"] == "failed"
+    assert found["problem"]["type"] == "/problems/no-convergence"
+    assert found["problem"]["detail"] == "it ran away"
+    assert found["problem"]["context"] == {"sensor": "left"}
+    assert found["result"] is None
+
+
+def test_an_unexpected_error_is_for_the_log(sqlite_client: Any, computing: Any, caplog: Any):
+    computing(slow_tasks.break_down)
+    sqlite_client.post(URL, json=body(id="broken"))
+    problem = wait(sqlite_client, "broken")["problem"]
+    assert problem["type"] == "/problems/internal-error"
+    assert "secret" not in problem["detail"]
+    reference = problem["detail"].rpartition(" ")[2]
+    assert any(reference in one.message and "secret" in one.message for one in caplog.records)
+
+
+def test_a_process_that_dies_fails_its_run(sqlite_client: Any, computing: Any):
+    computing(slow_tasks.die)
+    sqlite_client.post(URL, json=body(id="dead"))
+    found = wait(sqlite_client, "dead")
+    assert found["problem"]["type"] == "/problems/worker-ended"
+    assert "exit code 7" in found["problem"]["detail"]
+
+
+def test_cancelling_ends_the_process_and_stores_nothing(
+    client: Any, computing: Any, tmp_path: Path
+):
+    computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
+    client.post(URL, json=body(id="endless", result_id="never"))
+    found = wait(client, "endless", started)
+    assert (found["state"], found["progress"]) == ("running", 0.25)
+    pid = int((tmp_path / "pid").read_text())
+    cancelled = client.post("/api/v1/runs/endless/cancel")
+    assert cancelled.json()["state"] == "cancelled"
+    wait_until(lambda: not running(pid))
+    assert client.get("/api/v1/runs/endless").json()["state"] == "cancelled"
+    assert client.get("/api/v1/calibrations/never").status_code == 404
+    again = client.post("/api/v1/runs/endless/cancel")
+    assert (again.status_code, again.json()["state"]) == (200, "cancelled")
+
+
+def test_runs_wait_for_their_turn(sqlite_client: Any, computing: Any, tmp_path: Path):
+    computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
+    sqlite_client.post(URL, json=body(id="first"))
+    wait(sqlite_client, "first", started)
+    sqlite_client.post(URL, json=body(id="second"))
+    sqlite_client.post(URL, json=body(id="third"))
+    time.sleep(0.3)
+    states = {run["id"]: run["state"] for run in sqlite_client.get("/api/v1/runs").json()["items"]}
+    assert states == {"first": "running", "second": "queued", "third": "queued"}
+    assert sqlite_client.post("/api/v1/runs/second/cancel").json()["state"] == "cancelled"
+    sqlite_client.post("/api/v1/runs/first/cancel")
+    wait(sqlite_client, "third", started)
+
+
+def test_more_runs_than_may_wait_are_refused(sqlite_settings: Settings, computing: Any, tmp_path):
+    computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
+    settings = sqlite_settings.model_copy(update={"runs_waiting": 1})
+    with TestClient(create_app(settings, RecordedLive())) as client:
+        client.post(URL, json=body(id="first"))
+        wait(client, "first", started)
+        assert client.post(URL, json=body(id="second")).status_code == 202
+        refused = client.post(URL, json=body(id="third"))
+        assert (refused.status_code, refused.json()["type"]) == (503, "/problems/busy")
+        assert client.get("/api/v1/runs/third").status_code == 404
+
+
+def test_what_ran_when_the_server_stopped_is_interrupted_and_what_waited_goes_on(
+    open_client: Any, computing: Any, tmp_path: Path
+):
+    computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
+    with open_client() as client:
+        client.post(URL, json=body(id="first"))
+        wait(client, "first", started)
+        client.post(URL, json=body(id="second"))
+        pid = int((tmp_path / "pid").read_text())
+    assert not running(pid)
+    computing(slow_tasks.fail)
+    with open_client() as client:
+        assert client.get("/api/v1/runs/first").json()["state"] == "interrupted"
+        assert wait(client, "second")["problem"]["type"] == "/problems/no-convergence"
+
+
+def test_what_ran_when_the_server_died_is_interrupted(open_client: Any, settings: Settings):
+    with open_client():
+        pass
+    database = Database(settings.effective_database_url)
+    try:
+        with database.write() as session:
+            for name, own in (("dead", True), ("elsewhere", False)):
+                row = store.add_run(session, "calibration", "sim", {}, 10, name)
+                assert store.claim(session) is row
+                # Of this machine with the id of a process that is no more, and of another machine.
+                host = store.owner().rpartition("/")[0]
+                row.owner = f"{host}/{2**22 + 1}" if own else "elsewhere/1"
+    finally:
+        database.close()
+    with open_client() as client:
+        assert client.get("/api/v1/runs/dead").json()["state"] == "interrupted"
+        assert client.get("/api/v1/runs/elsewhere").json()["state"] == "running"
+        with client.app.state.database.write() as session:
+            session.get_one(RunRow, "elsewhere").heartbeat_at -= store.STALE_AFTER
+        client.app.state.runs.submitted()  # it would look in some seconds
+        wait(client, "elsewhere")
+        assert client.get("/api/v1/runs/elsewhere").json()["state"] == "interrupted"
+
+
+def test_a_deleted_device_ends_its_runs(sqlite_client: Any, computing: Any, tmp_path: Path):
+    computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
+    sqlite_client.post(URL, json=body(id="first"))
+    wait(sqlite_client, "first", started)
+    pid = int((tmp_path / "pid").read_text())
+    assert sqlite_client.delete("/api/v1/devices/sim?cascade=true").status_code == 204
+    assert sqlite_client.get("/api/v1/runs/first").status_code == 404
+    wait_until(lambda: not running(pid))
+
+
+def test_a_result_id_taken_meanwhile_fails_the_run(sqlite_client: Any):
+    sqlite_client.post(URL, json=body(id="first", result_id="same"))
+    made = sqlite_client.post("/api/v1/calibrations", json=body(id="same"))
+    assert made.status_code == 201
+    found = wait(sqlite_client, "first")
+    assert found["problem"]["type"] == "/problems/calibration-exists"
+
+
+def running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)

@@ -1,6 +1,6 @@
 """Exchanges common to all sensors: two control points carry each other's labels."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb, exp, log
 from typing import Final
@@ -29,19 +29,15 @@ class DeviceLabels:
 
 
 def search_device(
-    readings: Sequence[SensorReadings], ended: Callable[[int], None] = lambda _: None
+    readings: Sequence[SensorReadings], found: Sequence[SensorLabels]
 ) -> DeviceLabels:
-    """Search each sensor, then take exchanges that are likelier of the points than of sensors.
+    """Take exchanges that are likelier of the points than of single sensors.
 
     Args:
         readings: of each sensor, of the same points.
-        ended: told of each sensor's first search when it ends.
+        found: what a search of each by itself found.
     """
-    now = list(readings)
-    found = []
-    for index, one in enumerate(now):
-        found.append(search_labels(one))
-        ended(index)
+    now, found = list(readings), list(found)
     common: list[CommonExchange] = []
     refused: set[tuple[int, int]] = set()
     while True:

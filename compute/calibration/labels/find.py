@@ -84,34 +84,36 @@ def find_label_errors(
     ]
     names = [sensor.name for sensor in sensors]
 
-    def tell(done: int) -> None:
+    found: list[SensorLabels] = []
+    for column, one in enumerate(data):
         if progress is not None:
-            progress((done + 1) / len(names), f"labels of {names[done]}")
-
+            progress(column / len(data), f"labels of {names[column]}")
+        found.append(search_labels(one))
     if given is None:
-        each = [search_labels(one) for one in data]
-        usual = ScalePrior(ALIKE, median(labels.factor for labels in each))
+        usual = ScalePrior(ALIKE, median(labels.factor for labels in found))
         data = [_scaled(one, usual) for one in data]
+        found = [search_labels(one) for one in data]
     else:
-        data = [_believed(one) for one in data]
-    return _report(search_device(data, tell), readings, names)
+        doubted = [_doubted(one, labels) for one, labels in zip(data, found, strict=True)]
+        data, found = [one for one, _ in doubted], [labels for _, labels in doubted]
+    return _report(search_device(data, found), readings, names)
 
 
-def _believed(data: SensorReadings) -> SensorReadings:
-    """Return readings with the factor of their deviations free where that explains them better.
+def _doubted(data: SensorReadings, known: SensorLabels) -> tuple[SensorReadings, SensorLabels]:
+    """Leave the factor of the stated deviations free where that explains the readings better.
 
     Where a lens's distortion is many deviations, as an example, no number of wrong readings is
     a good explanation.
     """
-    known = search_labels(data)
     best = known.best
-    freedom = max(best.kept - WIDTH, 1)
-    ordinary = best.chi2 <= chi2_distribution.isf(SUSPICIOUS, freedom)
+    ordinary = best.chi2 <= chi2_distribution.isf(SUSPICIOUS, max(best.kept - WIDTH, 1))
     if ordinary and best.hypothesis.size < 2:
-        return data
+        return data, known
     free = _scaled(data, UNKNOWN_FACTOR)
-    doubted = search_labels(free).best.log_posterior + DISBELIEVED
-    return free if doubted > best.log_posterior else data
+    labels = search_labels(free)
+    if labels.best.log_posterior + DISBELIEVED > best.log_posterior:
+        return free, labels
+    return data, known
 
 
 def _scaled(data: SensorReadings, scale: ScalePrior) -> SensorReadings:

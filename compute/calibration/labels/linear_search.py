@@ -15,7 +15,7 @@ from compute.calibration.labels.projective import WIDTH
 
 Array = NDArray[np.float64]
 
-BEAM: Final = 24
+BEAM: Final = 16
 """Explanations that are taken further at each level, for up to about 100 readings."""
 PAIR_ROOM: Final = 240_000
 """Pairs looked at in one level: many readings narrow the beam."""
@@ -62,7 +62,7 @@ class _States:
 
 
 def explore(
-    camera: LinearCamera, seeds: Iterable[Hypothesis], count: int
+    camera: LinearCamera, seeds: Iterable[Hypothesis], count: int, beam: int = BEAM
 ) -> list[tuple[float, Hypothesis]]:
     """Return the ``count`` best explanations found, with their log posterior but for a constant.
 
@@ -75,9 +75,10 @@ def explore(
         camera: the linearised camera; points are counted within its readings.
         seeds: explanations to start from.
         count: wanted.
+        beam: explanations that are taken further at each level.
     """
     n = len(camera.readings)
-    width = int(np.clip(PAIR_ROOM // n**2, 4, BEAM))
+    width = int(np.clip(PAIR_ROOM // n**2, 4, beam))
     known: dict[Hypothesis, float] = {}
     states = _work_out(camera, list(dict.fromkeys(seeds)))
     _note(known, zip(_score(camera, states).tolist(), states.explained, strict=True))

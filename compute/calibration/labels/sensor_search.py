@@ -12,7 +12,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from compute.calibration.labels.evidence import Evidence, ScalePrior
 from compute.calibration.labels.hypothesis import Hypothesis
-from compute.calibration.labels.linear_search import LinearCamera, explore
+from compute.calibration.labels.linear_search import BEAM, LinearCamera, explore
 from compute.calibration.labels.projective import WIDTH, ProjectiveCamera
 from compute.calibration.labels.robust import robust_starts
 
@@ -22,6 +22,8 @@ JUDGED: Final = 12
 """Explanations of a linear search that are worked out in the camera itself."""
 COMPARED: Final = 40
 """As many in the last one: what the probabilities rest on."""
+FIRST_BEAM: Final = 6
+"""Beam where all squares look ordinary."""
 ROBUST_STARTS: Final = 3
 ROUNDS: Final = 8
 FIT_STEPS: Final = 40
@@ -102,7 +104,9 @@ class _Pool:
             if before is None or one.log_posterior > before.log_posterior:
                 self.judged[one.hypothesis] = one
 
-    def look_around(self, theta: Array, seeds: Sequence[Hypothesis], count: int) -> None:
+    def look_around(
+        self, theta: Array, seeds: Sequence[Hypothesis], count: int, beam: int = BEAM
+    ) -> None:
         """Search in the camera linearised at ``theta`` and judge the best found."""
         data = self.data
         seen = data.seen
@@ -113,7 +117,7 @@ class _Pool:
         local = [h for h in (_renamed(seed, place) for seed in seeds) if h is not None]
         camera = LinearCamera(basis, fitted[0, seen], data.readings_px[seen], sigma, data.evidence)
         back = {index: point for point, index in place.items()}
-        found = [_renamed(h, back) for _, h in explore(camera, [Hypothesis(), *local], count)]
+        found = [_renamed(h, back) for _, h in explore(camera, [Hypothesis(), *local], count, beam)]
         self.judge([h for h in found if h is not None], theta)
 
 
@@ -157,20 +161,22 @@ def search_labels(data: SensorReadings) -> SensorLabels:
     weights = np.where(np.isfinite(data.readings_px), 1.0 / data.sigma_px, 0.0)[None]
     plain = camera.fit(values, weights, camera.algebraic(values, weights), FIT_STEPS)[0]
     pool.judge([none], plain)
-    pool.look_around(pool.best.theta, [], JUDGED)
-    if not (np.isinf(data.scale.freedom) and pool.best.hypothesis == none and _ordinary(pool)):
+    ordinary = np.isinf(data.scale.freedom) and _ordinary(pool)
+    if ordinary:
+        pool.look_around(pool.best.theta, [], JUDGED, FIRST_BEAM)
+    if not (ordinary and pool.best.hypothesis == none):
         tried: set[Hypothesis] = set()
         for start in robust_starts(camera, data.readings_px, data.sigma_px, ROBUST_STARTS):
             outliers = _outliers(data, start)
             if outliers not in tried:
                 tried.add(outliers)
                 pool.look_around(start, [outliers], JUDGED)
-    last = None
+    looked: Hypothesis | None = none if ordinary else None
     for _ in range(ROUNDS):
         best = pool.best
-        if best.hypothesis == last:
+        if best.hypothesis == looked:
             break
-        last = best.hypothesis
+        looked = best.hypothesis
         pool.look_around(best.theta, [best.hypothesis], COMPARED)
         pool.judge(_rearranged(data, pool.best), pool.best.theta)
     best = pool.best

@@ -1,5 +1,8 @@
-"""What every owner of a Warp kernel needs on the host: its device, its arrays' memory."""
+"""What every owner of a Warp kernel needs on the host: device, arrays' memory, CPU threads."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any
 
 from numpy.typing import NDArray
@@ -32,3 +35,28 @@ def host_memory(array: Any) -> NDArray[Any]:
     """Return the memory of a Warp array on the host, not a copy of it."""
     view: NDArray[Any] = array.numpy()
     return view
+
+
+@cache
+def helpers() -> ThreadPoolExecutor:
+    """Return the threads that help the caller's: one for each further CPU."""
+    return ThreadPoolExecutor(max(cpus() - 1, 1), thread_name_prefix="kernel")
+
+
+@cache
+def cpus() -> int:
+    """Return the number of CPUs that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def check_threads(threads: int | None) -> int:
+    """Return how many threads share a batch; None: as many as there are CPUs.
+
+    Raises:
+        InvalidParameter: fewer than one.
+    """
+    if threads is None:
+        return cpus()
+    if threads < 1:
+        raise InvalidParameter(f"threads is {threads}; it must be 1 or more", threads=threads)
+    return threads

@@ -23,6 +23,8 @@ FIRST_STEPS = 2
 FIRST_DAMPING = 1e-6
 MAX_DAMPING = 1e12
 SETTLED_MM = 1e-6
+ROUNDING = 1.0 + 1e-10
+"""Steps near the end change chi2 by less than its rounding: growth up to this factor is none."""
 _DIAGONAL = np.arange(3)
 INCONSISTENT_PROBABILITY = 1e-4
 """Chance that a good point is flagged as inconsistent."""
@@ -165,8 +167,7 @@ def _solve(gram: Array, damping: Array) -> Array:
     diagonal = normal[:, _DIAGONAL, _DIAGONAL]
     floor = 1e-300 + 1e-15 * diagonal.max(axis=1, keepdims=True)
     normal[:, _DIAGONAL, _DIAGONAL] += damping[:, None] * diagonal + floor
-    step: Array = np.linalg.solve(normal, gram[:, :3, 3:])[..., 0]
-    return step
+    return np.asarray(np.linalg.solve(normal, gram[:, :3, 3:])[..., 0], dtype=np.float64)
 
 
 def _whitening(
@@ -211,14 +212,15 @@ def _refine(
         step = _solve(gram[index], damping[index])
         trial = position[index] + step
         trial_gram = _gram(equations.at(trial, index, whitening[index]))
-        better = trial_gram[:, 3, 3] <= gram[index, 3, 3]
+        # The next step would be shorter by the curvature over this one's length: below a
+        # nanometre, far under any rounding of the result, it is not worth taking.
+        small = np.abs(step).max(axis=1) <= SETTLED_MM
+        better = trial_gram[:, 3, 3] <= ROUNDING * gram[index, 3, 3]
+        better |= small & np.isfinite(trial_gram[:, 3, 3])
         accepted = index[better]
         position[accepted] = trial[better]
         gram[accepted] = trial_gram[better]
         damping[index] *= np.where(better, 0.1, 10.0)
-        # The next step would be shorter by the curvature over this one's length: below a
-        # nanometre, far under any rounding of the result, it is not worth taking.
-        small = np.abs(step).max(axis=1) <= SETTLED_MM
         converged[index] = small
         index = index[~small & (damping[index] < MAX_DAMPING)]
     return position, gram, converged

@@ -18,6 +18,7 @@ class FrameBatch:
         device_id: the device.
         sensor_names: its sensors in order.
         calibration_id: the calibration of these points; None: there are no points.
+        table_id: the correction table of these points; None: readings were not corrected.
         frames: F frames in the order of their exposure.
         peaks: peaks of the F x S lines, frame by frame.
         points: N points of all frames.
@@ -27,6 +28,7 @@ class FrameBatch:
     device_id: str
     sensor_names: tuple[str, ...]
     calibration_id: str | None
+    table_id: str | None
     frames: tuple[LineFrame, ...]
     peaks: PeakBatch
     points: PointBatch

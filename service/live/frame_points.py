@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from compute.calibration.result import Calibration
 from compute.calibration.weights import reading_sigma
-from compute.camera.stack import CameraStack
-from compute.reconstruction.correspondence import match_peaks
+from compute.reconstruction.correspondence import group_peaks
 from compute.reconstruction.estimate import PointBatch, PointFlag
-from compute.reconstruction.points import reconstruct
+from compute.reconstruction.solver import PointSolver
 from compute.signal.peaks import PeakBatch, PeakFlag
 from hardware.frame import LineFrame
 
@@ -20,12 +19,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ActiveCalibration:
-    """A calibration in the form that the live path uses."""
+    """A calibration in the form that the live path uses, with its correction table, if any."""
 
     calibration_id: str
     calibration: Calibration
-    cameras: CameraStack
-    covariance: Array
+    table_id: str | None
+    solver: PointSolver
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,11 @@ def frame_points(
     doubtful = position[(flags & use.doubtful) != 0]
     # By frame, peak and sensor for the calibration's figures, which are by sensor.
     own = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
-    spread = reading_sigma(active.calibration, own, own).transpose(0, 2, 1)
+    spread = reading_sigma(active.calibration, own, own)
+    if active.table_id is not None:
+        # The calibration's misfit, which would widen them, is what the table takes away.
+        spread = np.where(np.isfinite(own), own, spread)
+    spread = spread.transpose(0, 2, 1)
     amplitude = peaks.amplitude.reshape(shape)
     rows: list[Array] = []
     sigmas: list[Array] = []
@@ -88,7 +91,7 @@ def frame_points(
             owner.append(index)
             ambiguous.append(False)
             continue
-        found = match_peaks(active.cameras, position[index], spread[index], active.covariance)
+        found = group_peaks(active.solver.solve, position[index], spread[index])
         rows.extend(found.readings_px)
         sigmas.extend(found.sigma_px)
         owner.extend([index] * len(found.readings_px))
@@ -96,7 +99,7 @@ def frame_points(
     if not rows:
         return no_points(sensors), np.empty(0, dtype=np.intp)
     readings, deviations = np.array(rows), np.array(sigmas)
-    points = reconstruct(active.cameras, readings, deviations, active.covariance)
+    points = active.solver.solve(readings, deviations)
     found_flags = np.where(ambiguous, int(PointFlag.AMBIGUOUS), 0)
     from_doubtful = np.isin(readings, doubtful).any(axis=1)
     found_flags |= np.where(from_doubtful, int(PointFlag.DOUBTFUL_PEAK), 0)

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from compute.calibration.result import Calibration
-from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
+from compute.mapping.table import CorrectionTable
+from compute.reconstruction.solver import PointSolver, load_kernels
 from hardware.driver import DeviceDescription
 from hardware.frame import LineFrame
 from service.live.batch import FrameBatch
@@ -19,10 +20,10 @@ MAX_FRAMES = 64
 
 
 class DeviceProcessor:
-    """Pure function of frames and calibration, with the buffers that it needs.
+    """Pure function of frames, calibration and correction table, with the buffers that it needs.
 
-    Made and called in the compute thread; ``set_calibration`` may be called from any thread and
-    takes effect between two batches.
+    Made and called in the compute thread, ``set_calibration`` too: it makes what the next batch
+    is reconstructed with, so that no frame waits for a kernel.
     """
 
     def __init__(
@@ -41,6 +42,9 @@ class DeviceProcessor:
         self._active: ActiveCalibration | None = None
         model = line_model(description) if model is None else model
         self._finding = PeakFinding(description, MAX_FRAMES, model, compute_device)
+        self._compute_device = compute_device
+        if self._finding.reads:
+            load_kernels(len(self._names), compute_device)
 
     @property
     def calibration_id(self) -> str | None:
@@ -48,26 +52,47 @@ class DeviceProcessor:
         active = self._active
         return active.calibration_id if active else None
 
-    def set_calibration(self, calibration_id: str | None, calibration: Calibration | None) -> None:
-        """Switch the calibration; one assignment, so that a batch sees the old or the new.
+    @property
+    def table_id(self) -> str | None:
+        """The correction table in force."""
+        active = self._active
+        return active.table_id if active else None
+
+    def set_calibration(
+        self,
+        calibration_id: str | None,
+        calibration: Calibration | None,
+        table_id: str | None = None,
+        table: CorrectionTable | None = None,
+    ) -> None:
+        """Switch the calibration and its correction table, between two batches.
+
+        Takes milliseconds, unless the calibration has more terms of distortion than any before.
 
         Raises:
-            InvalidParameter: the calibration is of other sensors.
+            InvalidParameter: the calibration or the table is of other sensors; that in force
+                stays.
         """
         if calibration_id is None or calibration is None:
             self._active = None
             return
         names = tuple(model.name for model in calibration.models)
-        if names != self._names:
-            raise InvalidParameter(
-                f"calibration {calibration_id} is of the sensors {', '.join(names)}; the device "
-                f"has {', '.join(self._names)}"
-            )
+        for what, own in (
+            (f"calibration {calibration_id}", names),
+            (f"correction table {table_id}", table.sensors if table else self._names),
+        ):
+            if own != self._names:
+                raise InvalidParameter(
+                    f"{what} is of the sensors {', '.join(own)}; the device has "
+                    f"{', '.join(self._names)}"
+                )
+        # A table's variance is that of the whole reading, the calibration's share included.
+        covariance = np.array(calibration.covariance) if table is None else None
         self._active = ActiveCalibration(
             calibration_id,
             calibration,
-            CameraStack.of(calibration.models),
-            np.array(calibration.covariance),
+            None if table is None else table_id,
+            PointSolver(calibration.models, covariance, table, self._compute_device, threads=1),
         )
 
     def process(self, frames: Sequence[LineFrame]) -> FrameBatch:
@@ -89,6 +114,7 @@ class DeviceProcessor:
             self._device_id,
             self._names,
             active.calibration_id if active else None,
+            active.table_id if active else None,
             tuple(frames),
             peaks,
             points,

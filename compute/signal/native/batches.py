@@ -1,36 +1,7 @@
-"""What a batch of lines may be, and the threads that share it on the CPU."""
-
-import os
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+"""What a batch of lines may be."""
 
 from compute.errors import InvalidParameter
 from compute.signal.settings import MAX_PIXELS, MIN_PIXELS
-
-
-@cache
-def helpers() -> ThreadPoolExecutor:
-    """Return the threads that help the caller's: one for each further CPU."""
-    return ThreadPoolExecutor(max(cpus() - 1, 1), thread_name_prefix="lines")
-
-
-@cache
-def cpus() -> int:
-    """Return the number of CPUs that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def check_threads(threads: int | None) -> int:
-    """Return how many threads share a batch; None: as many as there are CPUs.
-
-    Raises:
-        InvalidParameter: fewer than one.
-    """
-    if threads is None:
-        return cpus()
-    if threads < 1:
-        raise InvalidParameter(f"threads is {threads}; it must be 1 or more", threads=threads)
-    return threads
 
 
 def check_size(lines: int, pixels: int) -> None:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.signal.native.batches import check_size, check_threads, helpers
+from compute.signal.native.batches import check_size
 from compute.signal.native.cuda_sizes import BLOCK_THREADS, LINES_PER_BATCH
 from compute.signal.noise import LineNoise
-from compute.warp_host import host_memory, warp_device
+from compute.warp_host import check_threads, helpers, host_memory, warp_device
 
 WARP_LANES: Final = 32
 FILLING_WARPS: Final = 8192

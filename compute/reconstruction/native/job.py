@@ -1,0 +1,77 @@
+"""What the kernel is given: a record of addresses and sizes, and its C++ counterpart."""
+
+from typing import Final
+
+import numpy as np
+
+from compute.reconstruction.estimate import PointFlag
+from compute.reconstruction.linear import CONDITION_LIMIT
+from compute.reconstruction.points import (
+    DEGENERATE_RATIO,
+    FIRST_DAMPING,
+    FIRST_STEPS,
+    MAX_DAMPING,
+    MAX_ITERATIONS,
+    ROUNDING,
+    SETTLED_MM,
+    UNINFORMATIVE_RATIO,
+)
+
+CAMERA_FIELDS: Final = 16
+"""c, p0, the rotation row by row, x, y, z of the offset, D, and the row's distance."""
+MAX_POWER: Final = 15
+"""Highest power of a field angle in a term of distortion."""
+
+_ADDRESSES: Final = {
+    # Of the points: (N, S), (N, S); then what is written: (N, 3), (N, 9), (N,), (N, S), (N,).
+    "readings": "const double*",
+    "sigma": "const double*",
+    "position": "double*",
+    "covariance": "double*",
+    "chi2": "double*",
+    "used": "unsigned char*",
+    "flags": "int*",
+    # Of the cameras, with the sensors last: (16, S), (K, S), (K, 2), (S + 1,), (S w, S w).
+    "cameras": "const double*",
+    "coefficients": "const double*",
+    "powers": "const int*",
+    "limits": "const double*",
+    "parameters": "const double*",
+    # Of the table, with the sensors last; degree 0 without one.
+    "values": "const double*",
+    "variance": "const double*",
+    "valid": "const unsigned char*",
+}
+_COUNTS: Final = ("terms", "top_power", "degree", "cells_x", "cells_y", "cells_z")
+
+JOB: Final = np.dtype(
+    [
+        *((name, "<u8") for name in _ADDRESSES),
+        *((name, "<i8") for name in _COUNTS),
+        ("origin", "<f8", (3,)),
+        ("pitch", "<f8", (3,)),
+    ]
+)
+"""One job: N points of one set of cameras; 64-bit words only. ``parameters`` is 0 without
+covariance."""
+
+_NEWLINE: Final = "\n        "
+JOB_SOURCE: Final = f"""
+    struct Job {{
+        {_NEWLINE.join(f"{kind} {name};" for name, kind in _ADDRESSES.items())}
+        {_NEWLINE.join(f"long long {name};" for name in _COUNTS)}
+        double origin[3], pitch[3];
+    }};
+    const int camera_fields = {CAMERA_FIELDS}, powers_room = {MAX_POWER + 1};
+    const int too_few_sensors = {PointFlag.TOO_FEW_SENSORS:d};
+    const int degenerate = {PointFlag.DEGENERATE:d}, no_convergence = {PointFlag.NO_CONVERGENCE:d};
+    const int no_redundancy = {PointFlag.NO_REDUNDANCY:d};
+    const int inconsistent = {PointFlag.INCONSISTENT:d}, outside_map = {PointFlag.OUTSIDE_MAP:d};
+    const int first_steps = {FIRST_STEPS}, max_iterations = {MAX_ITERATIONS};
+    const double first_damping = {FIRST_DAMPING!r}, max_damping = {MAX_DAMPING!r};
+    const double settled = {SETTLED_MM!r}, uninformative = {UNINFORMATIVE_RATIO!r};
+    const double rounding = {ROUNDING!r};
+    const double condition_limit = {CONDITION_LIMIT!r}, degenerate_ratio = {DEGENERATE_RATIO!r};
+    const Job& job = *(const Job*)job_address;
+"""
+"""Above it stand ``S``, the number of sensors, and ``ROOM``, how many terms there is room for."""

@@ -1,0 +1,197 @@
+"""PointSolver: readings to points in one kernel, on one device, for one calibration."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter
+from compute.mapping.table import CorrectionTable
+from compute.reconstruction.estimate import PointBatch
+from compute.reconstruction.native.job import CAMERA_FIELDS, JOB, MAX_POWER
+from compute.reconstruction.native.launch import CpuLaunch, CudaLaunch, address, empty_points
+from compute.reconstruction.points import (
+    INCONSISTENT_PROBABILITY,
+    check_corrections,
+    chi2_limit,
+)
+from compute.warp_host import warp_device
+
+Array = NDArray[np.float64]
+
+MAX_SENSORS: Final = 64
+LEAST_ROOM: Final = 16
+"""Terms of distortion that a kernel has room for, at least, when it has any: calibrations with
+other terms then need no other kernel."""
+
+
+class PointSolver:
+    """What ``reconstruct`` does, in float64, by one kernel on the CPU or on CUDA.
+
+    Warp is not thread-safe: one thread makes the solver and calls it. Making it loads Warp and
+    compiles the kernel for this number of sensors, with distortion or without, unless an earlier
+    process has (seconds); ``solve`` does neither. Cameras, covariance and table are data to it:
+    a solver for another calibration of the same device is made in a millisecond.
+
+    Args:
+        cameras: S calibrated cameras.
+        parameter_covariance: as of ``reconstruct``.
+        corrections: as of ``reconstruct``.
+        device: "cpu", "cuda:0", ...; None takes the first CUDA device, or else the CPU.
+        threads: most CPU threads for a large batch; None: as many as there are CPUs.
+
+    Raises:
+        InvalidParameter: too many sensors, terms of too high powers, a covariance of another
+            shape, a table of other sensors, or a device that is not there.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[SensorModel] | CameraStack,
+        parameter_covariance: Array | None = None,
+        corrections: CorrectionTable | None = None,
+        device: str | None = None,
+        threads: int | None = None,
+    ) -> None:
+        # Here and not above: Warp takes a second to load, and the types are used without it.
+        import warp as wp
+
+        from compute.reconstruction.native.kernel import point_kernel
+
+        stack = cameras if isinstance(cameras, CameraStack) else CameraStack.of(cameras)
+        _check(stack, parameter_covariance)
+        check_corrections(stack, corrections)
+        self.sensors = len(stack)
+        place = warp_device(wp, device)
+        self.device = str(place.alias)
+        # Kept: the job has their addresses.
+        self._arrays: list[Any] = []
+        job = np.zeros(1, dtype=JOB)
+
+        def put(name: str, array: NDArray[Any]) -> None:
+            values: Any = np.ascontiguousarray(array)
+            if place.is_cuda:
+                values = wp.array(values, device=place) if values.size else None
+                job[name] = 0 if values is None else values.ptr
+            else:
+                job[name] = address(values)
+            self._arrays.append(values)
+
+        put("cameras", _camera_fields(stack))
+        put("coefficients", stack.coefficients.T)
+        put("powers", np.array(stack.terms, dtype=np.int32).reshape(-1, 2))
+        freedoms = range(-3, self.sensors - 2)
+        put("limits", np.array([chi2_limit(f, INCONSISTENT_PROBABILITY) for f in freedoms]))
+        job["terms"] = len(stack.terms)
+        job["top_power"] = max((max(term) for term in stack.terms), default=0)
+        if parameter_covariance is not None:
+            put("parameters", stack.spread_covariance(np.asarray(parameter_covariance)))
+        if corrections is not None:
+            for name, values in (
+                ("values", corrections.coefficients_px),
+                ("variance", corrections.variance_px2),
+                ("valid", corrections.valid.astype(np.uint8)),
+            ):
+                put(name, np.moveaxis(values, 0, -1))
+            job["degree"] = corrections.degree
+            job["cells_x"], job["cells_y"], job["cells_z"] = corrections.grid.cells
+            job["origin"], job["pitch"] = corrections.grid.origin_mm, corrections.grid.pitch_mm
+        kernel = point_kernel(self.sensors, term_room(stack))
+        self.launch: CpuLaunch | CudaLaunch = (
+            CudaLaunch(wp, kernel, job, self.sensors, place)
+            if place.is_cuda
+            else CpuLaunch(wp, kernel, job, self.sensors, threads)
+        )
+        # Loads the kernel, before the first frame waits for it.
+        self.solve(np.full((1, self.sensors), np.nan), np.ones(self.sensors))
+
+    def solve(self, readings_px: Array, sigma_px: Array) -> PointBatch:
+        """Return the points of readings.
+
+        Args:
+            readings_px: shape (N, S) [px]; NaN where a sensor did not see the point.
+            sigma_px: standard deviations of the readings, shape (N, S) or (S,) [px], positive.
+
+        Raises:
+            InvalidParameter: other shapes.
+        """
+        readings = np.ascontiguousarray(readings_px, dtype=np.float64)
+        if readings.ndim != 2 or readings.shape[1] != self.sensors:
+            raise InvalidParameter(
+                f"readings have the shape {readings.shape}; it must be (N, {self.sensors})",
+                shape=readings.shape,
+            )
+        sigma = np.asarray(sigma_px, dtype=np.float64)
+        if sigma.shape not in (readings.shape, (self.sensors,)):
+            raise InvalidParameter(
+                f"sigma_px has the shape {sigma.shape}; it must be {readings.shape} or "
+                f"({self.sensors},)",
+                shape=sigma.shape,
+            )
+        if len(readings) == 0:
+            return empty_points(0, self.sensors)
+        if sigma.ndim == 1:
+            sigma = np.broadcast_to(sigma, readings.shape)
+        return self.launch.solve(readings, np.ascontiguousarray(sigma))
+
+
+def load_kernels(sensors: int, device: str | None = None) -> None:
+    """Load what solvers for so many sensors need, with up to LEAST_ROOM terms of distortion.
+
+    Raises:
+        InvalidParameter: no such device.
+    """
+    import warp as wp
+
+    from compute.reconstruction.native.kernel import point_kernel
+
+    place = warp_device(wp, device)
+    for room in (0, LEAST_ROOM):
+        point_kernel(sensors, room).module.load(place)
+
+
+def term_room(cameras: CameraStack) -> int:
+    """Return how many terms of distortion the kernel for these cameras has room for."""
+    if not cameras.distorted:
+        return 0
+    room = LEAST_ROOM
+    while room < len(cameras.terms):
+        room *= 2
+    return room
+
+
+def _check(cameras: CameraStack, covariance: Array | None) -> None:
+    if not 1 <= len(cameras) <= MAX_SENSORS:
+        raise InvalidParameter(
+            f"there are {len(cameras)} sensors; there must be 1 to {MAX_SENSORS}"
+        )
+    for term in cameras.terms:
+        if max(term) > MAX_POWER:
+            raise InvalidParameter(
+                f"a term of distortion has the powers {term}; they must be {MAX_POWER} at most"
+            )
+    count = int(cameras.owned.sum())
+    if covariance is not None and np.shape(covariance) != (count, count):
+        raise InvalidParameter(
+            f"the parameters' covariance has the shape {np.shape(covariance)}; the cameras have "
+            f"{count} parameters"
+        )
+
+
+def _camera_fields(cameras: CameraStack) -> Array:
+    """Return the cameras' parameters with the sensors last, shape (16, S)."""
+    fields = np.concatenate(
+        [
+            cameras.principal_distance_px[None],
+            cameras.principal_point_px[None],
+            cameras.rotation.reshape(-1, 9).T,
+            cameras.offset_mm.T,
+            cameras.cubic_per_px2[None],
+            cameras.row_behind_mm[None],
+        ]
+    )
+    assert len(fields) == CAMERA_FIELDS
+    return fields

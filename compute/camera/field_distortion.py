@@ -112,14 +112,21 @@ def check_terms(terms: Sequence[Term]) -> None:
 
 def term_values(u: Array, v: Array, terms: Sequence[Term]) -> Array:
     """Return u^i v^j for each term, shape (..., K)."""
-    return _stacked(u, [u**i * v**j for i, j in terms])
+    powers_u, powers_v = (_powers(x, terms, axis) for axis, x in enumerate((u, v)))
+    values = np.empty((*np.shape(u), len(terms)))
+    for place, (i, j) in enumerate(terms):
+        np.multiply(powers_u[i], powers_v[j], out=values[..., place])
+    return values
 
 
 def term_slopes(u: Array, v: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
     """Return the derivatives of u^i v^j by u and by v, both of shape (..., K)."""
-    by_u = [i * u ** max(i - 1, 0) * v**j for i, j in terms]
-    by_v = [j * u**i * v ** max(j - 1, 0) for i, j in terms]
-    return _stacked(u, by_u), _stacked(u, by_v)
+    powers_u, powers_v = (_powers(x, terms, axis) for axis, x in enumerate((u, v)))
+    by_u, by_v = np.empty((2, *np.shape(u), len(terms)))
+    for place, (i, j) in enumerate(terms):
+        np.multiply(i * powers_u[max(i - 1, 0)], powers_v[j], out=by_u[..., place])
+        np.multiply(powers_u[i], j * powers_v[max(j - 1, 0)], out=by_v[..., place])
+    return by_u, by_v
 
 
 def distortion(u: Array, v: Array, terms: Sequence[Term], coefficients: Array) -> Array:
@@ -150,7 +157,9 @@ def undistorted(distorted: Array, v: Array, terms: Sequence[Term], coefficients:
     )
 
 
-def _stacked(u: Array, columns: list[Array]) -> Array:
-    if not columns:
-        return np.zeros((*np.shape(u), 0))
-    return np.stack(columns, axis=-1)
+def _powers(values: Array, terms: Sequence[Term], axis: int) -> list[Array]:
+    """Return x^0, x^1, .. up to the highest that a term has; ``**`` takes many times as long."""
+    powers = [np.ones(np.shape(values))]
+    for _ in range(max((term[axis] for term in terms), default=0)):
+        powers.append(powers[-1] * values)
+    return powers

@@ -1,14 +1,16 @@
 """Several 1D cameras as arrays: projection of points and its Jacobians, batched."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from compute.camera.field_distortion import Term, term_slopes, term_values
-from compute.camera.model import PARAMETER_COUNT, SensorModel
+from compute.camera.model import PARAMETER_COUNT, SensorModel, vector3
+from compute.camera.rotation import rotation_matrix
 
 Array = NDArray[np.float64]
 
@@ -79,6 +81,66 @@ class CameraStack:
             coefficients,
             np.array([0.0 if d is None else d.row_behind_mm for d in distortions]),
             places,
+        )
+
+    def models(self, like: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
+        """Return the cameras one by one; names, pixels and terms are those of ``like`` (S)."""
+        vectors = Rotation.from_matrix(self.rotation).as_rotvec()
+        models = []
+        for row, model in enumerate(like):
+            distortion = model.distortion
+            if distortion is not None:
+                own = [self.terms.index(term) for term in distortion.terms]
+                distortion = replace(
+                    distortion,
+                    coefficients=tuple(self.coefficients[row, own].tolist()),
+                    offset_y_mm=float(self.offset_mm[row, 1]),
+                )
+            models.append(
+                replace(
+                    model,
+                    principal_distance_px=float(self.principal_distance_px[row]),
+                    principal_point_px=float(self.principal_point_px[row]),
+                    rotation_vector_rad=vector3(vectors[row]),
+                    offset_x_mm=float(self.offset_mm[row, 0]),
+                    offset_z_mm=float(self.offset_mm[row, 2]),
+                    distortion=distortion,
+                )
+            )
+        return tuple(models)
+
+    def moved(self, steps: Array) -> "CameraStack":
+        """Return the cameras after steps of their parameters, shape (S, width).
+
+        Steps of what a camera has not got must be 0.
+        """
+        offset = self.offset_mm.copy()
+        offset[:, ::2] += steps[:, 5:7]
+        coefficients = self.coefficients
+        if self.distorted:
+            offset[:, 1] += steps[:, 7]
+            coefficients = coefficients + steps[:, 8:]
+        return replace(
+            self,
+            principal_distance_px=self.principal_distance_px + steps[:, 0],
+            principal_point_px=self.principal_point_px + steps[:, 1],
+            rotation=rotation_matrix(steps[:, 2:5]) @ self.rotation,
+            offset_mm=offset,
+            coefficients=coefficients,
+        )
+
+    def rows(self, index: NDArray[np.intp]) -> "CameraStack":
+        """Return some of the cameras, with the same columns."""
+        return replace(
+            self,
+            principal_distance_px=self.principal_distance_px[index],
+            principal_point_px=self.principal_point_px[index],
+            rotation=self.rotation[index],
+            offset_mm=self.offset_mm[index],
+            cubic_per_px2=self.cubic_per_px2[index],
+            coefficients=self.coefficients[index],
+            row_behind_mm=self.row_behind_mm[index],
+            places=self.places[index],
         )
 
     def __len__(self) -> int:
@@ -177,22 +239,35 @@ class CameraStack:
         The order is that of PARAMETERS, then offset_y_mm and the terms' coefficients where any
         sensor has distortion; 0 for what a sensor has not got.
         """
-        rotated = np.einsum("sij,nj->nsi", self.rotation, points_mm)
+        return self.with_parameters(points_mm)[1]
+
+    def with_parameters(self, points_mm: Array) -> tuple[Array, Array]:
+        """Project points (N, 3); readings (N, S) [px] and ``parameter_jacobian``."""
+        # One product of matrices: einsum takes several times as long for few points.
+        rotated = (points_mm @ self.rotation.reshape(-1, 3).T).reshape(len(points_mm), -1, 3)
         if not self.distorted:
-            u, depth = self._field(points_mm)
-            return reading_slopes(rotated, u, self.principal_distance_px / depth)
-        _, by_frame, angle, values = self._distorted(points_mm)
+            depth = rotated[..., 2] + self.offset_mm[:, 2]
+            depth = np.where(depth > 0.0, depth, np.nan)
+            u = (rotated[..., 0] + self.offset_mm[:, 0]) / depth
+            slopes = reading_slopes(rotated, u, self.principal_distance_px / depth)
+            return self.principal_point_px + self.principal_distance_px * u, slopes
+        reading, by_frame, angle, values = self._distorted(points_mm)
         jacobian = np.empty((*angle.shape, self.width))
         jacobian[..., 0] = angle
         jacobian[..., 1] = 1.0
         # A left rotation w moves R X by w x R X.
-        jacobian[..., 2:5] = np.cross(rotated, by_frame)
-        jacobian[..., 5] = by_frame[..., 0]
-        jacobian[..., 6] = by_frame[..., 2]
-        jacobian[..., 7] = by_frame[..., 1]
+        a, b, d = rotated[..., 0], rotated[..., 1], rotated[..., 2]
+        x, y, z = by_frame[..., 0], by_frame[..., 1], by_frame[..., 2]
+        jacobian[..., 2] = b * z - d * y
+        jacobian[..., 3] = d * x - a * z
+        jacobian[..., 4] = a * y - b * x
+        jacobian[..., 5] = x
+        jacobian[..., 6] = z
+        jacobian[..., 7] = y
         jacobian[..., 8:] = self.principal_distance_px[:, None] * values
-        jacobian *= self.owned
-        return jacobian
+        if not self.owned.all():
+            jacobian *= self.owned
+        return reading, jacobian
 
     def _distorted(self, points_mm: Array) -> tuple[Array, Array, Array, Array]:
         """Return readings, their slopes by a shift in the sensor's frame, u + d, and the terms.

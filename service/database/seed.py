@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from sqlalchemy.orm import Session
 
+from compute.calibration.figures import QUANTISATION_PX
 from compute.calibration.result import Calibration, SensorFit
-from compute.calibration.run import QUANTISATION_PX
 from compute.camera.model import PARAMETER_COUNT
 from hardware.simulated.bar import PITCH_UM, simulated_sensor_models
 from service.calibrations.run import Outcome, calibration_content

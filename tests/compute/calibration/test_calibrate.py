@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.optimize import check_grad, least_squares
+from scipy.optimize import least_squares
 from scipy.stats import f as f_distribution
 
 from compute.calibration.crossvalidation import fitted_errors, leave_one_out
-from compute.calibration.metric import ReadingResiduals, left_jacobian, rotation_matrix
 from compute.calibration.run import calibrate
 from compute.camera.model import SensorModel
+from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
 from compute.errors import (
     DegeneratePoints,
@@ -153,31 +153,6 @@ def test_global_minimum_of_a_measured_frame_does_not_depend_on_the_world_frame()
     )
     for first, second in zip(here.sensors, moved.sensors, strict=True):
         assert first.rms_px == pytest.approx(second.rms_px, rel=1e-6)
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_the_derivative_of_the_residuals(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    (model,), points = rig(1), control_points(6, seed=1)
-    residuals = ReadingResiduals(model, points, np.zeros(6), rng.uniform(0.5, 2.0, 6))
-    scale = np.array([100.0, 50.0, 0.2, 0.2, 0.2, 50.0, 200.0])
-    step = rng.uniform(-1.0, 1.0, 7) * scale
-    for row in range(6):
-        error = check_grad(
-            lambda x, row=row: residuals.values(x * scale)[row],
-            lambda x, row=row: residuals.jacobian(x * scale)[row] * scale,
-            step / scale,
-        )
-        assert error < 1e-3 * np.linalg.norm(residuals.jacobian(step)[row] * scale)
-
-
-@given(st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3), st.integers(0, 2))
-def test_left_jacobian(vector: list[float], axis: int) -> None:
-    w, step = np.array(vector), np.zeros(3)
-    step[axis] = 1e-6
-    turned = rotation_matrix(w + step) @ rotation_matrix(w).T
-    expected = left_jacobian(w) @ step
-    assert np.allclose(turned, rotation_matrix(expected), atol=1e-10)
 
 
 # --- what is refused ---------------------------------------------------------------------------

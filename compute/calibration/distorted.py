@@ -1,0 +1,132 @@
+"""Cameras with distortion by both field angles, fitted to readings from undistorted starts.
+
+The offset along the slit, on which v depends, is fitted where a term has v in it. Readings say
+little of it: it shifts v by its share of the depth, and all but the change of that with depth is
+what tilt and the lower terms do too. So it has a prior: the lens sees the control points' centroid
+at v = 0 +- OFFSET_SIGMA_V. That holds it where nothing else does, without distortion above all,
+and gives way to readings that know better; its share of the covariance is that of the prior then.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.levenberg import Minima, OffsetPrior, minimise
+from compute.calibration.terms import has_slit_angle
+from compute.camera.field_distortion import FieldDistortion, Term
+from compute.camera.model import PARAMETER_COUNT, SensorModel
+from compute.camera.stack import CameraStack
+
+Array = NDArray[np.float64]
+
+OFFSET_SIGMA_V: Final = 0.1
+"""Standard deviation of the v at which the centroid is seen: six degrees. A lens looks at the
+middle of its volume as well as that, and its field is three times as wide."""
+START_V: Final = (0.0, -0.1, 0.1)
+"""At which v of the centroid the search starts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slits:
+    """Where the slits lie that readings say little of.
+
+    Args:
+        row_behind_mm: see ``FieldDistortion``, shape (S,).
+        prior: of the offsets along the slits.
+    """
+
+    row_behind_mm: Array
+    prior: OffsetPrior
+
+    @classmethod
+    def of(
+        cls,
+        models: Sequence[SensorModel],
+        pitch_um: Sequence[float | None],
+        points_mm: Array,
+        seen: NDArray[np.bool_],
+    ) -> "Slits":
+        """Place them by undistorted cameras, or by distorted ones that are near already.
+
+        Args:
+            models: S cameras.
+            pitch_um: the sensors' pixel pitches [um]; None: not known.
+            points_mm: control points, shape (N, 3).
+            seen: which were read, shape (N, S).
+        """
+        behind, mean, sigma = [], [], []
+        for model, pitch, rows in zip(models, pitch_um, seen.T, strict=True):
+            middle = model.rotation @ points_mm[rows].mean(axis=0)
+            depth = float(middle[2]) + model.offset_z_mm
+            distortion = model.distortion
+            if distortion is not None:
+                behind.append(distortion.row_behind_mm)
+                mean.append(distortion.offset_y_mm)
+            else:
+                behind.append(0.0 if pitch is None else 1e-3 * pitch * model.principal_distance_px)
+                mean.append(-float(middle[1]))
+            sigma.append(OFFSET_SIGMA_V * (depth + behind[-1]))
+        return cls(np.array(behind), OffsetPrior(np.array(mean), np.array(sigma)))
+
+    def scaled(self, sigma_px: Array) -> "Slits":
+        """Return them for readings whose weights are 1 and not 1 / sigma_px (S,)."""
+        return replace(self, prior=replace(self.prior, sigma_mm=self.prior.sigma_mm / sigma_px))
+
+
+def with_terms(
+    models: Sequence[SensorModel], terms: Sequence[tuple[Term, ...]], slits: Slits
+) -> tuple[SensorModel, ...]:
+    """Return the cameras with these terms (one set for each), their coefficients as far as known.
+
+    A sensor with no terms has no distortion.
+    """
+    given = []
+    for row, (model, own) in enumerate(zip(models, terms, strict=True)):
+        old = model.distortion
+        known = {} if old is None else dict(zip(old.terms, old.coefficients, strict=True))
+        distortion = None
+        if own:
+            distortion = FieldDistortion(
+                own,
+                tuple(known.get(term, 0.0) for term in own),
+                float(slits.prior.mean_mm[row]),
+                float(slits.row_behind_mm[row]),
+            )
+        given.append(replace(model, distortion=distortion))
+    return tuple(given)
+
+
+def minimise_distorted(
+    cameras: CameraStack,
+    points_mm: Array,
+    readings_px: Array,
+    weights: Array,
+    prior: OffsetPrior,
+    several: bool = True,
+) -> Minima:
+    """Minimise from several offsets along the slit; the lowest for each camera.
+
+    Args:
+        cameras: B cameras at the prior's offsets.
+        points_mm: shape (N, 3) [mm].
+        readings_px: shape (N, B) [px].
+        weights: 1 / sigma, shape (N, B), 0: not used.
+        prior: of the offsets.
+        several: False: from where the cameras are only, which are near their minima.
+    """
+    if not several or not has_slit_angle(cameras.terms):
+        return minimise(cameras, points_mm, readings_px, weights, prior)
+    count, starts = len(cameras), len(START_V)
+    index = np.tile(np.arange(count), starts)
+    stack = cameras.rows(index)
+    step = np.zeros((len(index), cameras.width))
+    away = np.repeat(np.array(START_V) / OFFSET_SIGMA_V, count)
+    step[:, PARAMETER_COUNT] = away * prior.sigma_mm[index] * stack.owned[:, PARAMETER_COUNT]
+    ended = minimise(
+        stack.moved(step), points_mm, readings_px[:, index], weights[:, index], prior.rows(index)
+    )
+    best = np.argmin(ended.squares.reshape(starts, count), axis=0) * count + np.arange(count)
+    return Minima(ended.cameras.rows(best), ended.squares[best], ended.settled[best])

@@ -1,0 +1,98 @@
+"""Joint adjustment of all sensors and of control points that have an uncertainty of their own."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.adjustment.poses import PoseSet
+from compute.calibration.adjustment.prior import SensorPrior
+from compute.calibration.adjustment.solve import adjust
+from compute.calibration.design import fitted_columns
+from compute.calibration.sensor_fits import Observed, SensorFits
+from compute.camera.model import PARAMETER_COUNT, SensorModel
+from compute.camera.stack import CameraStack
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """Sensors and points that fit the readings and the given points best.
+
+    Args:
+        models: the cameras.
+        covariance: joint, shape (P, P), for the deviations as given; 0 for what is not fitted.
+        residuals_px: fitted minus measured, with the points where they are now, shape (N, S).
+        shifts_mm: fitted minus given points, shape (N, 3).
+    """
+
+    models: tuple[SensorModel, ...]
+    covariance: Array
+    residuals_px: Array
+    shifts_mm: Array
+
+
+def adjust_with_points(
+    observed: Observed,
+    fits: SensorFits,
+    sigma_px: Array,
+    control_sigma_mm: float,
+    progress: Progress | None = None,
+) -> JointFit:
+    """Fit all sensors and the control points at once; each coordinate has a prior.
+
+    A point that is not where it was said to be moves the readings of all sensors that see it:
+    their parameters are correlated by it.
+
+    Args:
+        observed: the readings.
+        fits: cameras to start from, with the readings' weights and the offsets' prior.
+        sigma_px: deviations of the readings, shape (N, S) [px].
+        control_sigma_mm: standard deviation of each coordinate.
+        progress: called with the fraction done and the stage.
+
+    Raises:
+        NoConvergence, UndeterminedParameters: see ``adjust``.
+    """
+    points = observed.points_mm
+    counts = observed.seen & (fits.weights > 0.0)
+    poses = PoseSet.points(
+        points,
+        np.where(counts, observed.readings_px, np.nan),
+        np.where(counts, sigma_px / np.sqrt(np.where(counts, fits.weights, 1.0)), np.nan),
+        points,
+        np.broadcast_to(control_sigma_mm**2 * np.eye(3), (len(points), 3, 3)),
+    )
+    free = np.concatenate(
+        [np.isin(np.arange(m.parameter_count), fitted_columns(m)) for m in fits.models]
+    )
+    found = adjust(fits.models, [poses], prior=_prior(fits), free=free, progress=progress)
+    adjusted = found.pose_sets[0].translation_mm
+    residuals = CameraStack.of(found.models).project(adjusted) - observed.readings_px
+    return JointFit(found.models, found.sensor_covariance, residuals, adjusted - points)
+
+
+def point_spread(models: tuple[SensorModel, ...], points_mm: Array, sigma_mm: float) -> Array:
+    """Return the deviation of readings that the points' own uncertainty makes, (N, S) [px]."""
+    slopes = CameraStack.of(models).linearised(points_mm)[1]
+    spread: Array = sigma_mm * np.linalg.norm(slopes, axis=2)
+    return spread
+
+
+def _prior(fits: SensorFits) -> SensorPrior | None:
+    """Return the prior of the offsets along the slits; None without any."""
+    at_prior, information = [], []
+    for row, model in enumerate(fits.models):
+        diagonal = np.zeros(model.parameter_count)
+        if model.distortion is not None:
+            diagonal[PARAMETER_COUNT] = fits.slits.prior.sigma_mm[row] ** -2.0
+            mean = float(fits.slits.prior.mean_mm[row])
+            model = replace(model, distortion=replace(model.distortion, offset_y_mm=mean))
+        at_prior.append(model)
+        information.append(diagonal)
+    if not any(diagonal.any() for diagonal in information):
+        return None
+    return SensorPrior(tuple(at_prior), np.diag(np.concatenate(information)))

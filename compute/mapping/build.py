@@ -1,0 +1,267 @@
+"""Build a correction table from mapping measurements."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from compute.camera.model import SensorModel, vector3
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter
+from compute.mapping.grid import VoxelGrid
+from compute.mapping.lattice import Lattice, nearest_filled
+from compute.mapping.measurements import MappingMeasurements, check_measurements
+from compute.mapping.result import MappingResult, MappingValidation, SensorMapping
+from compute.mapping.sensor_fit import SensorData, describe, fit_sensor
+from compute.mapping.settings import MappingSettings
+from compute.mapping.smooth_basis import SmoothBasis
+from compute.mapping.support import cell_corners, supported_cells
+from compute.mapping.table import CorrectionTable
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+MOST_CELLS = 200_000
+MOST_ALONG = 256
+"""Cells of a grid, and of one of its axes."""
+MOST_FUNCTIONS = 1200
+"""Smooth functions that are fitted, at most; about ten along each axis of a cube."""
+FEWEST_FUNCTIONS = 200
+FUNCTIONS_BY_POINT = 2
+_TRIALS = 45  # of smoothness, about: for the progress alone
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One sensor's share of a table."""
+
+    coefficients_px: Array
+    variance_px2: Array
+    valid: NDArray[np.bool_]
+    figures: SensorMapping
+
+
+def build_table(
+    models: Sequence[SensorModel],
+    calibration_hash: str,
+    measured: MappingMeasurements,
+    parameter_covariance: Array | None = None,
+    settings: MappingSettings | None = None,
+    progress: Progress = lambda _share, _stage: None,
+) -> MappingResult:
+    """Build the table of what is to be added to the readings, projection less measurement.
+
+    Thesis, end of section 5.6. By default a tensor B-spline is fitted whose roughness is
+    penalised (see ``SmoothBasis``), with the calibration's own error beside it (see
+    ``fit_sensor``), the penalty chosen by cross-validation over blocks (see
+    ``choose_smoothness``).
+
+    The table's variances are those of the whole expected reading: of the map and of the
+    calibration that it corrects. Points that are reconstructed with the table take the
+    readings' own deviations and no covariance of the calibration's parameters on top.
+
+    Args:
+        models: the calibration's S cameras.
+        calibration_hash: content hash of the calibration.
+        measured: readings of markers at N known places.
+        parameter_covariance: joint covariance of the cameras' parameters, shape (P, P), where the
+            calibration was made from other measurements than these. None: from these; then
+            they tell its error, too.
+        settings: how to build it.
+        progress: told the share done and the stage; what it raises passes through.
+
+    Raises:
+        InvalidParameter, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor, TooFewPoints,
+        DegeneratePoints: the measurements are not fit for it.
+    """
+    settings = settings or MappingSettings()
+    check_measurements(measured, models)
+    cameras = CameraStack.of(models)
+    readings = cameras.corrected(measured.readings_px)
+    samples = cameras.project(measured.points_mm) - readings
+    behind = np.argwhere(np.isfinite(readings) & np.isnan(samples))
+    if len(behind):
+        row, column = (int(index) for index in behind[0])
+        raise InvalidParameter(
+            f"point {row + 1} was read by sensor {models[column].name}, behind whose lens it lies "
+            "by the calibration; is it the right calibration, in the same frame?",
+            point=row + 1,
+            sensor=models[column].name,
+        )
+    spacing = _spacing(measured)
+    if settings.method == "b-spline":
+        grid = _grid(measured, spacing, settings)
+        parts = _splines(
+            models, cameras, measured, samples, parameter_covariance, settings, grid, progress
+        )
+    else:
+        lattice = Lattice.of(measured.points_mm)
+        grid = lattice.grid
+        parts = _through(models, cameras, measured, samples, settings, lattice)
+    progress(1.0, "done")
+    table = CorrectionTable(
+        tuple(model.name for model in models),
+        calibration_hash,
+        grid,
+        1 if settings.method == "trilinear" else 3,
+        np.stack([part.coefficients_px for part in parts]),
+        np.stack([part.variance_px2 for part in parts]),
+        np.stack([part.valid for part in parts]),
+    )
+    figures = tuple(part.figures for part in parts)
+    return MappingResult(table, settings, MappingValidation(spacing, grid.pitch_mm, figures))
+
+
+def _splines(
+    models: Sequence[SensorModel],
+    cameras: CameraStack,
+    measured: MappingMeasurements,
+    samples: Array,
+    parameter_covariance: Array | None,
+    settings: MappingSettings,
+    grid: VoxelGrid,
+    progress: Progress,
+) -> list[_Part]:
+    """Fit penalised splines, sensor by sensor."""
+    corners = cell_corners(grid)
+    _check_in_front(cameras, models, corners)
+    spacing = _spacing(measured)
+    most = int(np.clip(FUNCTIONS_BY_POINT * len(samples), FEWEST_FUNCTIONS, MOST_FUNCTIONS))
+    functions = SmoothBasis.of(grid, most)
+    variance = measured.variance_px2(cameras)
+    block = _blocks(measured.points_mm, spacing)
+    joint = (
+        None if parameter_covariance is None else cameras.spread_covariance(parameter_covariance)
+    )
+    parts = []
+    for column, model in enumerate(models):
+        seen = np.flatnonzero(np.isfinite(samples[:, column]))
+        owned = cameras.owned[column]
+
+        def slopes(points: Array, column: int = column, owned: Array = owned) -> Array:
+            found: Array = cameras.parameter_jacobian(points)[:, column][:, owned]
+            return found
+
+        known = measured.sigma_px is not None
+        data = SensorData(
+            model.name,
+            measured.points_mm[seen],
+            seen,
+            samples[seen, column],
+            variance[seen, column] if known else np.ones(len(seen)),
+            known,
+            block[seen],
+            slopes,
+            None if joint is None else joint[column, :, column][np.ix_(owned, owned)],
+        )
+        told = _Teller(progress, column, len(models), model.name)
+        fitted = fit_sensor(data, functions, settings.smoothness, told)
+        valid = supported_cells(grid, data.points_mm, settings.near_points, spacing)
+        parts.append(
+            _Part(
+                fitted.coefficients_px,
+                fitted.variance_px2(corners).reshape([cells + 1 for cells in grid.cells]),
+                valid,
+                describe(data, fitted, float(valid.mean())),
+            )
+        )
+    return parts
+
+
+def _through(
+    models: Sequence[SensorModel],
+    cameras: CameraStack,
+    measured: MappingMeasurements,
+    samples: Array,
+    settings: MappingSettings,
+    lattice: Lattice,
+) -> list[_Part]:
+    """Interpolate the values themselves, sensor by sensor."""
+    if measured.sigma_px is None:
+        raise InvalidParameter(
+            f'the method "{settings.method}" goes through every value and cannot tell their '
+            "noise; give sigma_px"
+        )
+    variance = measured.variance_px2(cameras)
+    parts = []
+    for column, model in enumerate(models):
+        values = samples[:, column]
+        seen = np.isfinite(values)
+        coefficients, valid = lattice.through(values, 1 if settings.method == "trilinear" else 3)
+        figures = SensorMapping(
+            model.name,
+            int(seen.sum()),
+            float(np.sqrt((values[seen] ** 2).mean())),
+            0.0,
+            *(None,) * 6,
+            float(np.sqrt(variance[seen, column].mean())),
+            1.0,
+            float(valid.mean()),
+        )
+        parts.append(
+            _Part(coefficients, nearest_filled(lattice, variance[:, column]), valid, figures)
+        )
+    return parts
+
+
+class _Teller:
+    """Tells of trials of one sensor's smoothness; how many there will be is not known before."""
+
+    def __init__(self, progress: Progress, sensor: int, sensors: int, name: str) -> None:
+        self._progress = progress
+        self._sensor, self._sensors, self._name = sensor, sensors, name
+        self._trials = 0
+
+    def __call__(self) -> None:
+        """Count one more trial."""
+        self._trials += 1
+        share = 1.0 - float(np.exp(-2.0 * self._trials / _TRIALS))
+        self._progress((self._sensor + share) / self._sensors, f"smoothness of {self._name}")
+
+
+def _spacing(measured: MappingMeasurements) -> float:
+    """Return the distance between neighbours, were the points spread evenly [mm]."""
+    volume = float(ConvexHull(measured.points_mm).volume)
+    return float(np.cbrt(volume / len(measured.points_mm)))
+
+
+def _grid(measured: MappingMeasurements, spacing: float, settings: MappingSettings) -> VoxelGrid:
+    """Return the grid over the box of the points."""
+    low, high = measured.points_mm.min(axis=0), measured.points_mm.max(axis=0)
+    given = settings.pitch_mm
+    wanted = np.full(3, spacing) if given is None else np.asarray(given)
+    counts = np.maximum((high - low) / wanted, 1.0)
+    counts = np.rint(counts) if given is None else np.ceil(counts - 1e-9)
+    if given is None:
+        # Points very near to one another in few places: no more cells than can be held.
+        counts = np.minimum(counts, MOST_ALONG)
+    if counts.max() > MOST_ALONG or counts.prod() > MOST_CELLS:
+        raise InvalidParameter(
+            f"pitch_mm {given} makes {'x'.join(f'{count:.0f}' for count in counts)} cells of the "
+            f"measured volume of {'x'.join(f'{side:.4g}' for side in high - low)} mm; at most "
+            f"{MOST_CELLS} and {MOST_ALONG} along an axis are held, take a larger one"
+        )
+    pitch = (high - low) / counts if given is None else wanted
+    origin = 0.5 * (low + high) - 0.5 * pitch * counts
+    x, y, z = (int(count) for count in counts)
+    return VoxelGrid(vector3(origin), vector3(pitch), (x, y, z))
+
+
+def _blocks(points_mm: Array, spacing: float) -> NDArray[np.intp]:
+    """Return the number of each point's block: those in one cube of the spacing's edge."""
+    cube = np.floor((points_mm - points_mm.min(axis=0)) / spacing).astype(np.intp)
+    _, number = np.unique(cube, axis=0, return_inverse=True)
+    return number.reshape(-1)
+
+
+def _check_in_front(cameras: CameraStack, models: Sequence[SensorModel], corners: Array) -> None:
+    behind = np.isnan(cameras.project(corners)).any(axis=0)
+    if behind.any():
+        name = models[int(np.argmax(behind))].name
+        raise InvalidParameter(
+            f"the box of the mapping points reaches behind the lens of sensor {name}; map the "
+            "volume before the sensors",
+            sensor=name,
+        )

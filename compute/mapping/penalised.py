@@ -1,0 +1,130 @@
+"""A penalised fit of one sensor's corrections, left-out errors included."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+Array = NDArray[np.float64]
+
+
+_ALONE = 1e-9  # keeps a block that alone determines a function from an infinite error
+
+
+@dataclass(frozen=True, eq=False)
+class PenalisedProblem:
+    """Weighted samples of a correction as a sum of functions, of which the first are penalised.
+
+    Args:
+        gram: B'B of the whitened functions at all samples, R penalised ones, then Q others,
+            shape (R + Q, R + Q).
+        product: B'y, y the whitened samples, shape (R + Q,).
+        square: y'y.
+        count: number of samples.
+        others_precision: prior precisions of the Q functions that no smoothness touches; small
+            where nothing is known of them, shape (Q,).
+        functions, samples: of the blocks that are left out, block after block, whitened, shapes
+            (T, R + Q) and (T,).
+        sizes: of these blocks; they add up to T.
+    """
+
+    gram: Array
+    product: Array
+    square: float
+    count: int
+    others_precision: Array
+    functions: Array
+    samples: Array
+    sizes: NDArray[np.intp]
+
+    def solve(self, penalty: Array) -> "PenalisedFit":
+        """Fit with prior precisions (R,) of the penalised functions."""
+        precision = np.concatenate([penalty, self.others_precision])
+        normal = self.gram + np.diag(precision)
+        factor = cho_factor(normal, lower=True, check_finite=False)
+        amounts = cho_solve(factor, self.product)
+        return PenalisedFit(self, precision, np.tril(factor[0]), amounts)
+
+
+@dataclass(frozen=True, eq=False)
+class PenalisedFit:
+    """A fit and what it says of samples that it did not see.
+
+    Args:
+        problem: what was fitted.
+        precision: prior precisions, shape (R + Q,).
+        triangle: L with L L' = B'B + diag(precision), the posterior's precision.
+        amounts: of the functions, shape (R + Q,).
+    """
+
+    problem: PenalisedProblem
+    precision: Array
+    triangle: Array
+    amounts: Array
+
+    def spread(self, functions: Array) -> Array:
+        """Return B L'^-1 for rows of functions (n, R + Q); its rows' squares are variances."""
+        half: Array = solve_triangular(self.triangle, functions.T, lower=True, check_finite=False).T
+        return half
+
+    def variance(self, functions: Array) -> Array:
+        """Return the posterior variances of sums with rows of functions (n, R + Q), shape (n,).
+
+        The Bayesian covariance of a penalised fit (G. Wahba, Bayesian "confidence intervals" for
+        the cross-validated smoothing spline, 1983, doi:10.1111/j.2517-6161.1983.tb01239.x).
+        """
+        squares: Array = (self.spread(functions) ** 2).sum(axis=1)
+        return squares
+
+    @property
+    def effective_parameters(self) -> float:
+        """Trace of the hat matrix."""
+        inverse = solve_triangular(self.triangle, np.eye(len(self.amounts)), lower=True)
+        return float(len(self.amounts) - (inverse**2 * self.precision).sum())
+
+    @property
+    def residual_square(self) -> float:
+        """Sum of the squared whitened residuals."""
+        here = self.amounts
+        problem = self.problem
+        square = problem.square - 2.0 * here @ problem.product + here @ problem.gram @ here
+        return max(float(square), 0.0)
+
+    def left_out(self) -> "LeftOut":
+        """Return the errors of samples in blocks that the fit did not see.
+
+        With r the residuals and H the hat matrix's block, leaving the block out makes them
+        (1 - H)^-1 r, of covariance (1 - H)^-1, as for single samples.
+        """
+        problem = self.problem
+        half = self.spread(problem.functions)
+        rest = problem.samples - problem.functions @ self.amounts
+        error, deviation, unit = np.empty_like(rest), np.empty_like(rest), np.empty_like(rest)
+        first = np.cumsum(problem.sizes) - problem.sizes
+        for size in np.unique(problem.sizes):
+            # All blocks of one size at once.
+            rows = first[problem.sizes == size, None] + np.arange(size)
+            own = np.eye(size) * (1.0 + _ALONE) - half[rows] @ half[rows].transpose(0, 2, 1)
+            inverse = np.linalg.inv(np.linalg.cholesky(own))
+            here = np.einsum("bij,bj->bi", inverse, rest[rows])
+            unit[rows] = here
+            error[rows] = np.einsum("bji,bj->bi", inverse, here)
+            deviation[rows] = np.sqrt((inverse**2).sum(axis=1))
+        return LeftOut(error, deviation, unit)
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Errors of T samples, each predicted by a fit without its block; whitened.
+
+    Args:
+        error: sample less prediction, shape (T,).
+        deviation: the standard deviations that they should have, shape (T,).
+        unit: the errors of each block made independent and of unit variance, if the model is
+            right, shape (T,).
+    """
+
+    error: Array
+    deviation: Array
+    unit: Array

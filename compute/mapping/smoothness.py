@@ -1,0 +1,115 @@
+"""How smooth a correction is, by cross-validation over blocks."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.mapping.penalised import PenalisedFit, PenalisedProblem
+from compute.mapping.smooth_basis import SmoothBasis
+
+Array = NDArray[np.float64]
+
+DECADES = 9
+"""Of the penalty's weight that are searched, up and down from where it weighs as the samples."""
+AXIS_RATIO = 30.0
+"""Step of the weights of the axes against one another."""
+AXIS_RANGE = (1e-3, 1e3)
+TIE = 1e-3
+"""Relative difference of errors that decides nothing: then the smoother one is taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothness:
+    """A penalty and the fit with it.
+
+    Args:
+        weight: of the penalty [1/px^2].
+        axes: weights of the axes against one another, shape (3,).
+        fit: the fit.
+        score: mean squared whitened error of left-out blocks.
+    """
+
+    weight: float
+    axes: Array
+    fit: PenalisedFit
+    score: float
+
+
+def fit_with(
+    problem: PenalisedProblem, functions: SmoothBasis, weight: float, axes: Array
+) -> Smoothness:
+    """Fit with a given penalty."""
+    fit = problem.solve(weight * functions.penalty(axes))
+    return Smoothness(weight, axes, fit, float((fit.left_out().error ** 2).mean()))
+
+
+def choose_smoothness(
+    problem: PenalisedProblem, functions: SmoothBasis, told: Callable[[], None] = lambda: None
+) -> Smoothness:
+    """Return the penalty whose left-out blocks are predicted best.
+
+    Blocks and not single points: neighbours share what is wrong with both, and a fit that follows
+    it would be thought good. The weight is searched over decades and then between them; the axes'
+    weights one after the other, as corrections change less along the depth than across it.
+
+    Args:
+        problem: the samples.
+        functions: the penalised functions, as many as the problem says.
+        told: called after each trial.
+    """
+
+    def trial(weight: float, axes: Array) -> Smoothness:
+        told()
+        return fit_with(problem, functions, weight, axes)
+
+    def along(start: Smoothness, step: float, turns: int) -> Smoothness:
+        """Walk the weight up or down by a factor as long as it gets better."""
+        best = start
+        for factor in (step, 1.0 / step):
+            for _ in range(turns):
+                other = trial(best.weight * factor, best.axes)
+                if not _better(other, best):
+                    break
+                best = other
+        return best
+
+    equal = np.ones(3)
+    samples = np.diag(problem.gram)[: len(functions)].mean()
+    middle = float(samples / np.median(functions.penalty(equal)))
+    best = trial(middle * 10.0**DECADES, equal)
+    for decade in range(DECADES - 1, -DECADES - 1, -1):
+        other = trial(middle * 10.0**decade, equal)
+        if _better(other, best):
+            best = other
+    for _ in range(2):
+        before = best
+        for axis in range(3):
+            for ratio in (AXIS_RATIO, 1.0 / AXIS_RATIO):
+                while AXIS_RANGE[0] <= best.axes[axis] * ratio <= AXIS_RANGE[1]:
+                    axes = best.axes.copy()
+                    axes[axis] *= ratio
+                    other = along(trial(best.weight, axes), AXIS_RATIO**0.5, 3)
+                    if not _better(other, best):
+                        break
+                    best = other
+        if best is before:
+            break
+    return along(best, 2.0, 3)
+
+
+def _better(other: Smoothness, best: Smoothness) -> bool:
+    """Whether another's error is smaller; or all but the same, and the other the smoother."""
+    smoother = other.weight >= best.weight
+    return other.score < best.score * (1.0 + TIE if smoother else 1.0 - TIE)
+
+
+def gcv_score(fit: PenalisedFit) -> float:
+    """Return the generalised cross-validation score, a mean squared whitened error.
+
+    P. Craven and G. Wahba, 1978, doi:10.1007/BF01404567.
+    """
+    count = fit.problem.count
+    freedom = max(count - fit.effective_parameters, 1.0)
+    return count * fit.residual_square / freedom**2

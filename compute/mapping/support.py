@@ -1,0 +1,64 @@
+"""Which cells of a grid measurements support."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, QhullError, cKDTree
+
+from compute.mapping.grid import VoxelGrid
+
+Array = NDArray[np.float64]
+
+REACH = 2.0
+"""How near measurements must be, in distances between neighbours."""
+
+
+def supported_cells(
+    grid: VoxelGrid, seen_mm: Array, near_points: int, spacing_mm: float
+) -> NDArray[np.bool_]:
+    """Return the cells that one sensor's measurements support, shape (nx, ny, nz).
+
+    A cell's middle must lie in the convex hull of the points that the sensor saw, and at least
+    ``near_points`` of them within REACH distances between neighbours, counted from the cell: holes
+    inside the hull are not vouched for.
+
+    Args:
+        grid: the voxels.
+        seen_mm: the points that the sensor saw, shape (N, 3) [mm].
+        near_points: as said.
+        spacing_mm: distance between neighbouring points [mm].
+    """
+    middles = cell_middles(grid)
+    near = within_hull(seen_mm, middles)
+    # From the cell's middle to its corners comes on top, so that a wide cell has its neighbours.
+    reach = REACH * spacing_mm + 0.5 * float(np.linalg.norm(grid.pitch_mm))
+    counts = cKDTree(seen_mm).query_ball_point(middles, reach, return_length=True)
+    found: NDArray[np.bool_] = (near & (counts >= near_points)).reshape(grid.cells)
+    return found
+
+
+def within_hull(points_mm: Array, places_mm: Array) -> NDArray[np.bool_]:
+    """Return which places (M, 3) lie in the convex hull of points (N, 3); none in a flat one."""
+    try:
+        hull = Delaunay(points_mm)
+    except QhullError:
+        return np.zeros(len(places_mm), dtype=np.bool_)
+    inside: NDArray[np.bool_] = hull.find_simplex(places_mm) >= 0
+    return inside
+
+
+def cell_middles(grid: VoxelGrid) -> Array:
+    """Return the cells' middles, shape (nx ny nz, 3) [mm]."""
+    return _lattice(grid, [np.arange(cells) + 0.5 for cells in grid.cells])
+
+
+def cell_corners(grid: VoxelGrid) -> Array:
+    """Return the cells' corners, shape ((nx + 1) (ny + 1) (nz + 1), 3) [mm]."""
+    return _lattice(grid, [np.arange(cells + 1.0) for cells in grid.cells])
+
+
+def _lattice(grid: VoxelGrid, places: Sequence[NDArray[np.floating]]) -> Array:
+    index = np.stack([one.ravel() for one in np.meshgrid(*places, indexing="ij")], axis=1)
+    lattice: Array = np.asarray(grid.origin_mm) + index * np.asarray(grid.pitch_mm)
+    return lattice

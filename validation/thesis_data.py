@@ -78,7 +78,7 @@ class PublishedTest:
 
 def load_test(number: str) -> PublishedTest:
     """Load the points of a test, ``"5.1"`` to ``"5.6"``."""
-    rows = _rows(f"test_{number.replace('.', '_')}_points.csv")
+    rows = csv_rows(f"test_{number.replace('.', '_')}_points.csv")
 
     def columns(*names: str) -> Array:
         return np.array([[float(row[name]) for name in names] for row in rows])
@@ -92,7 +92,7 @@ def load_test(number: str) -> PublishedTest:
 
 def load_cameras(tests: str) -> tuple[CollinearityParameters, ...]:
     """Load the four cameras of ``"5.2"`` or ``"5.5 and 5.6"`` (Table 5.10), in mm."""
-    rows = [row for row in _rows("camera_parameters.csv") if row["test"] == tests]
+    chosen = [row for row in csv_rows("camera_parameters.csv") if row["test"] == tests]
     return tuple(
         CollinearityParameters(
             float(row["c_mm"]),
@@ -101,7 +101,7 @@ def load_cameras(tests: str) -> tuple[CollinearityParameters, ...]:
             (float(row["L1"]), float(row["L2"]), float(row["L3"])),
             (float(row["L4"]), float(row["L5"]), float(row["L6"])),
         )
-        for row in rows
+        for row in chosen
     )
 
 
@@ -118,6 +118,7 @@ def generate_readings(cameras: tuple[CollinearityParameters, ...], points_mm: Ar
     return np.column_stack(columns)
 
 
-def _rows(name: str) -> list[dict[str, str]]:
+def csv_rows(name: str) -> list[dict[str, str]]:
+    """Return the rows of a CSV file beside this module."""
     text = files("validation").joinpath("data", name).read_text(encoding="utf-8")
     return list(csv.DictReader(text.splitlines()))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-WRONG_CHANCE: Final = 0.01
-"""That a reading is wrong, before looking: one in five frames of 19 points has one."""
+WRONG_CHANCE: Final = 0.03
+"""That a reading is wrong, before looking: every other sensor of 19 points has one."""
 EXCHANGE_CHANCE: Final = 0.02
 """That a sensor has an exchanged pair, any of its pairs."""
 CYCLE_CHANCE: Final = 0.002

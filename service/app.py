@@ -10,6 +10,8 @@ from fastapi import FastAPI
 
 from service.body_limit import BodyLimit
 from service.calibrations.router import router as calibrations
+from service.correction_tables.router import TABLES_PATH
+from service.correction_tables.router import router as correction_tables
 from service.cross_origin import CrossOriginGuard
 from service.database.engine import Database
 from service.devices.operation import Operation
@@ -91,7 +93,11 @@ def create_app(
         redirect_slashes=False,
     )
     app.state.settings = settings
-    app.add_middleware(BodyLimit, limit_bytes=settings.body_limit_bytes)
+    app.add_middleware(
+        BodyLimit,
+        limit_bytes=settings.body_limit_bytes,
+        others={TABLES_PATH: settings.table_limit_bytes},
+    )
     app.add_middleware(HeadAsGet)
     app.add_middleware(CrossOriginGuard)
     install_problem_handlers(app)
@@ -99,6 +105,7 @@ def create_app(
         devices,
         calibrations,
         runs_router,
+        correction_tables,
         reconstructions,
         line_scans,
         device_profiles,

@@ -1,5 +1,7 @@
 """ASGI middleware that refuses request bodies above a limit, before they are read."""
 
+from collections.abc import Mapping
+
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -10,20 +12,25 @@ from service.problems import problem_type_of
 
 
 class BodyLimit:
-    """Answers 413 when the declared or the received length exceeds ``limit_bytes``."""
+    """Answers 413 when the declared or the received length exceeds the path's limit."""
 
-    def __init__(self, app: ASGIApp, limit_bytes: int) -> None:
+    def __init__(
+        self, app: ASGIApp, limit_bytes: int, others: Mapping[str, int] | None = None
+    ) -> None:
+        """Limit bodies to ``limit_bytes``, on the paths of ``others`` to what stands there."""
         self._app = app
         self._limit_bytes = limit_bytes
+        self._others = dict(others or {})
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, counting what it receives."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        limit = self._others.get(scope["path"], self._limit_bytes)
         declared = Headers(scope=scope).get("content-length", "")
-        if declared.isdecimal() and int(declared[:20]) > self._limit_bytes:
-            await self._refusal(scope, f"{declared[:20]} bytes")(scope, receive, send)
+        if declared.isdecimal() and int(declared[:20]) > limit:
+            await self._refusal(scope, f"{declared[:20]} bytes", limit)(scope, receive, send)
             return
         received = 0
 
@@ -31,16 +38,17 @@ class BodyLimit:
             nonlocal received
             message = await receive()
             received += len(message.get("body", b""))
-            if received > self._limit_bytes:
+            if received > limit:
                 # An HTTPException, because FastAPI turns any other one raised here into 400.
-                raise HTTPException(413, self._detail(f"more than {self._limit_bytes} bytes"))
+                raise HTTPException(413, _detail(f"more than {limit} bytes", limit))
             return message
 
         await self._app(scope, counted, send)
 
-    def _detail(self, size: str) -> str:
-        return f"the body has {size}; the limit is {self._limit_bytes} bytes"
-
-    def _refusal(self, scope: Scope, size: str) -> ASGIApp:
+    def _refusal(self, scope: Scope, size: str, limit: int) -> ASGIApp:
         kind = problem_type_of(BodyTooLarge)
-        return problem_response(kind, self._detail(size), scope["path"])
+        return problem_response(kind, _detail(size, limit), scope["path"])
+
+
+def _detail(size: str, limit: int) -> str:
+    return f"the body has {size}; the limit is {limit} bytes"

@@ -38,6 +38,10 @@ TAGS: Final = [
         "retire.",
     },
     {
+        "name": "correction-tables",
+        "description": "Maps of space: what is added to the readings, by where the marker is.",
+    },
+    {
         "name": "runs",
         "description": "Calibrations and maps computed beside the requests: post, follow, cancel.",
     },

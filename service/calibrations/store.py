@@ -7,10 +7,11 @@ from datetime import UTC, datetime
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
+from service.calibrations.activation import Target, active, lock_device, move
 from service.calibrations.run import Outcome
 from service.calibrations.schema import CalibrationDocument, CalibrationSummary, State
 from service.database.engine import insert
-from service.database.models import ActivationRow, ActiveCalibrationRow, CalibrationRow, DeviceRow
+from service.database.models import ActiveCalibrationRow, CalibrationRow
 from service.errors import (
     CalibrationActive,
     CalibrationExists,
@@ -32,7 +33,7 @@ def get_calibration(session: Session, calibration_id: str) -> CalibrationRow:
 
 def active_id(session: Session, device_id: str) -> str | None:
     """Return the id of the device's active calibration, None without one."""
-    pointer = session.get(ActiveCalibrationRow, device_id)
+    pointer = active(session, device_id)
     return pointer.calibration_id if pointer is not None else None
 
 
@@ -98,16 +99,27 @@ def add_calibration(
 
 
 def activate(session: Session, calibration_id: str, actor: str | None = None) -> CalibrationRow:
-    """Point the device to this calibration and write the move down; both or neither.
+    """Point the device to this calibration, without a table, and write the move down.
 
-    Activating what is active already changes nothing and writes nothing.
+    Activating what is active already changes nothing and writes nothing, and keeps its table.
+
+    Raises:
+        UnknownCalibration, CalibrationRetired.
+    """
+    row = usable(session, calibration_id)
+    if active_id(session, row.device_id) != row.id:
+        move(session, row.device_id, Target(row.id), actor)
+    return row
+
+
+def usable(session: Session, calibration_id: str) -> CalibrationRow:
+    """Return a calibration that is not retired, and lock its device.
 
     Raises:
         UnknownCalibration, CalibrationRetired.
     """
     row = get_calibration(session, calibration_id)
-    # Two activations for one device wait for one another here (SQLite: at the transaction's begin).
-    session.execute(select(DeviceRow.id).where(DeviceRow.id == row.device_id).with_for_update())
+    lock_device(session, row.device_id)
     session.refresh(row)
     if row.retired_at is not None:
         raise CalibrationRetired(
@@ -115,24 +127,6 @@ def activate(session: Session, calibration_id: str, actor: str | None = None) ->
             "is available",
             calibration=row.id,
         )
-    pointer = session.get(ActiveCalibrationRow, row.device_id, populate_existing=True)
-    previous = pointer.calibration_id if pointer is not None else None
-    if previous == row.id:
-        return row
-    if pointer is None:
-        session.add(ActiveCalibrationRow(device_id=row.device_id, calibration_id=row.id))
-    else:
-        pointer.calibration_id = row.id
-    session.add(
-        ActivationRow(
-            device_id=row.device_id,
-            calibration_id=row.id,
-            previous_calibration_id=previous,
-            activated_at=datetime.now(UTC),
-            actor=actor,
-        )
-    )
-    session.flush()
     return row
 
 
@@ -143,7 +137,7 @@ def retire(session: Session, calibration_id: str) -> CalibrationRow:
         UnknownCalibration, CalibrationActive.
     """
     row = get_calibration(session, calibration_id)
-    session.execute(select(DeviceRow.id).where(DeviceRow.id == row.device_id).with_for_update())
+    lock_device(session, row.device_id)
     session.refresh(row)
     if active_id(session, row.device_id) == row.id:
         raise CalibrationActive(
@@ -156,22 +150,6 @@ def retire(session: Session, calibration_id: str) -> CalibrationRow:
         row.retired_at = datetime.now(UTC)
         session.flush()
     return row
-
-
-def activations(
-    session: Session, device_id: str, limit: int, offset: int
-) -> tuple[Sequence[ActivationRow], int]:
-    """Return a page of a device's activations, newest first, and how many there are."""
-    condition = ActivationRow.device_id == device_id
-    total = session.scalar(select(func.count()).select_from(ActivationRow).where(condition))
-    rows = session.scalars(
-        select(ActivationRow)
-        .where(condition)
-        .order_by(ActivationRow.id.desc())
-        .limit(limit)
-        .offset(offset)
-    ).all()
-    return rows, total or 0
 
 
 def state_of(session: Session, row: CalibrationRow) -> State:

@@ -6,17 +6,22 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
 from service.calibrations import store as calibrations
+from service.calibrations.activation import active, before_last, lock_device, move
 from service.calibrations.run import result_of
 from service.calibrations.schema import CalibrationSummary
 from service.calibrations.sensors import check_sensors
+from service.correction_tables import store as tables
+from service.correction_tables.schema import CorrectionTableDocument
 from service.database.engine import Database
 from service.database.models import DeviceRow
 from service.devices import store
 from service.devices.drivers import make_driver, sensors_of
 from service.devices.schema import Device, DeviceChange, NewDevice
+from service.live.in_force import InForce
 from service.live.manager import LiveManager
 from service.live.session import DeviceStatus
 from service.settings import DataFolders
@@ -87,12 +92,9 @@ class Operation:
             with self._database.read() as session:
                 row = store.get_device(session, device_id)
                 source = store.source_of(row)
-                active = calibrations.active_id(session, device_id)
-                result = None
-                if active is not None:
-                    result = result_of(calibrations.get_calibration(session, active).content)
+                found = _in_force(session, device_id)
             driver = make_driver(device_id, source, self._folders)
-            self._live.start_device(device_id, driver, active, result)
+            self._live.start_device(device_id, driver, found)
             return self._live.status(device_id)
 
     def stop(self, device_id: str) -> DeviceStatus:
@@ -121,18 +123,60 @@ class Operation:
         """
         with self._database.read() as session:
             device_id = calibrations.get_calibration(session, calibration_id).device_id
+        with self._moving(device_id) as session:
+            return calibrations.summary(session, calibrations.activate(session, calibration_id))
+
+    def activate_table(self, table_id: str) -> CorrectionTableDocument:
+        """Let a correction table's device use it, in the database and then live.
+
+        Raises:
+            UnknownCorrectionTable, NoActiveCalibration, ForeignTable, SensorsChanged.
+        """
+        with self._database.read() as session:
+            device_id = tables.get_table(session, table_id).device_id
+        with self._moving(device_id) as session:
+            return tables.document(session, tables.activate_table(session, table_id))
+
+    def deactivate_table(self, table_id: str) -> CorrectionTableDocument:
+        """Let a correction table's device go on without it.
+
+        Raises:
+            UnknownCorrectionTable, SensorsChanged.
+        """
+        with self._database.read() as session:
+            device_id = tables.get_table(session, table_id).device_id
+        with self._moving(device_id) as session:
+            return tables.document(session, tables.deactivate_table(session, table_id))
+
+    def roll_back(self, device_id: str) -> Device:
+        """Go back to what the device used before its last activation; again: further back.
+
+        Raises:
+            UnknownDevice, NothingToRollBack, CalibrationRetired, SensorsChanged.
+        """
+        with self._database.read() as session:
+            store.get_device(session, device_id)
+        with self._moving(device_id) as session:
+            lock_device(session, device_id)
+            target = before_last(session, device_id)
+            calibrations.usable(session, target.calibration_id)
+            move(session, device_id, target)
+            return store.document(session, store.get_device(session, device_id))
+
+    @contextmanager
+    def _moving(self, device_id: str) -> Iterator[Session]:
+        """Yield a transaction that moves the device's pointer; after its commit tell the device."""
         with self._exclusive(device_id):
             with self._database.write() as session:
-                row = calibrations.activate(session, calibration_id)
-                summary = calibrations.summary(session, row)
-                result = result_of(row.content)
-                device = store.get_device(session, device_id)
-                check_sensors(device_id, store.sensors_of_row(device), result.models)
+                yield session
+                found = _in_force(session, device_id)
+                if found.calibration is not None:
+                    device = store.get_device(session, device_id)
+                    check_sensors(device_id, store.sensors_of_row(device), found.calibration.models)
             try:
-                self._live.set_calibration(device_id, calibration_id, result)
+                self._live.set_calibration(device_id, found)
             except Exception:  # noqa: BLE001 - committed: an error would say that it was not
-                _log.exception("device %s does not use %s yet", device_id, calibration_id)
-        return summary
+                _log.exception("device %s does not use %s yet", device_id, found.calibration_id)
 
     def autostart(self, *also: str) -> None:
         """Start all devices that say so, and these; one that fails keeps no other waiting."""
@@ -147,3 +191,15 @@ class Operation:
                 _log.error("device %s was not started: %s", device_id, error.detail)
             except Exception:  # noqa: BLE001 - a driver's fault must not keep the server down
                 _log.exception("device %s was not started", device_id)
+
+
+def _in_force(session: Session, device_id: str) -> InForce:
+    """Return the calibration and the table that the device's pointer names."""
+    pointer = active(session, device_id)
+    if pointer is None:
+        return InForce()
+    calibration = calibrations.get_calibration(session, pointer.calibration_id)
+    table = None
+    if pointer.table_id is not None:
+        table = tables.content_of(tables.get_table(session, pointer.table_id)).table
+    return InForce(calibration.id, result_of(calibration.content), pointer.table_id, table)

@@ -6,16 +6,19 @@ from fastapi import APIRouter, Body, Path, Query, Response
 from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from compute.errors import InvalidParameter, InvalidRecording
-from service.calibrations import store as calibrations
+from service.calibrations.activation import activations
 from service.dependencies import DatabaseDep, OperationDep
 from service.devices import store
 from service.devices.examples import CHANGES, NEW_DEVICES
 from service.devices.schema import Activation, Device, DeviceChange, NewDevice, Status
 from service.errors import (
+    CalibrationRetired,
     DeviceExists,
     DeviceInUse,
     DeviceRunning,
     DeviceWithoutDriver,
+    NothingToRollBack,
+    SensorsChanged,
     UnknownDevice,
     UnknownDeviceProfile,
     UnknownRecording,
@@ -156,6 +159,20 @@ def get_device_status(device_id: DevicePath, operation: OperationDep) -> Status:
     return Status(device=device_id, status=operation.status(device_id))
 
 
+@router.post(
+    "/{device_id}/roll-back",
+    operation_id="roll-back-device",
+    summary="Go back to what was active before",
+    responses=problems(UnknownDevice, NothingToRollBack, CalibrationRetired, SensorsChanged),
+)
+def roll_back_device(device_id: DevicePath, operation: OperationDep) -> Device:
+    """Go back to the calibration and table before the last activation; again: further back.
+
+    In a running device from the next frame on. The move is written into the history.
+    """
+    return operation.roll_back(device_id)
+
+
 @router.get(
     "/{device_id}/activations",
     operation_id="list-activations",
@@ -165,16 +182,19 @@ def get_device_status(device_id: DevicePath, operation: OperationDep) -> Status:
 def list_activations(
     device_id: DevicePath, database: DatabaseDep, limit: Limit = 50, offset: Offset = 0
 ) -> Page[Activation]:
-    """Which calibration was activated when, newest first; nothing is ever removed."""
+    """Which calibration and table were in use since when, newest first; nothing is removed."""
     with database.read() as session:
         store.get_device(session, device_id)
-        rows, total = calibrations.activations(session, device_id, limit, offset)
+        rows, total = activations(session, device_id, limit, offset)
     items = [
         Activation(
             id=row.id,
             device=row.device_id,
             calibration_id=row.calibration_id,
             previous_calibration_id=row.previous_calibration_id,
+            table_id=row.table_id,
+            previous_table_id=row.previous_table_id,
+            restores_id=row.restores_id,
             activated_at=row.activated_at,
             actor=row.actor,
         )

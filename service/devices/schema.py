@@ -93,6 +93,7 @@ class Device(Document):
     sensors: list[Sensor] = Field(description="In the order of the lines of a frame.")
     autostart: bool
     active_calibration_id: str | None
+    active_table_id: str | None = Field(description="The correction table used with it.")
     created_at: Moment
     updated_at: Moment
 
@@ -111,5 +112,8 @@ class Activation(Document):
     device: str
     calibration_id: str
     previous_calibration_id: str | None
+    table_id: str | None = Field(description="Its correction table; null: without one.")
+    previous_table_id: str | None
+    restores_id: int | None = Field(description="The earlier move that a roll-back went back to.")
     activated_at: Moment
     actor: str | None = Field(description="Who did it; null: not known, there are no users yet.")

@@ -7,8 +7,8 @@ from pydantic import TypeAdapter
 from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
+from service.calibrations.activation import active
 from service.calibrations.sensors import same_sensors
-from service.calibrations.store import active_id
 from service.database.engine import insert
 from service.database.models import (
     ActivationRow,
@@ -178,13 +178,15 @@ def sensors_of_row(row: DeviceRow) -> list[Sensor]:
 
 def document(session: Session, row: DeviceRow) -> Device:
     """Return the device as clients see it."""
+    pointer = active(session, row.id)
     return Device(
         id=row.id,
         title=row.title,
         source=source_of(row),
         sensors=sensors_of_row(row),
         autostart=row.autostart,
-        active_calibration_id=active_id(session, row.id),
+        active_calibration_id=pointer.calibration_id if pointer else None,
+        active_table_id=pointer.table_id if pointer else None,
         created_at=row.created_at,
         updated_at=row.updated_at,
     )

@@ -3,11 +3,11 @@
 import logging
 from threading import RLock
 
-from compute.calibration.result import Calibration
 from compute.errors import InvalidParameter, LumilineError
 from hardware.driver import DeviceDescription, Driver
 from service.live.compute_thread import ComputeThread
 from service.live.hub import Hub
+from service.live.in_force import NOTHING, InForce
 from service.live.line_model import FindProfile, LineModel, built_in_profile, line_model
 from service.live.messages import describe_message, status_message
 from service.live.processor import DeviceProcessor
@@ -50,8 +50,7 @@ class LiveManager:
         self,
         device_id: str,
         driver: Driver,
-        calibration_id: str | None = None,
-        calibration: Calibration | None = None,
+        found: InForce = NOTHING,
     ) -> DeviceDescription:
         """Open the driver and start its reader; raises LumilineError when it cannot be opened.
 
@@ -61,7 +60,7 @@ class LiveManager:
         with self._lock:
             self.stop_device(device_id)
             try:
-                session = self._open(device_id, driver, calibration_id, calibration)
+                session = self._open(device_id, driver, found)
             except LumilineError as error:
                 self._sessions.pop(device_id, None)
                 self._refused[device_id] = error.detail
@@ -80,8 +79,7 @@ class LiveManager:
         self,
         device_id: str,
         driver: Driver,
-        calibration_id: str | None,
-        calibration: Calibration | None,
+        found: InForce,
     ) -> DeviceSession:
         """Open the driver and make the buffers; on an error the driver is closed again."""
         driver.open()
@@ -92,7 +90,7 @@ class LiveManager:
             session = self._compute.submit(
                 lambda: self._prepare(device_id, description, model)
             ).result()
-            session.processor.set_calibration(calibration_id, calibration)
+            self._set(session, found)
         except BaseException:
             driver.close()
             raise
@@ -120,10 +118,8 @@ class LiveManager:
             self._refused.pop(device_id, None)
             self.hub.end(device_id, status_message(device_id, "deleted", None))
 
-    def set_calibration(
-        self, device_id: str, calibration_id: str | None, calibration: Calibration | None
-    ) -> None:
-        """Switch the calibration between two frames; nothing happens when it is not running.
+    def set_calibration(self, device_id: str, found: InForce) -> None:
+        """Switch calibration and table between two frames; nothing happens when it is not running.
 
         Nor when the device runs with other sensors than the calibration's: its source was
         changed meanwhile, and sensors and calibration work together from the next start.
@@ -133,9 +129,14 @@ class LiveManager:
             if session is None or not session.running:
                 return
             try:
-                session.processor.set_calibration(calibration_id, calibration)
+                self._set(session, found)
             except InvalidParameter as error:
                 _log.warning("device %s goes on as it was: %s", device_id, error.detail)
+
+    def _set(self, session: DeviceSession, found: InForce) -> None:
+        """Hand calibration and table to the processor, between two batches in its own thread."""
+        given = found.calibration_id, found.calibration, found.table_id, found.table
+        self._compute.submit(lambda: session.processor.set_calibration(*given)).result()
 
     def status(self, device_id: str) -> DeviceStatus:
         """Return the device's status; "stopped" for one never started. Never waits."""

@@ -46,6 +46,7 @@ def frame_messages(batch: FrameBatch, content: frozenset[Content]) -> Iterator[d
             "device_ns": frame.exposure_device_ns,
             "marker": frame.marker,
             "calibration": batch.calibration_id,
+            "table": batch.table_id,
             "flags": flag_names(frame.flags),
         }
         if "points" in content:

@@ -30,6 +30,7 @@ class DeviceStatus:
         state: running, stopped by request, ended by itself (a recording), or failed.
         reason: why it failed, or ended; None otherwise.
         calibration_id: the calibration that points are reconstructed with; None: peaks only.
+        table_id: the correction table that readings are corrected by; None: they are not.
         frames: frames received from the driver.
         frames_lost_device: exposures missing in the device's sequence numbers.
         frames_dropped_ring: frames dropped because the compute thread did not keep up.
@@ -40,6 +41,7 @@ class DeviceStatus:
     state: DeviceState
     reason: str | None = None
     calibration_id: str | None = None
+    table_id: str | None = None
     frames: int = 0
     frames_lost_device: int = 0
     frames_dropped_ring: int = 0
@@ -108,6 +110,7 @@ class DeviceSession:
             "failed" if self.failure else self.reader.state,
             self.failure or self.reader.reason,
             self.processor.calibration_id,
+            self.processor.table_id,
             self.ring.received,
             self.ring.lost,
             self.ring.dropped,

@@ -3,9 +3,9 @@
 import warnings
 from typing import Any
 
-from compute.calibration.result import Calibration
 from hardware.driver import DeviceDescription, Driver
 from service.live.hub import Hub
+from service.live.in_force import NOTHING, InForce
 from service.live.manager import LiveManager
 from service.live.session import DeviceStatus
 
@@ -24,6 +24,7 @@ class RecordedLive(LiveManager):
         self.hub = Hub()
         self.calls: list[tuple[Any, ...]] = []
         self.states: dict[str, DeviceStatus] = {}
+        self.in_force: dict[str, InForce] = {}
         self.answers = True
 
     @property
@@ -34,16 +35,16 @@ class RecordedLive(LiveManager):
         self,
         device_id: str,
         driver: Driver,
-        calibration_id: str | None = None,
-        calibration: Calibration | None = None,
+        found: InForce = NOTHING,
     ) -> DeviceDescription:
         driver.open()
         try:
             description = driver.description
         finally:
             driver.close()
-        self.calls.append(("start", device_id, calibration_id, calibration))
-        self.states[device_id] = DeviceStatus("running", calibration_id=calibration_id)
+        self.in_force[device_id] = found
+        self.calls.append(("start", device_id, found.calibration_id, found.calibration))
+        self.states[device_id] = DeviceStatus("running", calibration_id=found.calibration_id)
         return description
 
     def stop_device(self, device_id: str) -> None:
@@ -55,10 +56,9 @@ class RecordedLive(LiveManager):
         self.calls.append(("forget", device_id))
         self.states.pop(device_id, None)
 
-    def set_calibration(
-        self, device_id: str, calibration_id: str | None, calibration: Calibration | None
-    ) -> None:
-        self.calls.append(("calibration", device_id, calibration_id, calibration))
+    def set_calibration(self, device_id: str, found: InForce) -> None:
+        self.calls.append(("calibration", device_id, found.calibration_id, found.calibration))
+        self.in_force[device_id] = found
 
     def status(self, device_id: str) -> DeviceStatus:
         return self.states.get(device_id, DeviceStatus("stopped"))

@@ -14,6 +14,7 @@ from service.calibrations.examples import simulated_points
 from service.database.models import CalibrationRow, DeviceRow
 from service.devices.store import get_device
 from service.errors import CalibrationRetired
+from service.live.in_force import InForce
 
 THREADS = 8
 A_WHILE_S = 0.3
@@ -97,11 +98,11 @@ def test_a_second_activation_waits_until_the_first_is_live(
     entered, go = Event(), Event()
     record = live.set_calibration
 
-    def slow_for_a(device_id: str, calibration_id: str, calibration: Any) -> None:
-        if calibration_id == "a":
+    def slow_for_a(device_id: str, found: InForce) -> None:
+        if found.calibration_id == "a":
             entered.set()
             assert go.wait(10)
-        record(device_id, calibration_id, calibration)
+        record(device_id, found)
 
     monkeypatch.setattr(live, "set_calibration", slow_for_a)
     with ThreadPoolExecutor(2) as pool:

@@ -23,6 +23,7 @@ from hardware.simulated.scenes import RotatingBar, StillPoints
 from hardware.simulated.settings import SimulationSettings
 from service.live.batch import FrameBatch
 from service.live.hub import Hub
+from service.live.in_force import InForce
 from service.live.manager import LiveManager
 from service.live.messages import frame_messages
 from service.live.processor import DeviceProcessor
@@ -91,7 +92,7 @@ def run_to_the_end(
     hub = live.hub
     assert isinstance(hub, RecordingHub)
     identity = None if calibration is None else "c1"
-    live.start_device("sim", SimulatedDriver("sim", settings), identity, calibration)
+    live.start_device("sim", SimulatedDriver("sim", settings), InForce(identity, calibration))
     wait_for(lambda: any(message["state"] == "ended" for message in hub.messages))
     return [
         message

@@ -11,6 +11,10 @@ from compute.calibration.labels.finding import LabelFinding
 from compute.calibration.settings import CalibrationSettings, Method
 from compute.camera.model import SensorModel, Vector3, vector3
 
+UnknownPlaces = Literal["self-calibration", "update"]
+"""Methods that know no coordinates: a subject at unknown places; and a calibration that was
+brought up to date by a still set of markers."""
+
 
 @dataclass(frozen=True)
 class SensorFit:
@@ -110,7 +114,7 @@ class Calibration:
         diagnosis: None where it was not made.
     """
 
-    method: Method
+    method: Method | UnknownPlaces
     sensors: tuple[SensorFit, ...]
     covariance: tuple[tuple[float, ...], ...]
     residuals_px: tuple[tuple[float | None, ...], ...]

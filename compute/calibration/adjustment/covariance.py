@@ -10,8 +10,11 @@ from compute.calibration.adjustment.equations import (
     NormalEquations,
     ReducedEquations,
     State,
+    build,
 )
-from compute.calibration.adjustment.gauge import centring, rigid_motion_slopes, volume_datum
+from compute.calibration.adjustment.gauge import centring, cloud_datum, rigid_motion_slopes
+from compute.calibration.adjustment.poses import PoseSet
+from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import UndeterminedParameters
 
@@ -27,10 +30,7 @@ NAMED: Final = 4
 def check_poses(state: State, equations: NormalEquations) -> None:
     """Raise UndeterminedParameters for the first pose that its readings do not determine."""
     for number, block in enumerate(equations.blocks):
-        diagonal = np.sqrt(np.maximum(np.einsum("bii->bi", block.normal), 1e-300))
-        scaled = block.normal / (diagonal[:, :, None] * diagonal[:, None])
-        least = np.linalg.eigvalsh(scaled)[:, 0]
-        open_ = np.flatnonzero(~(least > DETERMINED_RATIO))
+        open_ = np.flatnonzero(_open(block.normal))
         if len(open_):
             pose = int(open_[0])
             seen = int(state.pose_sets[number].seen[pose].sum())
@@ -40,6 +40,19 @@ def check_poses(state: State, equations: NormalEquations) -> None:
                 pose=pose + 1,
                 readings=seen,
             )
+
+
+def undetermined_poses(models: Sequence[SensorModel], poses: PoseSet) -> NDArray[np.bool_]:
+    """Return which poses their readings do not determine, shape (B,)."""
+    weights = np.ones(poses.readings_px.shape)
+    return _open(build(State(tuple(models), (poses,)), [weights], None).blocks[0].normal)
+
+
+def _open(normal: Array) -> NDArray[np.bool_]:
+    """Return which matrices (B, d, d) are as good as singular."""
+    diagonal = np.sqrt(np.maximum(np.einsum("bii->bi", normal), 1e-300))
+    scaled = normal / (diagonal[:, :, None] * diagonal[:, None])
+    return np.asarray(~(np.linalg.eigvalsh(scaled)[:, 0] > DETERMINED_RATIO))
 
 
 def global_covariance(
@@ -62,6 +75,8 @@ def global_covariance(
     Raises:
         UndeterminedParameters: a combination of parameters is open.
     """
+    if not varied.any():
+        return np.zeros((len(varied), len(varied)))
     sensors = sum(model.parameter_count for model in state.models)
     middle = np.concatenate(
         [poses.marker_positions().reshape(-1, 3) for poses in state.pose_sets]
@@ -132,7 +147,7 @@ def _datum(state: State, size: int) -> Array:
         points.append(poses.marker_positions().reshape(-1, 3))
         weight = np.where(poses.seen, 1.0 / poses.sigma_px, 0.0)
         weights.append(weight.reshape(-1, weight.shape[-1]))
-    datum = volume_datum(cameras, np.concatenate(points), np.concatenate(weights))
+    datum = cloud_datum(cameras, np.concatenate(points), np.concatenate(weights))
     full = np.zeros((size, 6))
     full[: len(datum)] = datum
     return full

@@ -48,34 +48,27 @@ def moved_world(model: SensorModel, rotation: Array, translation_mm: Array) -> S
     )
 
 
-def volume_datum(cameras: CameraStack, points_mm: Array, weights: Array) -> Array:
-    """Return D, shape (P, 6), for the datum ``D' dp = 0`` of least change over a volume.
+def cloud_datum(cameras: CameraStack, points_mm: Array, weights: Array) -> Array:
+    """Return D, shape (P, 6), of the datum ``D' dp = 0``: the cloud of points stays in its place.
 
-    A change dp of the parameters moves each point that is reconstructed from given readings by
-    ``dX = -(A'A)^-1 A'J dp``. The datum keeps the sums of dX and of X x dX at 0: no rigid motion
-    brings the points nearer to where they were. Free-network adjustment with inner constraints,
-    e.g. Kuang, Geodetic Network Analysis and Optimal Design, 1996, section 3.4.
+    Its place is where the unchanged cameras would read best what was read of it, if it moved as
+    a rigid body. With A the readings' slopes by the points, M the points' slopes by a rigid
+    motion and J the readings' slopes by the parameters that is ``M'A' W J dp = 0``: the inner
+    constraints of a free network, over readings.
 
     Args:
         cameras: S cameras.
         points_mm: shape (N, 3) [mm].
         weights: 1 / standard deviation of the readings, 0 where not seen, shape (N, S) [1/px].
-            Points that fewer than three sensors saw do not count.
     """
     _, slopes = cameras.linearised(points_mm)
     whitened = np.nan_to_num(slopes) * weights[..., None]
     by_parameter = np.nan_to_num(cameras.parameter_jacobian(points_mm)) * weights[..., None]
-    normal = np.einsum("nsi,nsj->nij", whitened, whitened)
-    spectrum = np.linalg.eigvalsh(normal)
-    fit = ((weights > 0.0).sum(axis=1) >= 3) & (spectrum[:, 0] > 1e-10 * spectrum[:, 2])
-    response = -np.einsum(
-        "nij,nsj,nsp->nisp", np.linalg.inv(normal[fit]), whitened[fit], by_parameter[fit]
-    )
-    arms = points_mm[fit] - points_mm[fit].mean(axis=0)
-    crosses = np.cross(arms[:, None], _AXES[None]).transpose(0, 2, 1)  # (n, i, j): (X x e_j)_i
-    turning = np.einsum("nij,njsp->isp", crosses, response)
-    shifting = response.sum(axis=0)
-    datum = np.concatenate([turning, shifting]).reshape(6, -1)
+    arms = points_mm - points_mm.mean(axis=0)
+    # A turn w about the middle moves a point by w x arm, its readings by (arm x slope).w
+    turned = np.cross(arms[:, None], whitened)
+    by_motion = np.concatenate([turned, whitened], axis=2)
+    datum = np.einsum("nsm,nsp->msp", by_motion, by_parameter).reshape(6, -1)
     here = np.flatnonzero(cameras.owned)
     ordered = np.empty((6, len(here)))
     ordered[:, cameras.places.ravel()[here]] = datum[:, here]

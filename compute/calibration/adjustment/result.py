@@ -45,6 +45,10 @@ class Adjusted:
         count = sum(model.parameter_count for model in self.models)
         return self.global_covariance[:count, :count]
 
+    def eliminated(self, index: int = 0) -> tuple[Array, Array]:
+        """Return V^-1 (B, d, d) and V^-1 W' (B, d, F) of one set's normal equations."""
+        return self._reduced.inverses[index], self._reduced.towards[index]
+
     def pose_covariance(self, index: int = 0) -> Array:
         """Return the covariances of one set's poses, the sensors' part included, (B, d, d).
 

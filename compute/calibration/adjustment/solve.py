@@ -1,6 +1,7 @@
 """adjust: Levenberg-Marquardt over sensors, shapes and poses, poses eliminated in each step."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -31,6 +32,10 @@ SETTLED: Final = 1e-9
 than 3e-5 standard deviations."""
 ROUNDING: Final = 1e-13
 """The same, relative to chi2: what its own rounding hides."""
+SCALE_SETTLED: Final = 1e-3
+"""The same for the stages of a robust loss with a wider limit."""
+ROUGH: Final = 1e-2
+ROUGH_STEPS: Final = 60
 UNDAMPED: Final = 1e-3
 """Largest damping at which what a step promises tells how far the minimum is."""
 STUCK: Final = 1e14
@@ -51,9 +56,8 @@ def adjust(
     """Fit sensors, shapes and poses to the readings, each over its standard deviation.
 
     The world frame must come from somewhere: from known positions, from the prior, or, with
-    ``free_frame``, from the start: then no rigid motion brings the points that the readings
-    make nearer to where they were in the solution's own frame (a free network; the caller turns
-    the whole to where it belongs), and the covariance is that of this frame.
+    ``free_frame``, from what the caller makes of it afterwards: the solution's frame is any,
+    and the covariance is that of ``gauge.cloud_datum``.
 
     Args:
         models: the sensors to start from, without a cubic term.
@@ -81,16 +85,33 @@ def adjust(
     if free_frame and not varied.all():
         raise InvalidParameter("a free frame needs all parameters free; held ones fix the frame")
     search = _Search(state, prior, varied, progress, max_iterations)
-    if loss == "robust":
-        # Far from the minimum all residuals are large, and none says yet which is wrong.
-        scale = robust_scale(search.state, search.residuals)
-        while scale > 1.0:
-            search.run(HUBER_LIMIT * scale, SETTLED + 1e-4 * scale**2)
-            scale = min(robust_scale(search.state, search.residuals), scale / 1.5)
-        search.run(HUBER_LIMIT, SETTLED)
-    else:
-        search.run(np.inf, SETTLED)
+    search.all_stages(loss, 0.0)
     return _finished(search, HUBER_LIMIT if loss == "robust" else np.inf, free_frame)
+
+
+def approach(
+    models: Sequence[SensorModel],
+    pose_sets: Sequence[PoseSet],
+    *,
+    prior: SensorPrior | None = None,
+    loss: Loss = "linear",
+    steps: int = ROUGH_STEPS,
+) -> State:
+    """Come near a solution from a bad start: as ``adjust``, but it ends early, wherever it is.
+
+    It ends when a step promises less than a hundredth of chi2, or after ``steps``; nothing says
+    that what it has come to is determined.
+
+    Raises:
+        InvalidParameter, NoConvergence: as ``adjust``, for the start.
+    """
+    state = _checked(models, pose_sets)
+    count = sum(model.parameter_count for model in state.models)
+    count += sum(poses.shape.freedom for poses in state.pose_sets)
+    search = _Search(state, prior, np.ones(count, dtype=np.bool_), None, steps)
+    with suppress(NoConvergence):
+        search.all_stages(loss, ROUGH)
+    return search.state
 
 
 @dataclass(eq=False)
@@ -116,8 +137,20 @@ class _Search:
                     pose=int(pose) + 1,
                 )
 
+    def all_stages(self, loss: Loss, settled: float) -> None:
+        """Run with a loss; a robust one from a wide limit to its own."""
+        if loss == "linear":
+            self.run(np.inf, settled)
+            return
+        # Far from the minimum all residuals are large, and none says yet which is wrong.
+        scale = robust_scale(self.state, self.residuals)
+        while scale > 1.0:
+            self.run(HUBER_LIMIT * scale, max(settled, SCALE_SETTLED))
+            scale = min(robust_scale(self.state, self.residuals), scale / 1.5)
+        self.run(HUBER_LIMIT, settled)
+
     def run(self, limit: float, settled: float) -> None:
-        """Step until the next one promises less than ``settled``, with the loss of a limit."""
+        """Step until the next one promises less than a share ``settled`` of the loss."""
         damping = 1e-4
         loss = total_loss(self.state, self.residuals, self.prior, limit)
         while True:
@@ -150,7 +183,7 @@ class _Search:
                     new = total_loss(trial, residuals, self.prior, limit)
                 # NaN, a point behind a lens, is not better.
                 better = new <= loss
-                ending = damping <= UNDAMPED and promised <= settled + ROUNDING * loss
+                ending = damping <= UNDAMPED and promised <= SETTLED + (settled + ROUNDING) * loss
                 if better:
                     self.state, self.residuals, loss = trial, residuals, new
                     damping = max(damping * 0.1, 1e-12)

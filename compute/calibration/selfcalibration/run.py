@@ -1,0 +1,220 @@
+"""self_calibrate: sensors from readings of a subject at unknown places, and one length."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.adjustment.covariance import undetermined_poses
+from compute.calibration.adjustment.result import Adjusted
+from compute.calibration.adjustment.solve import Progress, adjust
+from compute.calibration.selfcalibration.checks import (
+    check_count,
+    check_recordings,
+    check_scale,
+    check_seen_scale,
+    check_spread,
+    device_scale,
+)
+from compute.calibration.selfcalibration.frame import Placed, in_pose_frame, in_start_frame
+from compute.calibration.selfcalibration.noise import (
+    SIGMA_FLOOR_PX,
+    sensor_sigma,
+    worst_readings,
+)
+from compute.calibration.selfcalibration.report import Found, summary
+from compute.calibration.selfcalibration.result import Datum, RejectedReading, SelfCalibration
+from compute.calibration.selfcalibration.search import near_solution, slit_prior
+from compute.calibration.selfcalibration.starts import Start, seen_scale, selected, start_poses
+from compute.calibration.selfcalibration.subjects import Recording, RigidBody
+from compute.camera.model import SensorModel
+from compute.errors import InvalidParameter, NoConvergence
+
+Array = NDArray[np.float64]
+
+REJECTION_ROUNDS: Final = 20
+REJECTED_SHARE: Final = 0.3
+"""Share of rejected readings beyond which nothing tells the right ones."""
+NOISE_ROUNDS: Final = 2
+
+
+def self_calibrate(
+    models: Sequence[SensorModel],
+    recordings: Sequence[Recording],
+    *,
+    datum: Datum = "start",
+    progress: Progress | None = None,
+) -> SelfCalibration:
+    """Calibrate S sensors without known coordinates, from cameras that are near.
+
+    The start is the nominal geometry or an earlier calibration; 20 % wrong in every parameter
+    will do (``lumiline reproduce wand`` has the shares of success). All poses and all sensors are
+    adjusted together; wrong readings lose their influence and are then left out. Sensors whose
+    start has distortion terms get theirs adjusted, too.
+
+    Args:
+        models: the start, one for each sensor of the device.
+        recordings: readings of wands, rigid bodies or frames, all with standard deviations or
+            all without: then each sensor's comes from its residuals.
+        datum: the world's frame. "start": where the start's cameras read best what was read.
+            "first-pose": the frame of the rigid body of the first recording, where it was first
+            seen.
+        progress: called with the fraction done and the stage; what it raises passes through.
+
+    Raises:
+        InvalidParameter: readings, lengths or options that contradict each other.
+        TooFewPoints, DegeneratePoints, ReadingOutsideSensor: the recordings are not fit for it.
+        UndeterminedParameters: they leave a combination of parameters open.
+        NoConvergence: the start is too wrong, or the readings contradict one another.
+    """
+    tell = progress or _silent
+    check_recordings(models, recordings)
+    given = {recording.sigma_px is not None for recording in recordings}
+    if len(given) > 1:
+        raise InvalidParameter("some recordings have standard deviations and some not; give all")
+    if datum == "first-pose" and not isinstance(recordings[0].subject, RigidBody):
+        raise InvalidParameter(
+            'datum is "first-pose", but the first recording is not of a rigid body of known shape'
+        )
+    tell(0.0, "start")
+    work = _Work(tuple(models), tuple(recordings), given == {True})
+    scales = tuple(seen_scale(models, recording) for recording in recordings)
+    for scale in scales:
+        check_seen_scale(scale)
+    check_count(models, [start.poses for start in work.starts(False)])
+    tell(0.1, "search")
+    work.near = near_solution(models, work.kept_recordings(), work.sigma)
+    check_scale(models, work.near)
+    tell(0.5, "adjustment")
+    starts = work.starts(True)
+    check_spread([start.poses for start in starts])
+    adjusted = work.adjusted(starts, "robust")
+    if not work.sigma_given:
+        for _ in range(NOISE_ROUNDS):
+            work.scale_sigma(sensor_sigma(adjusted, robust=True))
+            adjusted = work.adjusted(work.starts(True), "robust")
+    for number in range(REJECTION_ROUNDS):
+        tell(0.6 + 0.3 * number / REJECTION_ROUNDS, "wrong readings")
+        starts = work.starts(True)
+        adjusted = work.adjusted(starts, "linear" if number else "robust")
+        if not work.reject(adjusted, starts) and number:
+            break
+    if not work.sigma_given:
+        for _ in range(NOISE_ROUNDS):
+            work.scale_sigma(sensor_sigma(adjusted, robust=False))
+            starts = work.starts(True)
+            adjusted = work.adjusted(starts, "linear")
+    tell(0.95, "frame")
+    placed = _in_frame(adjusted, models, starts, recordings, datum)
+    found = Found(
+        adjusted,
+        placed,
+        tuple(starts),
+        tuple(recordings),
+        scales,
+        device_scale(models, placed.models),
+        tuple(work.rejected),
+        work.sigma_given,
+    )
+    result = summary(found, datum)
+    tell(1.0, "done")
+    return result
+
+
+def _silent(_fraction: float, _stage: str) -> None:
+    """Tell nobody."""
+
+
+def _in_frame(
+    adjusted: Adjusted,
+    models: Sequence[SensorModel],
+    starts: Sequence[Start],
+    recordings: Sequence[Recording],
+    datum: Datum,
+) -> Placed:
+    subject = recordings[0].subject
+    if datum == "start" or not isinstance(subject, RigidBody):
+        return in_start_frame(adjusted, models)
+    if starts[0].kept[0] != 0:
+        raise InvalidParameter(
+            'datum is "first-pose", but the first pose shows too little of the body, or '
+            "contradicts the others; leave it out, so that another is the first"
+        )
+    return in_pose_frame(adjusted, np.mean(subject.marker_mm, axis=0))
+
+
+@dataclass(eq=False)
+class _Work:
+    """What a run has so far: cameras, deviations, and which readings it still takes."""
+
+    near: tuple[SensorModel, ...]
+    recordings: tuple[Recording, ...]
+    sigma_given: bool
+
+    def __post_init__(self) -> None:
+        self.start = self.near
+        self.readings = [recording.readings_px.copy() for recording in self.recordings]
+        self.sigma = [
+            np.ones(one.readings_px.shape) if one.sigma_px is None else one.sigma_px
+            for one in self.recordings
+        ]
+        self.rejected: list[RejectedReading] = []
+
+    def kept_recordings(self) -> list[Recording]:
+        """Return the recordings without what was rejected."""
+        return [
+            Recording(recording.subject, readings)
+            for recording, readings in zip(self.recordings, self.readings, strict=True)
+        ]
+
+    def starts(self, trusted: bool) -> list[Start]:
+        """Place all poses by the cameras of now; poses that would be open are left out."""
+        starts = []
+        for recording, sigma in zip(self.kept_recordings(), self.sigma, strict=True):
+            start = start_poses(self.near, recording, sigma, trusted=trusted)
+            closed = ~undetermined_poses(self.near, start.poses)
+            starts.append(Start(selected(start.poses, closed), start.kept[closed]))
+        return starts
+
+    def adjusted(self, starts: Sequence[Start], loss: str) -> Adjusted:
+        """Adjust everything from there, and keep the cameras."""
+        pose_sets = [start.poses for start in starts]
+        adjusted = adjust(
+            self.near,
+            pose_sets,
+            prior=slit_prior(self.start, pose_sets),
+            free_frame=True,
+            loss="robust" if loss == "robust" else "linear",
+        )
+        self.near = adjusted.models
+        return adjusted
+
+    def scale_sigma(self, factors: Array) -> None:
+        """Take other deviations of the sensors."""
+        self.sigma = [np.maximum(one * factors, SIGMA_FLOOR_PX) for one in self.sigma]
+
+    def reject(self, adjusted: Adjusted, starts: Sequence[Start]) -> int:
+        """Leave out the worst reading of each pose that holds a wrong one; return how many."""
+        count = 0
+        for number, start in enumerate(starts):
+            places, off = worst_readings(adjusted, number)
+            for (pose, marker, sensor), size in zip(places.tolist(), off.tolist(), strict=True):
+                own = int(start.kept[pose])
+                self.readings[number][own, marker, sensor] = np.nan
+                self.rejected.append(
+                    RejectedReading(
+                        number + 1, own + 1, marker + 1, self.near[sensor].name, float(size)
+                    )
+                )
+            count += len(places)
+        total = sum(int(np.isfinite(one.readings_px).sum()) for one in self.recordings)
+        if len(self.rejected) > REJECTED_SHARE * total:
+            raise NoConvergence(
+                f"{len(self.rejected)} of {total} readings contradict the rest; the start is too "
+                "wrong, the lengths do not belong to what was moved, or the standard deviations "
+                "are far too small",
+                rejected=len(self.rejected),
+            )
+        return count

@@ -11,6 +11,7 @@ from compute.calibration.iterative import iterative_dlt
 from compute.calibration.result import Calibration
 from compute.calibration.sensor_fits import Observed
 from compute.calibration.settings import CalibrationSettings
+from compute.calibration.thesis_bundle import stepwise_model
 from compute.camera.dlt import model_from_matrix
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
@@ -26,6 +27,7 @@ def published_fits(
     """Fit each sensor as the thesis does; covariances are those of metric cameras.
 
     Raises:
+        TooFewPoints: "bundle-11" has more parameters than others.
         NoConvergence: the iteration left the cameras, or the finite numbers.
     """
     size = PARAMETER_COUNT * len(observed.sensors)
@@ -37,7 +39,11 @@ def published_fits(
             progress(column / len(observed.sensors), f"sensor {sensor.name}")
         rows = observed.seen[:, column]
         points, readings = observed.points_mm[rows], observed.readings_px[rows, column]
-        model, change = _iterated(points, readings, sensor)
+        change = None
+        if settings.method == "bundle-11":
+            model = stepwise_model(points, readings, sensor, None)
+        else:
+            model, change = _iterated(points, readings, sensor)
         cameras = CameraStack.of([model])
         values = (cameras.project(points) - cameras.corrected(readings[:, None]))[:, 0]
         sigma = observed.sigma_px[rows, column] if observed.sigma_known else None

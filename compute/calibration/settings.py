@@ -9,7 +9,7 @@ from compute.calibration.terms import Preset, preset_terms
 from compute.camera.field_distortion import Term, check_terms
 from compute.errors import InvalidParameter
 
-Method = Literal["metric", "dlt-iterative"]
+Method = Literal["metric", "dlt-iterative", "bundle-11"]
 Loss = Literal["linear", "robust"]
 LabelPolicy = Literal["off", "report", "exclude", "repair"]
 Distortion = Literal["none", "auto"] | Preset | tuple[Term, ...]
@@ -23,7 +23,8 @@ class CalibrationSettings:
 
     Args:
         method: "metric": the seven-parameter camera with distortion. "dlt-iterative": the
-            thesis's [5.1]-[5.12] as published, for comparison; it takes no other setting but
+            thesis's [5.1]-[5.12] as published; "bundle-11": its bundle adjustment over eleven
+            parameters by steps, [5.21]-[5.29]; both for comparison, with no other setting but
             ``labels``.
         distortion: "none"; "auto": the set that predicts blocks of points it never saw best
             (``compute.calibration.selection``); a set's name (``compute.calibration.terms``); or

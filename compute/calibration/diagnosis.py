@@ -1,0 +1,244 @@
+"""What control points leave open: weak parameters, coverage, and which measurement would help."""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.assessment import Diagnosis, SensorDiagnosis, Suggestion
+from compute.calibration.design import centred, design, fitted_columns
+from compute.calibration.result import Calibration, SensorFit
+from compute.camera.model import vector3
+from compute.camera.stack import CameraStack
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+VOLUME_NODES: Final = 5
+"""Nodes along each axis of the grid over the control points' box at which points are judged."""
+CANDIDATE_NODES: Final = 7
+CANDIDATE_REACH: Final = 1.15
+"""Further control points are looked for in the control points' box, so much larger."""
+SUGGESTIONS: Final = 5
+APART: Final = 0.2
+"""How far suggestions lie apart at least, of the box's diagonal."""
+PIXEL_SHARE: Final = 0.6
+DEPTH_SHARE: Final = 0.05
+WEAK: Final = 1e-4
+"""Condition below which a sensor's parameters hang on single readings."""
+
+_WORDS: Final = {
+    "principal_distance_px": "the principal distance",
+    "principal_point_px": "the principal point",
+    "rotation_x_rad": "tilt about the row",
+    "rotation_y_rad": "pan about the slit",
+    "rotation_z_rad": "roll about the view",
+    "offset_x_mm": "the position along the row",
+    "offset_z_mm": "the distance from the points",
+    "offset_y_mm": "the position along the slit",
+}
+
+
+def diagnose(
+    calibration: Calibration,
+    points_mm: Array,
+    readings_px: Array,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Say how well control points determine a calibration, and where a further one helps most.
+
+    A point's deviation that the calibration causes is that of a reconstruction from all sensors
+    that see it, by the calibration's covariance; a candidate lowers the covariance as one more
+    control point, read with the sensors' deviations, does in the linearised model.
+
+    Args:
+        calibration: of these points.
+        points_mm: control points, shape (N, 3) [mm].
+        readings_px: their readings, shape (N, S) [px]; NaN where not seen.
+        progress: called with the fraction done and the stage; what it raises passes through.
+    """
+    points = np.asarray(points_mm, dtype=np.float64)
+    readings = np.asarray(readings_px, dtype=np.float64)
+    sensors = tuple(
+        _sensor(fit, points[rows], column[rows])
+        for fit, column, rows in zip(
+            calibration.sensors, readings.T, np.isfinite(readings).T, strict=True
+        )
+    )
+    if progress is not None:
+        progress(0.2, "which measurement would help most")
+    influence = _Influence(calibration, points)
+    mean, largest = influence.now()
+    return Diagnosis(
+        sensors,
+        mean,
+        largest,
+        influence.suggestions(),
+        _remarks(calibration, sensors),
+    )
+
+
+def _sensor(fit: SensorFit, points: Array, readings: Array) -> SensorDiagnosis:
+    model = fit.model
+    middle = points.mean(axis=0)
+    here = centred(model, middle)
+    matrix = design(here, points - middle, np.full(len(points), 1.0 / fit.sigma_px))
+    scale = np.linalg.norm(matrix, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    _, singular, right = np.linalg.svd(matrix / scale, full_matrices=False)
+    # By what each parameter adds to its own reach: columns of length 1.
+    shares = right[-1] ** 2
+    names = [model.parameter_names[column] for column in fitted_columns(model)]
+    order = np.argsort(-shares, kind="stable")[:4]
+    weakest = tuple((names[k], float(np.sqrt(shares[k]))) for k in order)
+    frame = points @ model.rotation.T
+    depth = frame[:, 2] + model.offset_z_mm
+    u = (frame[:, 0] + model.offset_x_mm) / depth
+    field_v = None
+    if model.distortion is not None:
+        v = (frame[:, 1] + model.distortion.offset_y_mm) / (depth + model.distortion.row_behind_mm)
+        field_v = (float(v.min()), float(v.max()))
+    low, high = float(readings.min()), float(readings.max())
+    return SensorDiagnosis(
+        model.name,
+        float(singular[-1] / singular[0]),
+        weakest,
+        _in_words(names, shares),
+        (low, high),
+        (high - low) / model.pixels,
+        (float(u.min()), float(u.max())),
+        field_v,
+        (float(depth.min()), float(depth.max())),
+    )
+
+
+def _in_words(names: list[str], shares: Array) -> str:
+    order = np.argsort(-shares, kind="stable")
+    count = int(np.searchsorted(np.cumsum(shares[order]), 0.8)) + 1
+    parts = [
+        f"{_WORDS.get(names[k], f'the distortion term {names[k]}')} ({shares[k]:.0%})"
+        for k in order[: min(count, 4)]
+    ]
+    if len(parts) == 1:
+        return parts[0]
+    return f"{', '.join(parts[:-1])} against {parts[-1]}"
+
+
+class _Influence:
+    """How a calibration's covariance moves points of the volume, and what lowers it."""
+
+    def __init__(self, calibration: Calibration, points: Array) -> None:
+        self.cameras = CameraStack.of(calibration.models)
+        self.pixels = np.array([model.pixels for model in calibration.models])
+        self.sigma = np.array([fit.sigma_px for fit in calibration.sensors])
+        self.low, self.high = points.min(axis=0), points.max(axis=0)
+        self.covariance = np.array(calibration.covariance)
+        volume, slopes, rows = self._seen(_grid(self.low, self.high, VOLUME_NODES))
+        self.carried = self._carried(slopes, rows) if len(volume) else None
+
+    def _seen(self, points: Array) -> tuple[Array, Array, Array]:
+        """Return points that three sensors see, slopes by the point and by the parameters.
+
+        Shapes (M, 3), (M, S, 3) and (M, S, P); both are 0 where a sensor does not see the point.
+        """
+        readings, slopes = self.cameras.linearised(points)
+        with np.errstate(invalid="ignore"):
+            inside = (readings >= -0.5) & (readings <= self.pixels - 0.5)
+        keep = inside.sum(axis=1) >= 3
+        points, inside, slopes = points[keep], inside[keep], slopes[keep]
+        own = self.cameras.parameter_jacobian(points)
+        rows = np.zeros((*inside.shape, len(self.covariance)))
+        for sensor, places in enumerate(self.cameras.places):
+            here = places >= 0
+            rows[:, sensor, places[here]] = own[:, sensor, here]
+        rows = np.where(inside[..., None], rows, 0.0)
+        return points, np.where(inside[..., None], slopes, 0.0), rows
+
+    def _carried(self, slopes: Array, rows: Array) -> Array:
+        """Return d point / d parameters, shape (M, 3, P)."""
+        weighted = slopes / self.sigma[:, None] ** 2
+        normal = np.einsum("msi,msj->mij", weighted, slopes)
+        gain = np.linalg.solve(normal, weighted.swapaxes(1, 2))
+        carried: Array = -gain @ rows
+        return carried
+
+    def now(self) -> tuple[float | None, float | None]:
+        if self.carried is None:
+            return None, None
+        return _summary(self._variances())
+
+    def _variances(self) -> Array:
+        assert self.carried is not None
+        spread: Array = np.einsum(
+            "mip,pq,miq->m", self.carried, self.covariance, self.carried, optimize=True
+        )
+        return spread
+
+    def suggestions(self) -> tuple[Suggestion, ...]:
+        if self.carried is None:
+            return ()
+        middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        reach = CANDIDATE_REACH * half
+        places, _, rows = self._seen(_grid(middle - reach, middle + reach, CANDIDATE_NODES))
+        before = self._variances()
+        nodes, parameters = len(self.carried), len(self.covariance)
+        towards = self.covariance @ self.carried.reshape(-1, parameters).T
+        found = []
+        for place, row in zip(places, rows, strict=True):
+            sees = row.any(axis=1)
+            here = row[sees]
+            noise = np.diag(self.sigma[sees] ** 2)
+            gain = np.linalg.solve(noise + here @ self.covariance @ here.T, here @ towards)
+            lowered = (gain * (here @ towards)).reshape(len(here), nodes, 3).sum(axis=(0, 2))
+            mean, largest = _summary(np.maximum(before - lowered, 0.0))
+            found.append(Suggestion(vector3(place), mean, largest))
+        found.sort(key=lambda one: one.mean_sigma_mm)
+        chosen: list[Suggestion] = []
+        apart = APART * float(np.linalg.norm(self.high - self.low))
+        for one in found:
+            gaps = [np.linalg.norm(np.subtract(one.position_mm, o.position_mm)) for o in chosen]
+            if not gaps or min(gaps) >= apart:
+                chosen.append(one)
+            if len(chosen) == SUGGESTIONS:
+                break
+        return tuple(chosen)
+
+
+def _summary(variances: Array) -> tuple[float, float]:
+    return float(np.sqrt(variances.mean())), float(np.sqrt(variances.max()))
+
+
+def _grid(low: Array, high: Array, count: int) -> Array:
+    axes = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
+    return np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+
+def _remarks(calibration: Calibration, sensors: tuple[SensorDiagnosis, ...]) -> tuple[str, ...]:
+    remarks = []
+    for fit, one in zip(calibration.sensors, sensors, strict=True):
+        if one.pixel_share < PIXEL_SHARE:
+            remarks.append(
+                f"Sensor {one.sensor}: the control points cover {one.pixel_share:.0%} of its "
+                f"pixels ({one.pixels[0]:.0f} to {one.pixels[1]:.0f}); beyond them the "
+                "calibration is an extrapolation."
+            )
+        near, far = one.depth_mm
+        if far - near < DEPTH_SHARE * near:
+            remarks.append(
+                f"Sensor {one.sensor}: its control points lie between {near:.0f} and {far:.0f} mm "
+                "from the lens; over so little depth, the principal distance and the distance "
+                "from the points can hardly be told apart."
+            )
+        if one.condition < WEAK:
+            remarks.append(
+                f"Sensor {one.sensor}: {one.weakest_in_words} hang on small differences between "
+                f"readings (condition {one.condition:.1e}); spread the points further in all "
+                "three directions."
+            )
+        if fit.chi2_per_dof is not None and fit.chi2_per_dof > 2.0:
+            remarks.append(
+                f"Sensor {one.sensor}: its residuals are {fit.chi2_per_dof**0.5:.1f} times what "
+                "the stated deviations explain; look at distortion, labels, or the deviations."
+            )
+    return tuple(remarks)

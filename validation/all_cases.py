@@ -11,6 +11,7 @@ from validation.attenuation import CASE as ATTENUATION
 from validation.cases import CASES, Case
 from validation.close_peaks import CASE as CLOSE_PEAKS
 from validation.distortion_tables import TABLE_A1, TABLE_A2
+from validation.labels import CASE as LABELS
 from validation.passive_detection import CASE as PASSIVE_DETECTION
 from validation.peak_efficiency import CASE as PEAK_EFFICIENCY
 from validation.signal_ordering import TABLE_4_1, TABLE_4_2, TABLE_4_3
@@ -21,6 +22,15 @@ from validation.skew_effect import CASE as SKEW_EFFECT
 from validation.stop_and_focus import CASE as STOP_AND_FOCUS
 from validation.table_1_1 import CASE as TABLE_1_1
 from validation.table_5_5 import CASE as TABLE_5_5
+from validation.table_5_generated import TABLE_5_6, TABLE_5_7, TABLE_5_8, TABLE_5_9
+from validation.table_5_optimisation import (
+    TABLE_5_10,
+    TABLE_5_11,
+    TABLE_5_12,
+    TABLE_5_13,
+    TABLE_5_14,
+)
+from validation.table_5_simulated import TABLE_5_1, TABLE_5_2, TABLE_5_3, TABLE_5_4
 from validation.tables import TablesCase
 
 
@@ -38,7 +48,21 @@ def _drawn(case: TablesCase, module: str) -> TablesCase:
 
 _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_1_1,
+    TABLE_5_1,
+    TABLE_5_2,
+    TABLE_5_3,
+    TABLE_5_4,
     TABLE_5_5,
+    TABLE_5_6,
+    TABLE_5_7,
+    TABLE_5_8,
+    TABLE_5_9,
+    TABLE_5_10,
+    TABLE_5_11,
+    TABLE_5_12,
+    TABLE_5_13,
+    TABLE_5_14,
+    LABELS,
     TABLE_A1,
     TABLE_A2,
     SEIDEL,

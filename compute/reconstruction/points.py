@@ -69,6 +69,7 @@ def reconstruct(
     cameras = models if isinstance(models, CameraStack) else CameraStack.of(models)
     check_corrections(cameras, corrections)
     readings = np.asarray(readings_px, dtype=np.float64)
+    readings = np.where(np.isfinite(readings), readings, np.nan)
     slope = cameras.correction_slope(readings)
     sigma = sigma_px * np.abs(slope)
     target = cameras.corrected(readings)

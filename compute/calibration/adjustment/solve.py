@@ -34,6 +34,8 @@ ROUNDING: Final = 1e-13
 """The same, relative to chi2: what its own rounding hides."""
 SCALE_SETTLED: Final = 1e-3
 """The same for the stages of a robust loss with a wider limit."""
+ROBUST_SETTLED: Final = 1e-6
+"""The same for its own limit: reweighting ends slowly where poses hold several wrong readings."""
 ROUGH: Final = 1e-2
 ROUGH_STEPS: Final = 60
 UNDAMPED: Final = 1e-3
@@ -147,7 +149,7 @@ class _Search:
         while scale > 1.0:
             self.run(HUBER_LIMIT * scale, max(settled, SCALE_SETTLED))
             scale = min(robust_scale(self.state, self.residuals), scale / 1.5)
-        self.run(HUBER_LIMIT, settled)
+        self.run(HUBER_LIMIT, max(settled, ROBUST_SETTLED))
 
     def run(self, limit: float, settled: float) -> None:
         """Step until the next one promises less than a share ``settled`` of the loss."""

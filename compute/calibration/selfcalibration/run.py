@@ -26,6 +26,7 @@ from compute.calibration.selfcalibration.noise import (
 )
 from compute.calibration.selfcalibration.report import Found, summary
 from compute.calibration.selfcalibration.result import Datum, RejectedReading, SelfCalibration
+from compute.calibration.selfcalibration.screening import culprits, screened
 from compute.calibration.selfcalibration.search import near_solution, slit_prior
 from compute.calibration.selfcalibration.starts import Start, seen_scale, selected, start_poses
 from compute.calibration.selfcalibration.subjects import Recording, RigidBody
@@ -35,9 +36,10 @@ from compute.errors import InvalidParameter, NoConvergence
 Array = NDArray[np.float64]
 
 REJECTION_ROUNDS: Final = 20
-REJECTED_SHARE: Final = 0.3
-"""Share of rejected readings beyond which nothing tells the right ones."""
+LEAST_SHARE: Final = 0.6
+"""Share of the readings that must be used, or nothing tells the right ones."""
 NOISE_ROUNDS: Final = 2
+SCREENING_ROUNDS: Final = 3
 
 
 def self_calibrate(
@@ -88,24 +90,24 @@ def self_calibrate(
     work.near = near_solution(models, work.kept_recordings(), work.sigma)
     check_scale(models, work.near)
     tell(0.5, "adjustment")
-    starts = work.starts(True)
-    check_spread([start.poses for start in starts])
-    adjusted = work.adjusted(starts, "robust")
-    if not work.sigma_given:
-        for _ in range(NOISE_ROUNDS):
+    check_spread([start.poses for start in work.starts(True)])
+    for _ in range(SCREENING_ROUNDS):
+        adjusted = work.adjusted(work.screened())
+        if not work.sigma_given:
             work.scale_sigma(sensor_sigma(adjusted, robust=True))
-            adjusted = work.adjusted(work.starts(True), "robust")
-    for number in range(REJECTION_ROUNDS):
-        tell(0.6 + 0.3 * number / REJECTION_ROUNDS, "wrong readings")
-        starts = work.starts(True)
-        adjusted = work.adjusted(starts, "linear" if number else "robust")
-        if not work.reject(adjusted, starts) and number:
+    tell(0.7, "wrong readings")
+    work.blame()
+    for _ in range(REJECTION_ROUNDS):
+        starts = work.screened()
+        adjusted = work.adjusted(starts)
+        if not work.reject(adjusted, starts):
             break
     if not work.sigma_given:
         for _ in range(NOISE_ROUNDS):
             work.scale_sigma(sensor_sigma(adjusted, robust=False))
-            starts = work.starts(True)
-            adjusted = work.adjusted(starts, "linear")
+            starts = work.screened()
+            adjusted = work.adjusted(starts)
+    work.check_share(starts)
     tell(0.95, "frame")
     placed = _in_frame(adjusted, models, starts, recordings, datum)
     found = Found(
@@ -178,15 +180,29 @@ class _Work:
             starts.append(Start(selected(start.poses, closed), start.kept[closed]))
         return starts
 
-    def adjusted(self, starts: Sequence[Start], loss: str) -> Adjusted:
+    def screened(self) -> list[Start]:
+        """Place all poses by the cameras of now, without those that contradict themselves."""
+        starts = []
+        for start in self.starts(True):
+            fitted = screened(self.near, start)
+            starts.append(Start(selected(fitted.start.poses, fitted.good), start.kept[fitted.good]))
+        return starts
+
+    def blame(self) -> None:
+        """Leave out the one reading that makes its pose contradict itself, where there is one."""
+        for number, start in enumerate(self.starts(True)):
+            fitted = screened(self.near, start)
+            bad = selected(start.poses, ~fitted.good)
+            if len(bad):
+                poses, places, off = culprits(self.near, bad)
+                own = start.kept[~fitted.good][poses]
+                self._leave_out(number, np.column_stack([own, places]), off)
+
+    def adjusted(self, starts: Sequence[Start]) -> Adjusted:
         """Adjust everything from there, and keep the cameras."""
         pose_sets = [start.poses for start in starts]
         adjusted = adjust(
-            self.near,
-            pose_sets,
-            prior=slit_prior(self.start, pose_sets),
-            free_frame=True,
-            loss="robust" if loss == "robust" else "linear",
+            self.near, pose_sets, prior=slit_prior(self.start, pose_sets), free_frame=True
         )
         self.near = adjusted.models
         return adjusted
@@ -200,21 +216,25 @@ class _Work:
         count = 0
         for number, start in enumerate(starts):
             places, off = worst_readings(adjusted, number)
-            for (pose, marker, sensor), size in zip(places.tolist(), off.tolist(), strict=True):
-                own = int(start.kept[pose])
-                self.readings[number][own, marker, sensor] = np.nan
-                self.rejected.append(
-                    RejectedReading(
-                        number + 1, own + 1, marker + 1, self.near[sensor].name, float(size)
-                    )
-                )
+            places[:, 0] = start.kept[places[:, 0]]
+            self._leave_out(number, places, off)
             count += len(places)
+        return count
+
+    def _leave_out(self, number: int, places: NDArray[np.intp], off: Array) -> None:
+        for (pose, marker, sensor), size in zip(places.tolist(), off.tolist(), strict=True):
+            self.readings[number][pose, marker, sensor] = np.nan
+            name = self.near[sensor].name
+            self.rejected.append(RejectedReading(number + 1, pose + 1, marker + 1, name, size))
+
+    def check_share(self, starts: Sequence[Start]) -> None:
+        """Raise NoConvergence if the readings that are left are not most of them."""
         total = sum(int(np.isfinite(one.readings_px).sum()) for one in self.recordings)
-        if len(self.rejected) > REJECTED_SHARE * total:
+        used = sum(int(start.poses.seen.sum()) for start in starts)
+        if used < LEAST_SHARE * total:
             raise NoConvergence(
-                f"{len(self.rejected)} of {total} readings contradict the rest; the start is too "
+                f"only {used} of {total} readings agree with one another; the start is too "
                 "wrong, the lengths do not belong to what was moved, or the standard deviations "
                 "are far too small",
-                rejected=len(self.rejected),
+                used=used,
             )
-        return count

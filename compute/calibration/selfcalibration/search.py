@@ -11,7 +11,8 @@ from compute.calibration.adjustment.loss import HUBER_LIMIT
 from compute.calibration.adjustment.poses import PoseSet
 from compute.calibration.adjustment.prior import SensorPrior
 from compute.calibration.adjustment.solve import approach
-from compute.calibration.selfcalibration.starts import Start, start_poses
+from compute.calibration.selfcalibration.screening import screened
+from compute.calibration.selfcalibration.starts import Start, selected, start_poses
 from compute.calibration.selfcalibration.subjects import Recording
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.errors import NoConvergence, TooFewPoints
@@ -93,7 +94,7 @@ def near_solution(
         if number:
             starts = _placed(now, recordings, sigma)
         blurred = [_blurred(start.poses, coarse) for start in starts]
-        now = approach(now, blurred, prior=prior, loss="robust" if number else "linear").models
+        now = approach(now, blurred, prior=prior, loss="robust").models
     for _ in range(ROUNDS):
         pose_sets = [start.poses for start in _placed(now, recordings, sigma)]
         state = approach(now, pose_sets, prior=slit_prior(models, pose_sets), loss="robust")
@@ -112,7 +113,7 @@ def _placed(
     trusted: bool = True,
 ) -> list[Start]:
     try:
-        return [
+        starts = [
             start_poses(models, recording, one, trusted=trusted)
             for recording, one in zip(recordings, sigma, strict=True)
         ]
@@ -122,6 +123,11 @@ def _placed(
         raise NoConvergence(
             f"the search left the start for cameras where {error.detail}; start nearer"
         ) from None
+    if not trusted:
+        return starts
+    # A wrong reading bends its whole pose; the search can do without.
+    fitted = [screened(models, start) for start in starts]
+    return [Start(selected(one.start.poses, one.good), one.start.kept[one.good]) for one in fitted]
 
 
 def _blurred(poses: PoseSet, deviation_px: float) -> PoseSet:

@@ -116,8 +116,8 @@ def _drawn_in(models: Sequence[SensorModel], marker_mm: Array, scale: float) -> 
     return drawn
 
 
-def selected(poses: PoseSet, which: NDArray[np.bool_]) -> PoseSet:
-    """Return some of the poses."""
+def selected(poses: PoseSet, which: NDArray[np.bool_] | NDArray[np.intp]) -> PoseSet:
+    """Return some of the poses, by a mask or by their numbers."""
     return PoseSet(
         poses.shape,
         poses.translation_mm[which],

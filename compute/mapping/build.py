@@ -17,7 +17,7 @@ from compute.mapping.result import MappingResult, MappingValidation, SensorMappi
 from compute.mapping.sensor_fit import SensorData, describe, fit_sensor
 from compute.mapping.settings import MappingSettings
 from compute.mapping.smooth_basis import SmoothBasis
-from compute.mapping.support import cell_corners, supported_cells
+from compute.mapping.support import cell_corners, check_no_holes, supported_cells
 from compute.mapping.table import CorrectionTable
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ MOST_FUNCTIONS = 1200
 """Smooth functions that are fitted, at most; about ten along each axis of a cube."""
 FEWEST_FUNCTIONS = 200
 FUNCTIONS_BY_POINT = 2
-_TRIALS = 45  # of smoothness, about: for the progress alone
+_TRIALS = 25  # of smoothness, about: for the progress alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +100,8 @@ def build_table(
         lattice = Lattice.of(measured.points_mm)
         grid = lattice.grid
         parts = _through(models, cameras, measured, samples, settings, lattice)
+    for model, part in zip(models, parts, strict=True):
+        check_no_holes(part.valid, grid, model.name)
     progress(1.0, "done")
     table = CorrectionTable(
         tuple(model.name for model in models),

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 Array = NDArray[np.float64]
 
@@ -42,9 +42,9 @@ class PenalisedProblem:
         """Fit with prior precisions (R,) of the penalised functions."""
         precision = np.concatenate([penalty, self.others_precision])
         normal = self.gram + np.diag(precision)
-        factor = cho_factor(normal, lower=True, check_finite=False)
-        amounts = cho_solve(factor, self.product)
-        return PenalisedFit(self, precision, np.tril(factor[0]), amounts)
+        triangle = cholesky(normal, lower=True, check_finite=False)
+        amounts = cho_solve((triangle, True), self.product, check_finite=False)
+        return PenalisedFit(self, precision, triangle, amounts)
 
 
 @dataclass(frozen=True, eq=False)

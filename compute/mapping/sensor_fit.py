@@ -170,7 +170,9 @@ def _drift(data: SensorData) -> tuple[Array, Array]:
         )
     whitened = slopes / np.sqrt(data.variance_px2)[:, None]
     scale = np.linalg.norm(whitened, axis=0)
-    _, singular, right = np.linalg.svd(whitened / scale, full_matrices=False)
+    # What no reading depends on, as the place along the slit where no term has v in it.
+    acting = scale > 0.0
+    _, singular, right = np.linalg.svd(whitened[:, acting] / scale[acting], full_matrices=False)
     if singular[-1] < OPEN_RATIO * singular[0]:
         raise DegeneratePoints(
             f"the {len(slopes)} mapping points that sensor {data.name} saw leave a combination of "
@@ -178,8 +180,9 @@ def _drift(data: SensorData) -> tuple[Array, Array]:
             f"{singular[-1] / singular[0]:.1e}); add points at other places and depths",
             sensor=data.name,
         )
-    turn = (right.T / singular) / scale[:, None]
-    return turn, np.full(count, UNKNOWN_PRECISION)
+    turn = np.zeros((count, len(singular)))
+    turn[acting] = (right.T / singular) / scale[acting, None]
+    return turn, np.full(len(singular), UNKNOWN_PRECISION)
 
 
 def _problem(

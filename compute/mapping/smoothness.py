@@ -11,13 +11,13 @@ from compute.mapping.smooth_basis import SmoothBasis
 
 Array = NDArray[np.float64]
 
-DECADES = 9
-"""Of the penalty's weight that are searched, up and down from where it weighs as the samples."""
+DECADES = np.arange(9.0, -9.1, -1.5)
+"""Of the penalty's weight that are tried, from where it weighs as the samples."""
 AXIS_RATIO = 30.0
 """Step of the weights of the axes against one another."""
-AXIS_RANGE = (1e-3, 1e3)
 TIE = 1e-3
-"""Relative difference of errors that decides nothing: then the smoother one is taken."""
+"""Relative difference of squared errors that decides nothing: then the smoother one is taken."""
+_STEPS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ def fit_with(
 def choose_smoothness(
     problem: PenalisedProblem, functions: SmoothBasis, told: Callable[[], None] = lambda: None
 ) -> Smoothness:
-    """Return the penalty whose left-out blocks are predicted best.
+    """Return the penalty with which left-out blocks are predicted best.
 
     Blocks and not single points: neighbours share what is wrong with both, and a fit that follows
     it would be thought good. The weight is searched over decades and then between them; the axes'
@@ -64,13 +64,13 @@ def choose_smoothness(
         told()
         return fit_with(problem, functions, weight, axes)
 
-    def along(start: Smoothness, step: float, turns: int) -> Smoothness:
+    def walked(start: Smoothness, step: float) -> Smoothness:
         """Walk the weight up or down by a factor as long as it gets better."""
         best = start
         for factor in (step, 1.0 / step):
-            for _ in range(turns):
+            for _ in range(_STEPS):
                 other = trial(best.weight * factor, best.axes)
-                if not _better(other, best):
+                if other.score >= best.score * (1.0 - TIE):
                     break
                 best = other
         return best
@@ -78,31 +78,21 @@ def choose_smoothness(
     equal = np.ones(3)
     samples = np.diag(problem.gram)[: len(functions)].mean()
     middle = float(samples / np.median(functions.penalty(equal)))
-    best = trial(middle * 10.0**DECADES, equal)
-    for decade in range(DECADES - 1, -DECADES - 1, -1):
-        other = trial(middle * 10.0**decade, equal)
-        if _better(other, best):
-            best = other
-    for _ in range(2):
-        before = best
-        for axis in range(3):
-            for ratio in (AXIS_RATIO, 1.0 / AXIS_RATIO):
-                while AXIS_RANGE[0] <= best.axes[axis] * ratio <= AXIS_RANGE[1]:
-                    axes = best.axes.copy()
-                    axes[axis] *= ratio
-                    other = along(trial(best.weight, axes), AXIS_RATIO**0.5, 3)
-                    if not _better(other, best):
-                        break
-                    best = other
-        if best is before:
-            break
-    return along(best, 2.0, 3)
-
-
-def _better(other: Smoothness, best: Smoothness) -> bool:
-    """Whether another's error is smaller; or all but the same, and the other the smoother."""
-    smoother = other.weight >= best.weight
-    return other.score < best.score * (1.0 + TIE if smoother else 1.0 - TIE)
+    tried = [trial(middle * 10.0**decade, equal) for decade in DECADES]
+    least = min(one.score for one in tried)
+    # The smoothest of those that do as well.
+    best = next(one for one in tried if one.score <= least * (1.0 + TIE))
+    if best is tried[0]:
+        return best  # no correction at all: there is nothing that could have a direction
+    for axis in range(3):
+        for ratio in (AXIS_RATIO, 1.0 / AXIS_RATIO):
+            axes = best.axes.copy()
+            axes[axis] *= ratio
+            other = walked(trial(best.weight, axes), AXIS_RATIO**0.5)
+            if other.score < best.score * (1.0 - TIE):
+                best = other
+                break
+    return walked(best, 2.0)
 
 
 def gcv_score(fit: PenalisedFit) -> float:

@@ -4,8 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.ndimage import binary_fill_holes
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from compute.errors import TooFewPoints
 from compute.mapping.grid import VoxelGrid
 
 Array = NDArray[np.float64]
@@ -41,11 +43,36 @@ def supported_cells(
 def within_hull(points_mm: Array, places_mm: Array) -> NDArray[np.bool_]:
     """Return which places (M, 3) lie in the convex hull of points (N, 3); none in a flat one."""
     try:
-        hull = Delaunay(points_mm)
+        faces = ConvexHull(points_mm).equations
     except QhullError:
         return np.zeros(len(places_mm), dtype=np.bool_)
-    inside: NDArray[np.bool_] = hull.find_simplex(places_mm) >= 0
+    inside = np.ones(len(places_mm), dtype=np.bool_)
+    for x, y, z, offset in faces:
+        inside &= places_mm @ (x, y, z) + offset <= 0.0
     return inside
+
+
+def check_no_holes(valid: NDArray[np.bool_], grid: VoxelGrid, sensor: str) -> None:
+    """Check that the cells (nx, ny, nz) that are vouched for enclose none that is not.
+
+    Raises:
+        TooFewPoints: they do, or there are none.
+    """
+    if not valid.any():
+        raise TooFewPoints(
+            f"no cell of the grid has enough of sensor {sensor}'s measurements near it; add "
+            "points, or take a larger pitch",
+            sensor=sensor,
+        )
+    holes = np.argwhere(binary_fill_holes(valid) & ~valid)
+    if len(holes):
+        place = np.asarray(grid.origin_mm) + (holes[0] + 0.5) * np.asarray(grid.pitch_mm)
+        raise TooFewPoints(
+            f"sensor {sensor}'s measurements leave a hole of {len(holes)} cells, the first around "
+            f"{np.round(place, 1).tolist()} mm; add points there, or take a larger pitch",
+            sensor=sensor,
+            cells=len(holes),
+        )
 
 
 def cell_middles(grid: VoxelGrid) -> Array:

@@ -5,10 +5,20 @@ from dataclasses import dataclass
 from math import comb, exp, log
 from typing import Final
 
-from compute.calibration.labels.sensor_search import SensorLabels, SensorReadings, search_labels
+from compute.calibration.labels.hypothesis import log_exchange
+from compute.calibration.labels.sensor_search import (
+    SensorLabels,
+    SensorReadings,
+    judge,
+    search_labels,
+)
 
 COMMON_CHANCE: Final = 0.02
 """That two points have each other's labels in all sensors, before looking."""
+
+
+MARGIN: Final = 12.0
+"""Below what is needed by this much, an exchange of points is not searched for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,17 +54,35 @@ def search_device(
         pair = next((p for p in _pairs(found) if p not in refused), None)
         if pair is None:
             return DeviceLabels(tuple(common), tuple(now), tuple(found))
+        refused.add(pair)
+        prior = log(COMMON_CHANCE / comb(len(now[0].points_mm), 2))
+        hoped = prior + sum(_hoped(*each, pair) for each in zip(now, found, strict=True))
+        if hoped < -MARGIN:
+            continue
         swapped = [one.exchanged(*pair) for one in now]
         after = [search_labels(one) for one in swapped]
-        prior = log(COMMON_CHANCE / comb(len(now[0].points_mm), 2))
         gain = prior + sum(
             new.best.log_posterior - old.best.log_posterior
             for new, old in zip(after, found, strict=True)
         )
-        refused.add(pair)
         if gain > 0.0:
             common.append(CommonExchange(pair, 1.0 / (1.0 + exp(-min(gain, 700.0)))))
             now, found = swapped, after
+
+
+def _hoped(data: SensorReadings, labels: SensorLabels, pair: tuple[int, int]) -> float:
+    """Return about what a sensor's best explanation gains when two points are exchanged.
+
+    At worst it puts the pair back by an exchange of its own.
+    """
+    best = labels.best
+    own = log_exchange(len(data.seen))
+    if pair in best.hypothesis.cycles:
+        return -own
+    if best.hypothesis.touched & set(pair):
+        return MARGIN  # Its errors are mixed up with the pair: only a search can tell.
+    judged = judge(data, [best.hypothesis.with_cycle(pair)], best.theta)
+    return max(own, judged[0].log_posterior - own - best.log_posterior if judged else own)
 
 
 def _pairs(found: Sequence[SensorLabels]) -> list[tuple[int, int]]:

@@ -17,7 +17,12 @@ from compute.calibration.labels.finding import LabelErrorKind, LabelFinding
 from compute.calibration.labels.hypothesis import Hypothesis
 from compute.calibration.labels.projective import WIDTH
 from compute.calibration.labels.report import LabelReport
-from compute.calibration.labels.sensor_search import SensorLabels, SensorReadings, search_labels
+from compute.calibration.labels.sensor_search import (
+    SensorLabels,
+    SensorReadings,
+    contradicted,
+    search_labels,
+)
 from compute.camera.model import SensorGeometry
 
 Array = NDArray[np.float64]
@@ -88,6 +93,8 @@ def find_label_errors(
     for column, one in enumerate(data):
         if progress is not None:
             progress(column / len(data), f"labels of {names[column]}")
+        if given is not None and contradicted(one):
+            one = data[column] = _scaled(one, UNKNOWN_FACTOR)
         found.append(search_labels(one))
     if given is None:
         usual = ScalePrior(ALIKE, median(labels.factor for labels in found))
@@ -106,6 +113,8 @@ def _doubted(data: SensorReadings, known: SensorLabels) -> tuple[SensorReadings,
     a good explanation.
     """
     best = known.best
+    if data.scale is not KNOWN:
+        return data, known
     ordinary = best.chi2 <= chi2_distribution.isf(SUSPICIOUS, max(best.kept - WIDTH, 1))
     if ordinary and best.hypothesis.size < 2:
         return data, known

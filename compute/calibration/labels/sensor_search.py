@@ -31,6 +31,8 @@ ORDINARY: Final = 1e-3
 """Chance that squares as large as a clean sensor's make it look twice."""
 START_SIGMAS: Final = 5.0
 """Residuals of a robust start beyond this many of its deviations are its wrong readings."""
+CONTRADICTION: Final = 3.0
+"""Stated deviations are not believed where those of the nearer half are this many times larger."""
 PROPOSALS: Final = 200
 
 
@@ -155,18 +157,13 @@ def search_labels(data: SensorReadings) -> SensorLabels:
     From the least squares of all readings where these look ordinary, otherwise from robust
     starts too; then around the best explanation until no better one is found.
     """
-    pool = _Pool(data)
-    camera, none = data.camera, Hypothesis()
-    values = np.where(np.isfinite(data.readings_px), data.readings_px, camera.middle_px)[None]
-    weights = np.where(np.isfinite(data.readings_px), 1.0 / data.sigma_px, 0.0)[None]
-    plain = camera.fit(values, weights, camera.algebraic(values, weights), FIT_STEPS)[0]
-    pool.judge([none], plain)
+    pool, none = _plain(data), Hypothesis()
     ordinary = np.isinf(data.scale.freedom) and _ordinary(pool)
     if ordinary:
         pool.look_around(pool.best.theta, [], JUDGED, FIRST_BEAM)
     if not (ordinary and pool.best.hypothesis == none):
         tried: set[Hypothesis] = set()
-        for start in robust_starts(camera, data.readings_px, data.sigma_px, ROBUST_STARTS):
+        for start in robust_starts(data.camera, data.readings_px, data.sigma_px, ROBUST_STARTS):
             outliers = _outliers(data, start)
             if outliers not in tried:
                 tried.add(outliers)
@@ -183,6 +180,27 @@ def search_labels(data: SensorReadings) -> SensorLabels:
     return SensorLabels(
         best, tuple(pool.judged.values()), data.evidence.factor(best.chi2, best.kept)
     )
+
+
+def contradicted(data: SensorReadings) -> bool:
+    """Return whether even the camera that fits the nearer half of the readings contradicts sigma.
+
+    Then it is the deviations or the camera's form that is wrong, not a few labels.
+    """
+    if _ordinary(_plain(data)):
+        return False
+    starts = robust_starts(data.camera, data.readings_px, data.sigma_px, 1)
+    return _off(data, starts[0])[1] > CONTRADICTION * data.scale.factor
+
+
+def _plain(data: SensorReadings) -> _Pool:
+    """Return the explanation without errors, by least squares of all readings."""
+    pool, camera = _Pool(data), data.camera
+    values = np.where(np.isfinite(data.readings_px), data.readings_px, camera.middle_px)[None]
+    weights = np.where(np.isfinite(data.readings_px), 1.0 / data.sigma_px, 0.0)[None]
+    plain = camera.fit(values, weights, camera.algebraic(values, weights), FIT_STEPS)[0]
+    pool.judge([Hypothesis()], plain)
+    return pool
 
 
 def judge(data: SensorReadings, hypotheses: Sequence[Hypothesis], theta: Array) -> list[Judged]:
@@ -228,13 +246,20 @@ def _ordinary(pool: _Pool) -> bool:
 def _outliers(data: SensorReadings, theta: Array) -> Hypothesis:
     """Return what a robust start takes for wrong, by its own residuals' deviation."""
     seen = data.seen
+    off, deviation = _off(data, theta)
+    deviation = max(deviation, data.scale.factor)
+    order = np.argsort(-off, kind="stable")[: max(len(seen) - WIDTH - 1, 0)]
+    return Hypothesis(frozenset(int(seen[k]) for k in order if off[k] > START_SIGMAS * deviation))
+
+
+def _off(data: SensorReadings, theta: Array) -> tuple[Array, float]:
+    """Return how far the readings seen are off a camera [deviations], and the nearer half's RMS."""
+    seen = data.seen
     off = np.abs(data.camera.project(theta[None])[0, seen] - data.readings_px[seen])
     off = off / data.sigma_px[seen]
     most = (len(seen) + WIDTH + 1) // 2
     nearest = np.sort(off)[:most]
-    deviation = max(float(np.sqrt((nearest**2).sum() / max(most - WIDTH, 1))), data.scale.factor)
-    order = np.argsort(-off, kind="stable")[: max(len(seen) - WIDTH - 1, 0)]
-    return Hypothesis(frozenset(int(seen[k]) for k in order if off[k] > START_SIGMAS * deviation))
+    return off, float(np.sqrt((nearest**2).sum() / max(most - WIDTH, 1)))
 
 
 def _rearranged(data: SensorReadings, best: Judged) -> list[Hypothesis]:

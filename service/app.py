@@ -24,6 +24,7 @@ from service.openapi import install_openapi
 from service.planning.router import router as device_profiles
 from service.problem_handlers import install_problem_handlers, no_such_websocket
 from service.reconstructions.router import router as reconstructions
+from service.reports.router import router as reports
 from service.runs.manager import RunManager
 from service.runs.router import router as runs_router
 from service.server import router as server
@@ -104,6 +105,7 @@ def create_app(
     for router in (
         devices,
         calibrations,
+        reports,
         runs_router,
         correction_tables,
         reconstructions,

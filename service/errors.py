@@ -39,6 +39,12 @@ class UnknownCapture(LumilineError):
     code = "unknown-capture"
 
 
+class NoSuchFigure(LumilineError):
+    """The report has no such figure: the calibration holds nothing that it would show."""
+
+    code = "no-such-figure"
+
+
 class UnknownTarget(LumilineError):
     """The capture session has no target of the given name."""
 

@@ -21,6 +21,7 @@ _STATUS: Final[dict[str, int]] = {
     own.UnknownCorrectionTable.code: 404,
     own.UnknownCapture.code: 404,
     own.UnknownTarget.code: 404,
+    own.NoSuchFigure.code: 404,
     own.UnknownDeviceProfile.code: 404,
     own.UnknownProblem.code: 404,
     own.DeviceExists.code: 409,

@@ -16,10 +16,11 @@ from compute.errors import (
 )
 from service.calibrations import store
 from service.calibrations.examples import NEW_CALIBRATIONS
-from service.calibrations.run import run_calibration
+from service.calibrations.run import result_of, run_calibration
 from service.calibrations.schema import (
     CalibrationDocument,
     CalibrationSummary,
+    ComparisonDocument,
     NewCalibration,
     State,
 )
@@ -29,6 +30,7 @@ from service.devices.store import get_device, sensors_of_row
 from service.errors import (
     CalibrationActive,
     CalibrationExists,
+    CalibrationOfAnotherDevice,
     CalibrationRetired,
     SensorsChanged,
     UnknownCalibration,
@@ -41,6 +43,14 @@ from service.schema import SLUG_PATTERN, CalibrationPath, DeviceFilter, Limit, O
 router = APIRouter(prefix="/api/v1/calibrations", tags=["calibrations"], route_class=JsonRoute)
 
 NewCalibrationBody = Annotated[NewCalibration, FromJson(), Body(openapi_examples=NEW_CALIBRATIONS)]
+OtherPath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The other calibration's id.",
+        openapi_examples={"frame": {"summary": "of the example body", "value": "sim-frame"}},
+    ),
+]
 RetiredPath = Annotated[
     str,
     Path(
@@ -116,6 +126,38 @@ def get_calibration(calibration_id: CalibrationPath, database: DatabaseDep) -> C
     """One calibration: models, joint covariance, residuals, control-point errors."""
     with database.read() as session:
         return store.document(session, store.get_calibration(session, calibration_id))
+
+
+@router.get(
+    "/{calibration_id}/compare/{other_id}",
+    operation_id="compare-calibrations",
+    summary="Compare two calibrations",
+    responses=problems(UnknownCalibration, CalibrationOfAnotherDevice, SensorsChanged),
+)
+def compare_calibrations(
+    calibration_id: CalibrationPath, other_id: OtherPath, database: DatabaseDep
+) -> ComparisonDocument:
+    """Two calibrations of one device: parameters in their deviations, positions over the control
+    points' box, and which is better on the same observations.
+    """
+    from service.calibrations.comparison import compare
+    from service.calibrations.controlled import controlled
+
+    with database.read() as session:
+        rows = [store.get_calibration(session, name) for name in (calibration_id, other_id)]
+        if rows[0].device_id != rows[1].device_id:
+            raise CalibrationOfAnotherDevice(
+                f'calibration "{rows[1].id}" is of device "{rows[1].device_id}"; "{rows[0].id}" is '
+                f'of device "{rows[0].device_id}": compare calibrations of one device',
+                calibration=rows[1].id,
+            )
+        sensors = sensors_of_row(get_device(session, rows[0].device_id))
+        for row in rows:
+            check_sensors(row.device_id, sensors, result_of(row.content).models)
+        held = [controlled(row, sensors) for row in rows]
+    return ComparisonDocument(
+        one=calibration_id, other=other_id, comparison=compare(held[0], held[1])
+    )
 
 
 @router.post(

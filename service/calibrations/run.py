@@ -4,15 +4,16 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from compute.calibration.crossvalidation import fitted_errors, leave_one_out
+from compute.calibration.crossvalidation import fitted_errors
+from compute.calibration.full import assess
 from compute.calibration.result import AxisErrors, Calibration
-from compute.calibration.run import Progress, calibrate
+from compute.calibration.run import Progress
 from compute.calibration.settings import CalibrationSettings
 from compute.errors import InvalidParameter
 from hardware.driver import SensorDescription
@@ -25,12 +26,10 @@ from service.calibrations.schema import (
     PointErrors,
     Provenance,
 )
+from service.calibrations.used import used_readings
 
 _RESULT = TypeAdapter(Calibration)
 _POINTS = TypeAdapter(list[ControlPoint])
-
-_CALIBRATING: Final = 0.4
-"""Share of the time, roughly, before points are left out one after another."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
 
     Raises:
         InvalidParameter: what is asked for takes longer than a request should.
-        LumilineError: what was wrong with the points; see compute.calibration.run.calibrate.
+        LumilineError: what was wrong with the points; see compute.calibration.full.assess.
     """
     settings = request.settings()
     few = len(request.points) <= LEAVE_ONE_OUT_POINTS
@@ -69,52 +68,38 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
             f"most {LEAVE_ONE_OUT_POINTS} points",
             points=len(request.points),
         )
-    return calibration_outcome(
-        _silent, request.device, request.points, sensors, settings, LEAVE_ONE_OUT_POINTS
-    )
+    return calibration_outcome(None, request.device, request.points, sensors, settings)
 
 
 def calibration_outcome(
-    tell: Progress,
+    progress: Progress | None,
     device_id: str,
     given: list[ControlPoint],
     sensors: Sequence[SensorDescription],
     settings: CalibrationSettings,
-    most_left_out: int,
 ) -> Outcome:
     """Calibrate, and reconstruct the control points with the result and without each point.
 
     Args:
-        tell: called with the share done and the stage.
+        progress: called with the share done and the stage.
         device_id: the device.
         given: the control points.
         sensors: the device's sensors.
         settings: what is asked for.
-        most_left_out: most points for which each is left out.
 
     Raises:
-        LumilineError: what was wrong with the points; see compute.calibration.run.calibrate.
+        LumilineError: what was wrong with the points; see compute.calibration.full.assess.
     """
     points, observed, sigma = control_arrays(given, sensors)
-    geometries = geometry(sensors)
-    leave_out = len(points) <= most_left_out
-    share = _CALIBRATING if leave_out else 1.0
-    result = calibrate(
-        points,
-        observed,
-        geometries,
-        sigma,
-        settings,
-        progress=lambda done, stage: tell(share * done, stage),
-    )
-    fitted = fitted_errors(result, points, observed, sigma)
-    left_out = None
-    if leave_out:
-        tell(share, "leaving out one point after another")
-        left_out = leave_one_out(points, observed, geometries, sigma, settings)
+    result = assess(points, observed, geometry(sensors), sigma, settings, progress)
+    left_out = next((one for one in result.cross_validation if one.scheme == "points"), None)
     errors = ControlPointErrors(
-        fitted=_point_errors(fitted),
-        leave_one_out=None if left_out is None else _point_errors(left_out),
+        fitted=_point_errors(
+            fitted_errors(result, points, used_readings(result, points, observed), sigma)
+        ),
+        leave_one_out=None
+        if left_out is None
+        else PointErrors(statistics=left_out.errors, differences_mm=list(left_out.differences_mm)),
     )
     content = calibration_content(device_id, "fitted", given, result)
     return Outcome(result, content, errors.model_dump(mode="json"))
@@ -132,10 +117,6 @@ def control_arrays(
     sigma = observed.all_or_no_sigma()
     points = np.array([point.position_mm for point in given], dtype=np.float64).reshape(-1, 3)
     return points, observed.readings_px, sigma
-
-
-def _silent(_share: float, _stage: str) -> None:
-    """Tell nobody."""
 
 
 def _point_errors(differences_mm: NDArray[np.float64]) -> PointErrors:

@@ -13,13 +13,12 @@ from compute.calibration.settings import (
     Method,
 )
 from compute.camera.model import Vector3
+from service.calibrations.comparison import Comparison
 from service.schema import Document, Given, Moment, Name, Note, Position, Slug
 
 MAX_POINTS = 10_000
 LEAVE_ONE_OUT_POINTS = 100
-"""Most control points for which a request's calibration is checked by leaving out each one."""
-RUN_LEAVE_ONE_OUT_POINTS = 2_000
-"""The same for a run's."""
+"""Most control points that are left out one by one, and that a request calibrates in full."""
 
 State = Literal["active", "available", "retired"]
 Provenance = Literal["fitted", "nominal"]
@@ -122,7 +121,7 @@ class ControlPointErrors(Document):
     fitted: PointErrors | None = Field(description="The points that made it; null without any.")
     leave_one_out: PointErrors | None = Field(
         description="Each point by a calibration that never saw it; null without any point, or "
-        f"with more than {LEAVE_ONE_OUT_POINTS} ({RUN_LEAVE_ONE_OUT_POINTS} by a run)."
+        f"with more than {LEAVE_ONE_OUT_POINTS}: see the result's `cross_validation` by blocks."
     )
 
 
@@ -152,3 +151,11 @@ class CalibrationDocument(CalibrationSummary):
     points: list[ControlPoint]
     result: Calibration
     errors: ControlPointErrors
+
+
+class ComparisonDocument(Document):
+    """Two calibrations of one device beside one another."""
+
+    one: str
+    other: str
+    comparison: Comparison

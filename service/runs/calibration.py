@@ -11,7 +11,7 @@ from compute.calibration.settings import CalibrationSettings
 from hardware.driver import SensorDescription
 from service.calibrations.observations import geometry
 from service.calibrations.run import Outcome, calibration_outcome, control_arrays
-from service.calibrations.schema import RUN_LEAVE_ONE_OUT_POINTS, ControlPoint
+from service.calibrations.schema import ControlPoint
 from service.calibrations.sensors import check_sensors
 from service.calibrations.store import add_calibration
 from service.database.models import RunRow
@@ -72,7 +72,7 @@ def compute(
     settings: CalibrationSettings,
 ) -> Outcome:
     """Calibrate; runs in the run's process."""
-    return calibration_outcome(tell, device_id, points, sensors, settings, RUN_LEAVE_ONE_OUT_POINTS)
+    return calibration_outcome(tell, device_id, points, sensors, settings)
 
 
 def store(session: Session, row: RunRow, outcome: Outcome) -> str:

@@ -4,6 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from compute.calibration.settings import Distortion, LabelPolicy
 from service.calibrations.schema import MAX_POINTS, CalibrationOptions, ControlPoint
 from service.runs.store import Kind, State
 from service.schema import Document, Moment, Note, Slug
@@ -42,6 +43,13 @@ class Run(Document):
 class NewCalibrationRun(CalibrationOptions):
     """Control points, or a capture session that holds them, from which a device is calibrated."""
 
+    distortion: Distortion = Field(
+        default="auto",
+        description="As of a calibration; a run chooses the terms by cross-validation by default.",
+    )
+    labels: LabelPolicy = Field(
+        default="report", description="As of a calibration; a run reports them by default."
+    )
     id: Slug | None = Field(default=None, description="The run's; left out: the server's choice.")
     device: Slug
     result_id: Slug | None = Field(

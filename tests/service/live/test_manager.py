@@ -125,7 +125,7 @@ def test_every_frame_becomes_a_message_with_a_point_where_the_marker_is(live: Li
     )
     assert np.abs(np.mean(errors, axis=0)).max() < 0.05
     assert live.status("sim") == DeviceStatus(
-        "ended", "the source has no more frames", "c1", 200, 0, 0, 200, 0
+        "ended", "the source has no more frames", "c1", None, 200, 0, 0, 200, 0
     )
 
 

@@ -72,7 +72,7 @@ def test_a_run_makes_the_calibration_that_a_request_makes(client: Any):
     assert (found["state"], found["progress"], found["problem"]) == ("succeeded", 1.0, None)
     assert found["result"] == "/api/v1/calibrations/made"
     made = client.get(found["result"]).json()
-    same = client.post("/api/v1/calibrations", json=body(method="metric")).json()
+    same = client.post("/api/v1/calibrations", json=body(distortion="auto")).json()
     assert made["note"] == "by a run"
     assert made["state"] == "available"
     models = [fit["model"] for fit in made["result"]["sensors"]]
@@ -84,12 +84,16 @@ def test_a_run_makes_the_calibration_that_a_request_makes(client: Any):
     assert client.get("/api/v1/runs", params={"state": "failed"}).json()["total"] == 0
 
 
-def test_a_run_leaves_out_more_points_than_a_request(sqlite_client: Any):
+def test_many_points_are_left_out_in_blocks(sqlite_client: Any):
     points = simulated_points(np.random.default_rng(5).uniform(-120, 120, (101, 3)))
     posted = sqlite_client.post(URL, json=body(id="many", points=points, distortion="none"))
     assert posted.status_code == 202, posted.text
     made = sqlite_client.get(wait(sqlite_client, "many")["result"]).json()
-    assert made["errors"]["leave_one_out"]["statistics"]["points"] == 101
+    assert made["errors"]["leave_one_out"] is None
+    [blocks] = made["result"]["cross_validation"]
+    assert (blocks["scheme"], blocks["errors"]["points"]) == ("blocks", 101)
+    assert made["result"]["diagnosis"]["sensors"][0]["sensor"] == "vertical"
+    assert made["result"]["settings"]["distortion"] == "none"
 
 
 def test_a_failed_run_has_the_problem_of_its_error(sqlite_client: Any, computing: Any):

@@ -1,0 +1,1 @@
+"""Reports: what an engineer looks for in a calibration, as one HTML file."""

@@ -1,0 +1,101 @@
+"""The report of a stored calibration, beside the one before it."""
+
+import numpy as np
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from service.calibrations.comparison import compare
+from service.calibrations.controlled import controlled
+from service.calibrations.observations import observations
+from service.calibrations.run import result_of
+from service.calibrations.schema import ControlPoint
+from service.calibrations.sensors import same_sensors
+from service.calibrations.store import active_id, get_calibration
+from service.database.models import ActivationRow, CalibrationRow
+from service.devices.schema import Sensor
+from service.devices.store import get_device, sensors_of_row
+from service.errors import CalibrationOfAnotherDevice
+from service.reports.content import ReportContent
+from service.version import package_version
+
+
+def stored_report(
+    session: Session, calibration_id: str, previous_id: str | None = None
+) -> ReportContent:
+    """Return what the report of a calibration is made of.
+
+    Args:
+        session: the session.
+        calibration_id: the calibration.
+        previous_id: with which it is compared; None: with the one that was active before it, or,
+            where it never was, with the one that is.
+
+    Raises:
+        UnknownCalibration: one of the two is not there.
+        CalibrationOfAnotherDevice: the two are of different devices.
+    """
+    row = get_calibration(session, calibration_id)
+    device = get_device(session, row.device_id)
+    previous = _previous(session, row, previous_id)
+    points = [ControlPoint.model_validate(point) for point in row.content["points"]]
+    sensors = _sensors(row, sensors_of_row(device))
+    held = controlled(row, sensors)
+    observed = observations(points, sensors)
+    compared = None
+    if previous is not None and same_sensors(_sensors(previous, sensors), sensors):
+        compared = previous.id, compare(held, controlled(previous, sensors))
+    provenance = {
+        "calibration": row.id,
+        "device": f"{device.title} ({device.id})",
+        "made": f"{row.created_at:%Y-%m-%d %H:%M:%S} UTC",
+        "from": "control points" if row.provenance == "fitted" else "a design's values",
+        "note": row.note or "none",
+        "content hash": row.content_hash,
+        "report by": f"Lumiline {package_version()}",
+    }
+    return ReportContent(
+        title=f"Calibration {row.id} of {device.title}",
+        calibration=held.calibration,
+        names=[point.name for point in points],
+        points_mm=held.points_mm,
+        readings_px=held.readings_px,
+        sigma_px=observed.sigma_px if np.isfinite(observed.sigma_px).any() else None,
+        provenance=provenance,
+        previous=compared,
+    )
+
+
+def _sensors(row: CalibrationRow, now: list[Sensor]) -> list[Sensor]:
+    """Return the sensors that a calibration is of, which need not be the device's any more."""
+    pitches = {sensor.name: sensor.pitch_um for sensor in now}
+    return [
+        Sensor(model.name, model.pixels, pitches.get(model.name, 1.0))
+        for model in result_of(row.content).models
+    ]
+
+
+def _previous(
+    session: Session, row: CalibrationRow, previous_id: str | None
+) -> CalibrationRow | None:
+    if previous_id is not None:
+        found = get_calibration(session, previous_id)
+        if found.device_id != row.device_id:
+            raise CalibrationOfAnotherDevice(
+                f'calibration "{found.id}" is of device "{found.device_id}", "{row.id}" of '
+                f'"{row.device_id}"; compare calibrations of one device',
+                calibration=found.id,
+            )
+        return found
+    before = session.scalars(
+        select(ActivationRow)
+        .where(
+            ActivationRow.calibration_id == row.id,
+            ActivationRow.previous_calibration_id.is_not(None),
+            ActivationRow.previous_calibration_id != row.id,
+        )
+        .order_by(ActivationRow.id)
+        .limit(1)
+    ).first()
+    name = before.previous_calibration_id if before is not None else None
+    name = name or active_id(session, row.device_id)
+    return get_calibration(session, name) if name is not None and name != row.id else None

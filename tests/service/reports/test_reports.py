@@ -1,0 +1,212 @@
+"""Reports: self-contained, escaped, and showing what the calibration says."""
+
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+
+from compute.calibration.full import assess
+from compute.calibration.settings import CalibrationSettings
+from compute.calibration.weights import reading_sigma
+from compute.camera.model import SensorGeometry
+from compute.camera.stack import CameraStack
+from compute.reconstruction.points import reconstruct
+from hardware.simulated.bar import WORKING_CENTRE_MM, simulated_sensor_models
+from service.calibrations.comparison import Controlled, compare
+from service.calibrations.examples import NEW_CALIBRATIONS
+from service.database.seed import nominal_calibration
+from service.reports.content import ReportContent
+from service.reports.figures import FIGURES, draw
+from service.reports.page import pictures, report_page
+from service.reports.router import FigureName
+from service.reports.text import number
+from service.reports.write import write_report
+
+EVIL = '<script>alert("1")</script> & $\\frac{1}$ €'
+SIGMA_PX = 0.1
+
+
+@pytest.fixture(scope="module")
+def content() -> ReportContent:
+    """A calibration with an exchanged label, compared with one of fewer points."""
+    generator = np.random.default_rng(4)
+    models = simulated_sensor_models()
+    points = np.asarray(WORKING_CENTRE_MM) + generator.uniform(-120, 120, (40, 3))
+    readings = CameraStack.of(models).project(points) + generator.normal(0, SIGMA_PX, (40, 4))
+    readings[[3, 7], 0] = readings[[7, 3], 0]
+    geometry = [SensorGeometry(model.name, model.pixels, 14.0) for model in models]
+    found = assess(points, readings, geometry, None, CalibrationSettings(labels="exclude"))
+    fewer = assess(points[10:], readings[10:], geometry, None, CalibrationSettings())
+    held = Controlled(found, points, readings, None)
+    before = Controlled(fewer, points[10:], readings[10:], None)
+    return ReportContent(
+        title=f"Calibration {EVIL}",
+        calibration=found,
+        names=[EVIL if row in (3, 5) else f"P{row + 1}" for row in range(40)],
+        points_mm=points,
+        readings_px=readings,
+        provenance={"note": EVIL},
+        previous=(EVIL, compare(held, before)),
+    )
+
+
+@pytest.fixture(scope="module")
+def page(content: ReportContent) -> str:
+    return report_page(content)
+
+
+class Tags(HTMLParser):
+    """All tags with their attributes, and the text between them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def read(page: str) -> Tags:
+    found = Tags()
+    found.feed(page)
+    assert found.open == []
+    return found
+
+
+def test_nothing_is_loaded_from_elsewhere_and_no_script_runs(page: str):
+    found = read(page)
+    names = {tag for tag, _ in found.tags}
+    assert not names & {"script", "link", "iframe", "object", "embed", "base", "form", "svg"}
+    for tag, attributes in found.tags:
+        assert not any(name.startswith("on") for name in attributes)
+        for name in ("src", "href", "srcset", "action"):
+            if name in attributes:
+                assert tag == "img"
+                assert str(attributes[name]).startswith("data:image/svg+xml;base64,")
+    assert "url(" not in page
+    assert "@import" not in page
+
+
+def test_every_figure_is_in_it(page: str):
+    images = [attributes for tag, attributes in read(page).tags if tag == "img"]
+    assert len(images) == len(FIGURES)
+    for image in images:
+        svg = base64.b64decode(str(image["src"]).partition(",")[2]).decode()
+        assert "<svg" in svg
+        assert "<script" not in svg
+        # Namespaces only: nothing is fetched.
+        assert not re.search(r'(xlink:href|href|src)="(?!#|data:)', svg)
+
+
+def test_texts_from_outside_are_escaped(page: str):
+    assert "<script>" not in page
+    # The title twice, the note, a listed label and the previous calibration, as they were given.
+    assert read(page).text.count(EVIL) >= 5
+
+
+def test_it_says_what_the_calibration_found(content: ReportContent, page: str):
+    text = read(page).text
+    [finding] = content.calibration.labels
+    assert (finding.kind, finding.sensor) == ("exchanged", "vertical")
+    assert sorted(finding.points) == [4, 8]
+    assert "exchanged" in text
+    # The two readings left out are in no error: noise of 0.1 px is a few tenths of a millimetre.
+    errors = content.fitted_errors_mm
+    rms = float(np.sqrt((errors**2).sum(axis=1)[np.isfinite(errors).all(axis=1)].mean()))
+    assert rms < 1.0
+    assert f"{number(rms)} mm" in text
+    assert len(content.calibration.cross_validation) == 2
+    for check in content.calibration.cross_validation:
+        assert check.errors is not None
+        assert number(check.errors.max_absolute_mm[2]) in text
+    assert content.calibration.diagnosis is not None
+    for remark in content.calibration.diagnosis.remarks:
+        assert remark in text
+    median = np.nanmedian(np.linalg.norm(content.volume_uncertainty_mm, axis=1))
+    assert f"{number(float(median))} mm" in text
+
+
+def test_the_expected_deviation_is_that_of_new_points(content: ReportContent):
+    generator = np.random.default_rng(9)
+    assert content.volume_mm is not None
+    points = generator.uniform(*content.volume_mm, (400, 3))
+    readings = CameraStack.of(simulated_sensor_models()).project(points)
+    readings += generator.normal(0, SIGMA_PX, readings.shape)
+    sigma = reading_sigma(content.calibration, readings)
+    found = reconstruct(content.calibration.models, readings, sigma)
+    errors = found.position_mm - points
+    expected = content.uncertainty_mm(points)
+    ratio = np.sqrt((errors**2).mean(axis=0) / (expected**2).mean(axis=0))
+    # One calibration of forty points: its own error is one draw, the same for all points.
+    assert (ratio > 0.6).all()
+    assert (ratio < 1.5).all()
+
+
+def test_a_calibration_from_no_measurement_has_a_report_too():
+    empty = ReportContent("Nominal", nominal_calibration(), [], np.empty((0, 3)), np.empty((0, 4)))
+    text = read(report_page(empty)).text
+    assert "principal_distance_px" in text
+    assert pictures(empty) == {}
+
+
+def test_pictures_are_written_beside_it(content: ReportContent, tmp_path: Any):
+    write_report(content, tmp_path / "report.html", tmp_path / "figures")
+    assert (tmp_path / "report.html").read_text("utf-8").startswith("<!doctype html>")
+    written = list((tmp_path / "figures").iterdir())
+    assert {file.stem for file in written} == set(FIGURES)
+    for file in written:
+        assert file.read_bytes().startswith(b"\x89PNG")
+
+
+def test_many_points_do_not_make_a_large_page(content: ReportContent):
+    rows = np.random.default_rng(1).integers(0, 40, 4000)
+    calibration = replace(
+        content.calibration,
+        residuals_px=tuple(content.calibration.residuals_px[row] for row in rows),
+        cross_validation=(),
+        labels=(),
+    )
+    many = ReportContent(
+        "Many",
+        calibration,
+        [str(row) for row in rows],
+        content.points_mm[rows],
+        content.readings_px[rows],
+    )
+    drawn = draw("residuals-position", many, "svg")
+    assert drawn is not None
+    assert len(drawn) < 1_000_000
+
+
+def test_the_route_names_the_figures_that_there_are():
+    assert set(get_args(FigureName)) == set(FIGURES)
+
+
+def test_a_stored_calibration_has_its_report(sqlite_client: Any):
+    body = NEW_CALIBRATIONS["frame"]["value"] | {"note": EVIL}
+    assert sqlite_client.post("/api/v1/calibrations", json=body).status_code == 201
+    answer = sqlite_client.get("/api/v1/calibrations/sim-frame/report.html")
+    assert answer.headers["content-type"].startswith("text/html")
+    text = read(answer.text).text
+    assert EVIL in text
+    assert "sim-nominal" in text  # compared with what is active
+    found = sqlite_client.get("/api/v1/calibrations/sim-frame").json()
+    assert found["content_hash"] in text
+    figure = sqlite_client.get("/api/v1/calibrations/sim-frame/report/coverage.png")
+    assert figure.content.startswith(b"\x89PNG")
+    none = sqlite_client.get("/api/v1/calibrations/sim-nominal/report/coverage.png")
+    assert none.json()["type"] == "/problems/no-such-figure"

@@ -14,6 +14,7 @@ BENCHMARKS = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
     "signal": "raw lines to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
+    "reconstruct": "readings to points through a correction table, beside SciPy, numba, CuPy",
     "rays": "exact rays through a lens, beside optiland",
     "simulation": "simulated frames of a profile's device on one core, beside ideal lenses",
 }
@@ -40,6 +41,11 @@ def run(name: str | None, *, seconds: float, device: str | None, as_json: bool) 
         from benchmarks import points
 
         points.main(["--json"] if as_json else [])
+    elif name == "reconstruct":
+        from benchmarks import reconstruct
+
+        options = ["--json"] if as_json else []
+        reconstruct.main([*options, *(["--device", device] if device else [])])
     elif name == "rays":
         from benchmarks import rays
 

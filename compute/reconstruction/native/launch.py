@@ -121,6 +121,8 @@ class CudaLaunch:
     def __init__(
         self, wp: Any, kernel: Any, job: NDArray[np.void], sensors: int, device: Any
     ) -> None:
+        self.most = POINTS_PER_LAUNCH
+        """Points of one upload."""
         self._wp = wp
         self._device = device
         self._sensors = sensors

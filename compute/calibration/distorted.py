@@ -49,7 +49,7 @@ class Slits:
         points_mm: Array,
         seen: NDArray[np.bool_],
     ) -> "Slits":
-        """Place them by undistorted cameras, or by distorted ones that are near already.
+        """Place them by cameras without distortion, or with that of an earlier fit.
 
         Args:
             models: S cameras.
@@ -64,12 +64,19 @@ class Slits:
             distortion = model.distortion
             if distortion is not None:
                 behind.append(distortion.row_behind_mm)
-                mean.append(distortion.offset_y_mm)
             else:
                 behind.append(0.0 if pitch is None else 1e-3 * pitch * model.principal_distance_px)
-                mean.append(-float(middle[1]))
+            mean.append(-float(middle[1]))
             sigma.append(OFFSET_SIGMA_V * (depth + behind[-1]))
         return cls(np.array(behind), OffsetPrior(np.array(mean), np.array(sigma)))
+
+    def at(self, models: Sequence[SensorModel], pitch_um: Sequence[float | None]) -> "Slits":
+        """Return them with the rows as far behind the lenses as the fitted cameras have them."""
+        behind = self.row_behind_mm.copy()
+        for row, (model, pitch) in enumerate(zip(models, pitch_um, strict=True)):
+            if pitch is not None:
+                behind[row] = 1e-3 * pitch * model.principal_distance_px
+        return replace(self, row_behind_mm=behind)
 
     def scaled(self, sigma_px: Array) -> "Slits":
         """Return them for readings whose weights are 1 and not 1 / sigma_px (S,)."""
@@ -79,7 +86,7 @@ class Slits:
 def with_terms(
     models: Sequence[SensorModel], terms: Sequence[tuple[Term, ...]], slits: Slits
 ) -> tuple[SensorModel, ...]:
-    """Return the cameras with these terms (one set for each), their coefficients as far as known.
+    """Return the cameras with these terms (one set for each), starting from what they have.
 
     A sensor with no terms has no distortion.
     """
@@ -92,7 +99,7 @@ def with_terms(
             distortion = FieldDistortion(
                 own,
                 tuple(known.get(term, 0.0) for term in own),
-                float(slits.prior.mean_mm[row]),
+                float(slits.prior.mean_mm[row]) if old is None else old.offset_y_mm,
                 float(slits.row_behind_mm[row]),
             )
         given.append(replace(model, distortion=distortion))

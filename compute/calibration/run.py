@@ -51,7 +51,8 @@ def calibrate(
         sigma_px: standard deviations of the readings, shape (N, S) [px]. None: one deviation
             for each sensor, estimated from its residuals.
         settings: method, distortion, the points' own deviation, loss, labels.
-        near: for "metric", cameras that may be close, where it is searched besides.
+        near: for "metric", cameras that may be close, where it is searched besides; what they
+            have of distortion is left aside.
         progress: called with the fraction done and the stage in words; what it raises passes
             through, which is how a run is cancelled.
 
@@ -85,7 +86,7 @@ def calibrate(
     _tell(progress, 0.0, "cameras without distortion")
     models, weights = fit_undistorted(observed, settings.loss, near)
     staged = _with_point_spread(observed, models, settings.control_sigma_mm)
-    fits, selection = _with_distortion(staged, models, weights, settings, near, progress)
+    fits, selection = _with_distortion(staged, models, weights, settings, progress)
     _tell(progress, 0.8, "covariance")
     if settings.control_sigma_mm is None:
         result = with_exact_points(observed, fits, settings)
@@ -119,12 +120,10 @@ def _with_distortion(
     models: tuple[SensorModel, ...],
     weights: Array,
     settings: CalibrationSettings,
-    near: Sequence[SensorModel] | None,
     progress: Progress | None,
 ) -> tuple[SensorFits, DistortionSelection | None]:
     asked = settings.distortion
-    starts = models if near is None else _distorted_near(models, near)
-    slits = Slits.of(starts, observed.pitch_um, observed.points_mm, observed.seen)
+    slits = Slits.of(models, observed.pitch_um, observed.points_mm, observed.seen)
     if asked == "none":
         return SensorFits(models, weights, slits), None
     if asked == "auto":
@@ -139,13 +138,3 @@ def _with_distortion(
         selection = DistortionSelection(asked if isinstance(asked, str) else "terms", "as asked")
     _tell(progress, 0.7, f"distortion {selection.chosen}")
     return fit_distorted(observed, models, terms, slits, settings.loss, weights), selection
-
-
-def _distorted_near(
-    models: tuple[SensorModel, ...], near: Sequence[SensorModel]
-) -> tuple[SensorModel, ...]:
-    """Return the cameras with the distortion of others, whose offsets are to be kept."""
-    return tuple(
-        replace(model, distortion=other.distortion)
-        for model, other in zip(models, near, strict=True)
-    )

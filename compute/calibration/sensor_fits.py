@@ -134,13 +134,19 @@ def fit_distorted(
             )
     models = with_terms(undistorted, terms, slits)
     scaled = slits if observed.sigma_known else slits.scaled(np.full(len(models), FIRST_SIGMA_PX))
-    for turn in range(1 if observed.sigma_known else 2):
+    for turn in range(2):
         if loss == "robust":
             models, weights = _reweighted(observed, models, scaled)
         else:
             models = _minimised(observed, models, scaled, observed.weights, near=turn > 0)
+        if turn == 1:
+            break
+        # The first fit shows what was not known: the principal distance beside distortion, and
+        # the deviation of readings, in which the prior counts.
+        slits = slits.at(models, observed.pitch_um)
+        models = with_terms(models, terms, slits)
+        scaled = slits
         if not observed.sigma_known:
-            # The prior counts in deviations of readings, which the fit has just shown.
             scaled = slits.scaled(residual_sigma(observed, models, weights))
     _check(observed, models, weights, scaled)
     return SensorFits(models, weights, scaled)
@@ -162,13 +168,19 @@ def _check(
     observed: Observed, models: Sequence[SensorModel], weights: Array, slits: Slits | None
 ) -> None:
     for column, model in enumerate(models):
-        rows = observed.seen[:, column] & (weights[:, column] > 0.0)
-        check_determined(
-            model,
-            observed.points_mm[rows],
-            observed.weights[rows, column],
-            None if slits is None else float(slits.prior.sigma_mm[column]),
-        )
+        _check_one(observed, model, weights, column, slits)
+
+
+def _check_one(
+    observed: Observed, model: SensorModel, weights: Array, column: int, slits: Slits | None
+) -> None:
+    rows = observed.seen[:, column] & (weights[:, column] > 0.0)
+    check_determined(
+        model,
+        observed.points_mm[rows],
+        observed.weights[rows, column],
+        None if slits is None else float(slits.prior.sigma_mm[column]),
+    )
 
 
 def _minimised(
@@ -184,8 +196,11 @@ def _minimised(
         ended = minimise(*given)
     else:
         ended = minimise_distorted(*given, slits.prior, several=not near)
-    for sensor, settled, own in zip(observed.sensors, ended.settled, starts, strict=True):
-        if not settled:
+    models = ended.cameras.models(starts)
+    for column, (sensor, own) in enumerate(zip(observed.sensors, starts, strict=True)):
+        if not ended.settled[column]:
+            # First whether there is one camera: a search for none does not come to rest.
+            _check_one(observed, models[column], weights, column, slits)
             count = 0 if own.distortion is None else len(own.distortion.terms)
             raise NoConvergence(
                 f"sensor {sensor.name}: the search for its {PARAMETER_COUNT} parameters and "
@@ -193,7 +208,7 @@ def _minimised(
                 "the points over the field, or take fewer terms",
                 sensor=sensor.name,
             )
-    return ended.cameras.models(starts)
+    return models
 
 
 def _reweighted(

@@ -1,0 +1,74 @@
+"""Settings of a run: what they allow, and that documents older than them still load."""
+
+import json
+from typing import Any, get_args
+
+import pytest
+from pydantic import TypeAdapter
+
+from compute.calibration.result import Calibration
+from compute.calibration.run import calibrate
+from compute.calibration.settings import CalibrationSettings
+from compute.calibration.terms import (
+    AUTO_CANDIDATES,
+    PRESETS,
+    Preset,
+    free_parameters,
+    preset_terms,
+)
+from compute.camera.field_distortion import check_terms
+from compute.errors import InvalidParameter
+from tests.compute.rig import control_points, geometry, project, rig
+
+
+@pytest.mark.parametrize("name", get_args(Preset))
+def test_no_named_set_has_a_degenerate_term(name: Preset) -> None:
+    check_terms(PRESETS[name])
+    assert preset_terms(name) == PRESETS[name]
+
+
+def test_the_factory_set_makes_nineteen_parameters() -> None:
+    assert free_parameters(PRESETS["factory-19"]) == 19
+    assert free_parameters(()) == 7
+    assert free_parameters(PRESETS["odd-powers"]) == 10
+    assert free_parameters(PRESETS["symmetric-3"]) == 10
+
+
+def test_candidates_come_in_the_order_of_their_parameters() -> None:
+    counts = [free_parameters(PRESETS[name]) for name in AUTO_CANDIDATES]
+    assert counts == sorted(counts)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"method": "best"}, "metric"),
+        ({"loss": "huber"}, "robust"),
+        ({"labels": "guess"}, "repair"),
+        ({"distortion": "brown"}, "symmetric-3"),
+        ({"distortion": ((1, 1),)}, "tilt"),
+        ({"control_sigma_mm": 0.0}, "1e-06"),
+        ({"control_sigma_mm": float("nan")}, "nan"),
+        ({"method": "dlt-iterative", "distortion": "auto"}, "as published"),
+        ({"method": "bundle-11", "loss": "robust"}, "as published"),
+        ({"method": "dlt-iterative", "control_sigma_mm": 0.1}, "as published"),
+    ],
+)
+def test_settings_that_mean_nothing(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidParameter, match=message):
+        CalibrationSettings(**given)
+
+
+def test_a_document_without_settings_still_loads() -> None:
+    models, points = rig(), control_points()
+    found = calibrate(points, project(models, points), geometry(models))
+    adapter = TypeAdapter(Calibration)
+    document = json.loads(adapter.dump_json(found))
+    assert adapter.validate_python(document) == found
+    for name in ("settings", "distortion", "reading_weights", "point_shifts_mm", "labels"):
+        del document[name]
+    for name in ("cross_validation", "diagnosis"):
+        del document[name]
+    old = adapter.validate_python(document)
+    assert old.settings is None
+    assert old.models == found.models

@@ -32,6 +32,7 @@ from validation.table_5_optimisation import (
 )
 from validation.table_5_simulated import TABLE_5_1, TABLE_5_2, TABLE_5_3, TABLE_5_4
 from validation.tables import TablesCase
+from validation.wand import CASE as WAND
 
 
 def _drawn(case: TablesCase, module: str) -> TablesCase:
@@ -79,6 +80,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_4_4,
     TABLE_4_5,
     TABLE_C,
+    WAND,
 )
 
 ALL_CASES: Final[dict[str, Case | TablesCase]] = {

@@ -42,7 +42,7 @@ def resected(models: Sequence[SensorModel], poses: PoseSet) -> tuple[PoseSet, Ar
         floor = 1e-300 + 1e-15 * diagonal.max(axis=1, keepdims=True)
         normal[:, places, places] += damping[:, None] * diagonal + floor
         normal[~open_] = np.eye(poses.unknowns)
-        step = -np.linalg.solve(normal, gradient[..., None])[..., 0]
+        step: Array = -np.asarray(np.linalg.solve(normal, gradient[..., None]))[..., 0]
         step[~open_] = 0.0
         trial = poses.moved(step)
         new = _chi2(models, trial)

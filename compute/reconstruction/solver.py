@@ -11,7 +11,7 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.estimate import PointBatch
-from compute.reconstruction.native.job import CAMERA_FIELDS, JOB, MAX_POWER
+from compute.reconstruction.native.job import CAMERA_FIELDS, JOB, MAX_POWER, row_length
 from compute.reconstruction.native.launch import CpuLaunch, CudaLaunch, address, empty_points
 from compute.reconstruction.points import (
     INCONSISTENT_PROBABILITY,
@@ -80,8 +80,9 @@ class PointSolver:
                 job[name] = address(values)
             self._arrays.append(values)
 
-        put("cameras", _camera_fields(stack))
-        put("coefficients", stack.coefficients.T)
+        row = row_length(self.sensors, cuda=bool(place.is_cuda))
+        put("cameras", _filled(_camera_fields(stack), row))
+        put("coefficients", _filled(stack.coefficients.T, row))
         put("powers", np.array(stack.terms, dtype=np.int32).reshape(-1, 2))
         freedoms = range(-3, self.sensors - 2)
         put("limits", np.array([chi2_limit(f, INCONSISTENT_PROBABILITY) for f in freedoms]))
@@ -95,7 +96,7 @@ class PointSolver:
                 ("variance", corrections.variance_px2),
                 ("valid", corrections.valid.astype(np.uint8)),
             ):
-                put(name, np.moveaxis(values, 0, -1))
+                put(name, _filled(np.moveaxis(values, 0, -1), row))
             job["degree"] = corrections.degree
             job["cells_x"], job["cells_y"], job["cells_z"] = corrections.grid.cells
             job["origin"], job["pitch"] = corrections.grid.origin_mm, corrections.grid.pitch_mm
@@ -179,6 +180,13 @@ def _check(cameras: CameraStack, covariance: Array | None) -> None:
             f"the parameters' covariance has the shape {np.shape(covariance)}; the cameras have "
             f"{count} parameters"
         )
+
+
+def _filled(values: NDArray[Any], row: int) -> NDArray[Any]:
+    """Return values with the sensors last, filled up with zeros to rows of this length."""
+    filled = np.zeros((*values.shape[:-1], row), dtype=values.dtype)
+    filled[..., : values.shape[-1]] = values
+    return filled
 
 
 def _camera_fields(cameras: CameraStack) -> Array:

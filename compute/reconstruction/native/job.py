@@ -19,6 +19,8 @@ from compute.reconstruction.points import (
 
 CAMERA_FIELDS: Final = 16
 """c, p0, the rotation row by row, x, y, z of the offset, D, and the row's distance."""
+CPU_LANES: Final = 4
+"""Sensors that the CPU takes together."""
 MAX_POWER: Final = 15
 """Highest power of a field angle in a term of distortion."""
 
@@ -31,13 +33,13 @@ _ADDRESSES: Final = {
     "chi2": "double*",
     "used": "unsigned char*",
     "flags": "int*",
-    # Of the cameras, with the sensors last: (16, S), (K, S), (K, 2), (S + 1,), (S w, S w).
+    # Of the cameras, with R sensors last: (16, R), (K, R), (K, 2), (S + 1,), (S w, S w).
     "cameras": "const double*",
     "coefficients": "const double*",
     "powers": "const int*",
     "limits": "const double*",
     "parameters": "const double*",
-    # Of the table, with the sensors last; degree 0 without one.
+    # Of the table, with R sensors last; degree 0 without one.
     "values": "const double*",
     "variance": "const double*",
     "valid": "const unsigned char*",
@@ -57,6 +59,14 @@ covariance."""
 
 _NEWLINE: Final = "\n        "
 JOB_SOURCE: Final = f"""
+    // Sensors that are taken together, in rows of R: on the CPU filled up to whole vectors.
+#if defined(__CUDA_ARCH__)
+    typedef double Lanes;
+    const int V = S, R = S;
+#else
+    typedef double Lanes __attribute__((vector_size({8 * CPU_LANES}), aligned(8), may_alias));
+    const int V = (S + {CPU_LANES - 1}) / {CPU_LANES}, R = V * {CPU_LANES};
+#endif
     struct Job {{
         {_NEWLINE.join(f"{kind} {name};" for name, kind in _ADDRESSES.items())}
         {_NEWLINE.join(f"long long {name};" for name in _COUNTS)}
@@ -75,3 +85,8 @@ JOB_SOURCE: Final = f"""
     const Job& job = *(const Job*)job_address;
 """
 """Above it stand ``S``, the number of sensors, and ``ROOM``, how many terms there is room for."""
+
+
+def row_length(sensors: int, *, cuda: bool) -> int:
+    """Return R: the length of rows with a value for each sensor."""
+    return sensors if cuda else -(-sensors // CPU_LANES) * CPU_LANES

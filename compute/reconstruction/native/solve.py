@@ -10,8 +10,8 @@ from compute.reconstruction.native.table import TABLE
 _READINGS: Final = """
     const double* readings = job.readings + (long long)number * S;
     const double* sigmas = job.sigma + (long long)number * S;
-    double reading[S], target[S], sigma[S], slope[S], variance[S];
-    bool used[S];
+    double reading[R], target[R], sigma[R], slope[R], variance[R], live[R];
+    bool used[R];
     int count = 0;
     double best[3] = {infinity, infinity, infinity};
     for (int s = 0; s < S; ++s) {
@@ -29,9 +29,15 @@ _READINGS: Final = """
             best[i] = less;
         }
     }
+    for (int s = S; s < R; ++s) {
+        reading[s] = target[s] = slope[s] = live[s] = 0.0;
+        sigma[s] = 1.0;
+        used[s] = false;
+    }
     for (int s = 0; s < S; ++s) {
         used[s] = used[s] && (S < 4 || sigma[s] <= uninformative * best[2]);
         if (!used[s]) sigma[s] = 1.0;
+        live[s] = used[s] ? 1.0 : 0.0;
         count += used[s];
         job.used[(long long)number * S + s] = used[s];
     }
@@ -54,10 +60,10 @@ _START: Final = """
     auto plane = [&](int s, double* row) {
         const double c = principal_distance[s], apart = principal_point[s] - target[s];
         for (int axis = 0; axis < 3; ++axis) {
-            const double* r = rotation + axis * S + s;
-            row[axis] = c * r[0] + apart * r[6 * S];
+            const double* r = rotation + axis * R + s;
+            row[axis] = c * r[0] + apart * r[6 * R];
         }
-        row[3] = c * offset[s] + apart * offset[2 * S + s];
+        row[3] = c * offset[s] + apart * offset[2 * R + s];
     };
     auto triangle = [&](double (&r)[3][4]) {
         for (int i = 0; i < 3; ++i) for (int j = 0; j < 4; ++j) r[i][j] = 0.0;
@@ -112,44 +118,57 @@ _START: Final = """
 # is chi2. The equations are whitened by the triangle ``spread`` or, where the readings are not
 # correlated, its diagonal; ``inverse`` has the inverses of the diagonal.
 _EQUATIONS: Final = """
-    double spread[S][S], inverse[S];
+#if defined(__CUDA_ARCH__)
+    auto total = [](Lanes a) -> double { return a; };
+#else
+    auto total = [](Lanes a) -> double { return (a[0] + a[1]) + (a[2] + a[3]); };
+#endif
+    double spread[S][S], inverse[R];
     bool correlated = false;
     auto equations = [&](const double* at, double* gram) {
         if (!finite(at[0] + at[1] + at[2])) {
             gram[9] = nan;
             return;
         }
-        double p[S], rows[4][S];
+        Lanes p[V], rows[4][V];
         project(at, p, rows);
         if (job.degree == 0) {
-            for (int s = 0; s < S; ++s) rows[3][s] = target[s] - p[s];
+            for (int v = 0; v < V; ++v) rows[3][v] = lanes(target, v) - p[v];
         } else {
-            double value[S], by[3][S];
+            Lanes value[V], by[3][V];
             correction(at, value, by);
-            for (int s = 0; s < S; ++s) {
-                const double q = reading[s] + value[s], apart = q - principal_point[s];
-                const double by_reading = 1.0 + 3.0 * cubic[s] * apart * apart;
-                for (int axis = 0; axis < 3; ++axis) rows[axis][s] -= by_reading * by[axis][s];
-                rows[3][s] = q + cubic[s] * apart * apart * apart - p[s];
+            for (int v = 0; v < V; ++v) {
+                const Lanes q = lanes(reading, v) + value[v];
+                const Lanes apart = q - lanes(principal_point, v);
+                const Lanes bend = lanes(cubic, v) * apart * apart;
+                const Lanes by_reading = 1.0 + 3.0 * bend;
+                for (int axis = 0; axis < 3; ++axis) rows[axis][v] -= by_reading * by[axis][v];
+                rows[3][v] = q + bend * apart - p[v];
             }
         }
         for (int column = 0; column < 4; ++column)
-            for (int s = 0; s < S; ++s) rows[column][s] = used[s] ? rows[column][s] : 0.0;
+            for (int v = 0; v < V; ++v)
+                rows[column][v] = lanes(live, v) > 0.0 ? rows[column][v] : Lanes{};
         if (correlated) {
-            for (int s = 0; s < S; ++s)
-                for (int column = 0; column < 4; ++column) {
-                    double rest = rows[column][s];
-                    for (int t = 0; t < s; ++t) rest -= spread[s][t] * rows[column][t];
-                    rows[column][s] = rest * inverse[s];
+            for (int column = 0; column < 4; ++column) {
+                double row[R];
+                for (int v = 0; v < V; ++v) ((Lanes*)row)[v] = rows[column][v];
+                for (int s = 0; s < S; ++s) {
+                    double rest = row[s];
+                    for (int t = 0; t < s; ++t) rest -= spread[s][t] * row[t];
+                    row[s] = rest * inverse[s];
                 }
+                for (int v = 0; v < V; ++v) rows[column][v] = lanes(row, v);
+            }
         } else {
             for (int column = 0; column < 4; ++column)
-                for (int s = 0; s < S; ++s) rows[column][s] *= inverse[s];
+                for (int v = 0; v < V; ++v) rows[column][v] *= lanes(inverse, v);
         }
         for (int i = 0, n = 0; i < 4; ++i)
             for (int j = 0; j <= i; ++j, ++n) {
-                gram[n] = 0.0;
-                for (int s = 0; s < S; ++s) gram[n] += rows[i][s] * rows[j][s];
+                Lanes sum = Lanes{};
+                for (int v = 0; v < V; ++v) sum += rows[i][v] * rows[j][v];
+                gram[n] = total(sum);
             }
     };
     // Levenberg-Marquardt from x, of so many iterations at most.
@@ -186,9 +205,9 @@ _EQUATIONS: Final = """
 """
 
 _POINT: Final = """
-    for (int s = 0; s < S; ++s) inverse[s] = 1.0 / sigma[s];
+    for (int s = 0; s < R; ++s) inverse[s] = 1.0 / sigma[s];
     if (ROOM > 0 || job.degree != 0) refine(first_steps);
-    for (int s = 0; s < S; ++s) variance[s] = sigma[s] * sigma[s];
+    for (int s = 0; s < R; ++s) variance[s] = sigma[s] * sigma[s];
     if (job.degree != 0) add_table(x, used, slope, variance);
     correlated = job.parameters != 0;
     if (correlated) {
@@ -206,7 +225,7 @@ _POINT: Final = """
             inverse[s] = 1.0 / sqrt(rest);
         }
     } else {
-        for (int s = 0; s < S; ++s) inverse[s] = 1.0 / sqrt(variance[s]);
+        for (int s = 0; s < R; ++s) inverse[s] = 1.0 / sqrt(variance[s]);
     }
     if (!refine(max_iterations)) {
         give_up(no_convergence);

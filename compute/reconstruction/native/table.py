@@ -45,8 +45,8 @@ TABLE: Final = """
         slope[2] = (12.0 * s - 9.0 * s * s) * sixth;
         slope[3] = 0.5 * t * t;
     };
-    // Values of all sensors and their slopes by the point.
-    auto splines = [&](const Place& place, auto kind, double* value, double (*by)[S]) {
+    // Values of all sensors and their slopes by the point: along z, then y, then x.
+    auto splines = [&](const Place& place, auto kind, Lanes* value, Lanes (*by)[V]) {
         const int count = decltype(kind)::degree + 1;
         double weight[3][count], slope[3][count];
         for (int axis = 0; axis < 3; ++axis) {
@@ -55,36 +55,36 @@ TABLE: Final = """
             for (int i = 0; i < count; ++i) slope[axis][i] *= scale;
         }
         const int ny = cells[1] + count - 1, nz = cells[2] + count - 1;
-        for (int s = 0; s < S; ++s) value[s] = by[0][s] = by[1][s] = by[2][s] = 0.0;
-        for (int i = 0; i < count; ++i) {
-            double sheet[S], sheet_y[S], sheet_z[S];
-            for (int s = 0; s < S; ++s) sheet[s] = sheet_y[s] = sheet_z[s] = 0.0;
-            for (int j = 0; j < count; ++j) {
-                const double* node = job.values
-                    + (((long long)(place.cell[0] + i) * ny + place.cell[1] + j) * nz
-                       + place.cell[2]) * S;
-                double line[S], line_z[S];
-                for (int s = 0; s < S; ++s) line[s] = line_z[s] = 0.0;
-                for (int k = 0; k < count; ++k)
-                    for (int s = 0; s < S; ++s) {
-                        line[s] += weight[2][k] * node[k * S + s];
-                        line_z[s] += slope[2][k] * node[k * S + s];
+        const double* corner = job.values
+            + (((long long)place.cell[0] * ny + place.cell[1]) * nz + place.cell[2]) * R;
+        for (int v = 0; v < V; ++v) {
+            Lanes all = Lanes{}, all_x = Lanes{}, all_y = Lanes{}, all_z = Lanes{};
+            for (int i = 0; i < count; ++i) {
+                Lanes sheet = Lanes{}, sheet_y = Lanes{}, sheet_z = Lanes{};
+                for (int j = 0; j < count; ++j) {
+                    const double* node = corner + ((long long)i * ny + j) * nz * R;
+                    Lanes line = Lanes{}, line_z = Lanes{};
+                    for (int k = 0; k < count; ++k) {
+                        const Lanes here = lanes(node + k * R, v);
+                        line += weight[2][k] * here;
+                        line_z += slope[2][k] * here;
                     }
-                for (int s = 0; s < S; ++s) {
-                    sheet[s] += weight[1][j] * line[s];
-                    sheet_y[s] += slope[1][j] * line[s];
-                    sheet_z[s] += weight[1][j] * line_z[s];
+                    sheet += weight[1][j] * line;
+                    sheet_y += slope[1][j] * line;
+                    sheet_z += weight[1][j] * line_z;
                 }
+                all += weight[0][i] * sheet;
+                all_x += slope[0][i] * sheet;
+                all_y += weight[0][i] * sheet_y;
+                all_z += weight[0][i] * sheet_z;
             }
-            for (int s = 0; s < S; ++s) {
-                value[s] += weight[0][i] * sheet[s];
-                by[0][s] += slope[0][i] * sheet[s];
-                by[1][s] += weight[0][i] * sheet_y[s];
-                by[2][s] += weight[0][i] * sheet_z[s];
-            }
+            value[v] = all;
+            by[0][v] = all_x;
+            by[1][v] = all_y;
+            by[2][v] = all_z;
         }
     };
-    auto correction = [&](const double* x, double* value, double (*by)[S]) {
+    auto correction = [&](const double* x, Lanes* value, Lanes (*by)[V]) {
         const Place place = locate(x);
         if (job.degree == 3) splines(place, Cubic(), value, by);
         else splines(place, Linear(), value, by);
@@ -98,7 +98,7 @@ TABLE: Final = """
                 * (j ? place.t[1] : 1.0 - place.t[1]) * (k ? place.t[2] : 1.0 - place.t[2]);
             const double* node = job.variance
                 + (((long long)(place.cell[0] + i) * ny + place.cell[1] + j) * nz
-                   + place.cell[2] + k) * S;
+                   + place.cell[2] + k) * R;
             for (int s = 0; s < S; ++s)
                 variance[s] += used[s] ? weight * node[s] * slope[s] * slope[s] : 0.0;
         }
@@ -107,7 +107,7 @@ TABLE: Final = """
         const Place place = locate(x);
         const unsigned char* cell = job.valid
             + (((long long)place.cell[0] * cells[1] + place.cell[1]) * cells[2] + place.cell[2])
-                * S;
+                * R;
         bool all = place.inside;
         for (int s = 0; s < S; ++s) all = all && (!used[s] || cell[s]);
         return all;

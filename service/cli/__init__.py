@@ -107,13 +107,67 @@ def bench(
 def calibrate(
     observations: Annotated[Path, typer.Argument(help="CSV: X_mm,Y_mm,Z_mm,NAME_px,...")],
     pixels: Annotated[int, typer.Option(min=8, help="Pixels of each sensor.")],
-    method: Annotated[str, typer.Option(help="metric or dlt-iterative.")] = "metric",
+    pitch: Annotated[
+        float | None, typer.Option(min=0.01, help="Pixel pitch \\[um]; helps wide-field lenses.")
+    ] = None,
+    method: Annotated[
+        str, typer.Option(help="metric; or the published dlt-iterative, bundle-11.")
+    ] = "metric",
+    distortion: Annotated[
+        str,
+        typer.Option(
+            help="Of metric: none, auto (by cross-validation), a set's name, or terms u^i v^j as "
+            "'3,0 1,2'."
+        ),
+    ] = "auto",
+    control_sigma: Annotated[
+        float | None, typer.Option(help="Deviation of the control points' coordinates \\[mm].")
+    ] = None,
+    loss: Annotated[str, typer.Option(help="linear or robust.")] = "linear",
+    labels: Annotated[
+        str, typer.Option(help="Wrong and exchanged labels: off, report, exclude or repair.")
+    ] = "report",
     output: Annotated[Path | None, typer.Option(help="Write the calibration as JSON.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a report: an HTML file.")] = None,
+    report_figures: Annotated[
+        Path | None, typer.Option(help="Folder for the report's figures as PNG.")
+    ] = None,
 ) -> None:
     """Calibrate from a CSV file of control points and readings, without a server."""
-    from service.cli.offline import run_calibrate
+    from service.cli.calibrate import CalibrateOptions, run
 
-    run_calibrate(observations, pixels, method, output)
+    options = CalibrateOptions(pixels, pitch, method, distortion, control_sigma, loss, labels)
+    run(observations, options, output, report, report_figures)
+
+
+@app.command("map")
+def map_volume(
+    measurements: Annotated[Path, typer.Argument(help="CSV: X_mm,Y_mm,Z_mm,NAME_px,...")],
+    calibration: Annotated[
+        Path, typer.Option(help="Calibration as JSON, from `calibrate` or the service.")
+    ],
+    output: Annotated[Path, typer.Option(help="HDF5 file of the table to write.")],
+    method: Annotated[
+        str, typer.Option(help="b-spline for points anywhere; trilinear, tricubic for a grid.")
+    ] = "b-spline",
+    pitch: Annotated[
+        float | None, typer.Option(help="Edge of a cell \\[mm]; left out: from the points.")
+    ] = None,
+    smoothness: Annotated[
+        float | None, typer.Option(help="Weight of the penalty; left out: by cross-validation.")
+    ] = None,
+    point_sigma: Annotated[
+        float, typer.Option(min=0.0, help="Deviation of the points' coordinates \\[mm].")
+    ] = 0.0,
+    own_points: Annotated[
+        bool, typer.Option("--own-points", help="They are the calibration's own control points.")
+    ] = False,
+) -> None:
+    """Map a volume: corrections of the readings where the calibrated cameras are wrong."""
+    from service.cli.map_volume import MapOptions, run
+
+    options = MapOptions(method, pitch, smoothness, point_sigma, own_points)
+    run(measurements, calibration, options, output)
 
 
 @app.command()
@@ -137,12 +191,15 @@ def record(
 def replay(
     recording: Annotated[Path, typer.Argument(help="HDF5 file of a recording.")],
     calibration: Annotated[Path, typer.Option(help="Calibration as JSON, from `calibrate`.")],
+    table: Annotated[
+        Path | None, typer.Option(help="Correction table (HDF5) of that calibration.")
+    ] = None,
     output: Annotated[Path | None, typer.Option(help="File; left out: standard output.")] = None,
 ) -> None:
     """Reconstruct a recording: one JSON message a frame, as the stream sends them."""
     from service.cli.offline import run_replay
 
-    run_replay(recording, calibration, output)
+    run_replay(recording, calibration, table, output)
 
 
 @app.command()

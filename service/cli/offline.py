@@ -1,4 +1,4 @@
-"""Jobs without a server: calibrate from a CSV file, record and replay line scans."""
+"""Line scans without a server: recorded to a file, and replayed through a calibration."""
 
 import os
 import signal
@@ -8,72 +8,17 @@ from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TextIO, get_args
+from typing import TYPE_CHECKING, TextIO
 
 import typer
 from pydantic import TypeAdapter, ValidationError
-from rich.table import Table
 
-from compute.calibration.crossvalidation import fitted_errors, leave_one_out
-from compute.calibration.result import AxisErrors, Calibration
-from compute.calibration.run import calibrate
-from compute.calibration.settings import CalibrationSettings, Method
-from compute.camera.model import SensorGeometry
-from compute.errors import LumilineError
-from service.calibrations.schema import LEAVE_ONE_OUT_POINTS
-from service.cli.observations_csv import read_observations
-from service.cli.output import console, error_table, fail, progress, progress_console
+from compute.errors import InvalidParameter, LumilineError
+from service.cli.calibration_file import read_calibration
+from service.cli.output import console, fail, progress
 
 if TYPE_CHECKING:
     from hardware.simulated.driver import RenderedDriver
-
-DOCUMENT = TypeAdapter(Calibration)
-METHODS: Final[tuple[Method, ...]] = get_args(Method)
-
-
-def run_calibrate(path: Path, pixels: int, method: str, output: Path | None) -> None:
-    """Calibrate from a CSV file; print the fit, and write the calibration as JSON."""
-    chosen: Method | None = next((known for known in METHODS if known == method), None)
-    if chosen is None:
-        raise fail(f'the method is "{method}"; it must be {" or ".join(METHODS)}')
-    try:
-        table = read_observations(path)
-        sensors = [SensorGeometry(name, pixels) for name in table.sensors]
-        arrays = table.points_mm, table.readings_px
-        found = calibrate(*arrays, sensors, table.sigma_px, CalibrationSettings(chosen))
-        rows = [("fitted", AxisErrors.of(fitted_errors(found, *arrays, table.sigma_px)), "")]
-        if len(table.points_mm) <= LEAVE_ONE_OUT_POINTS:
-            with progress_console.status("leaving out one point after another"):
-                left_out = leave_one_out(
-                    *arrays, sensors, table.sigma_px, CalibrationSettings(chosen)
-                )
-            rows.append(("leave one out", AxisErrors.of(left_out), ""))
-    except LumilineError as error:
-        raise fail(error.detail) from error
-    fits = Table(title=f"{path}: {len(table.points_mm)} points, {method}", title_justify="left")
-    for heading in ("sensor", "points", "rms, px", "max, px", "c, px", "p0, px"):
-        fits.add_column(heading, justify="left" if heading == "sensor" else "right")
-    for fit in found.sensors:
-        model = fit.model
-        fits.add_row(
-            model.name,
-            str(fit.points),
-            f"{fit.rms_px:.4g}",
-            f"{fit.max_px:.4g}",
-            f"{model.principal_distance_px:.2f}",
-            f"{model.principal_point_px:.2f}",
-        )
-    console.print(fits)
-    if all(errors.points for _, errors, _ in rows):
-        console.print(error_table("control points, absolute errors in mm", rows))
-    else:
-        console.print("fewer than three sensors saw each point: no points were reconstructed")
-    if output is not None:
-        try:
-            output.write_bytes(DOCUMENT.dump_json(found, indent=2) + b"\n")
-        except OSError as error:
-            raise fail(f"{output} cannot be written: {error.strerror}") from error
-        console.print(f"written: {output}")
 
 
 def run_record(output: Path, seconds: float, settings: Path | None, device: str | None) -> None:
@@ -130,18 +75,27 @@ def _profile(device: str, given: bytes | None, seconds: float) -> "RenderedDrive
     return ProfileDriver(profile.name, profile, replace(chosen, realtime=False, duration_s=seconds))
 
 
-def run_replay(path: Path, calibration: Path, output: Path | None) -> None:
+def run_replay(path: Path, calibration: Path, table: Path | None, output: Path | None) -> None:
     """Replay a recording through a calibration; print one JSON message a frame."""
     from hardware.replay import ReplayDriver
+    from service.correction_tables.hdf5 import read_table
     from service.live.messages import encode, frame_messages
     from service.live.processor import MAX_FRAMES, DeviceProcessor
 
     try:
-        known = DOCUMENT.validate_json(calibration.read_bytes())
+        known = read_calibration(calibration)
+        corrections = None if table is None else read_table(table.read_bytes()).table
+        if corrections is not None and corrections.calibration_hash != known.content_hash:
+            raise InvalidParameter(
+                f"the table {table} was made for the calibration with the hash "
+                f"{corrections.calibration_hash}; {calibration} has {known.content_hash}"
+            )
         driver = ReplayDriver("replay", path, speed=None)
         driver.open()
         processor = DeviceProcessor("replay", driver.description, "cpu")
-        processor.set_calibration(str(calibration), known)
+        processor.set_calibration(
+            str(calibration), known.calibration, None if table is None else str(table), corrections
+        )
         with _output(output) as target, progress("replaying") as done:
             frames, count = driver.frames(), 0
             while batch := list(islice(frames, MAX_FRAMES)):

@@ -65,25 +65,6 @@ def test_bench_lists_what_there_is() -> None:
     assert "signal" in lumiline("bench", "nothing", code=2).stderr
 
 
-def test_calibrate_writes_what_the_service_would_compute(frame_csv: Path, tmp_path: Path) -> None:
-    output = tmp_path / "calibration.json"
-    shown = lumiline("calibrate", frame_csv, "--pixels", "640", "--output", output).stdout
-    assert "cam3" in shown
-    assert "leave one out" in shown
-    document = json.loads(output.read_text(encoding="utf-8"))
-    assert [fit["model"]["name"] for fit in document["sensors"]] == [s.name for s in DFW_V500]
-    assert len(document["covariance"]) == 28
-
-
-def test_calibrate_refuses_with_a_reason(frame_csv: Path, tmp_path: Path) -> None:
-    rows = frame_csv.read_text(encoding="utf-8").splitlines()
-    few = tmp_path / "few.csv"
-    few.write_text("\n".join(rows[:6]), encoding="utf-8")
-    assert "at least 7" in lumiline("calibrate", few, "--pixels", "640", code=2).stderr
-    wrong = lumiline("calibrate", frame_csv, "--pixels", "640", "--method", "best", code=2)
-    assert "metric or dlt-iterative" in wrong.stderr
-
-
 def test_record_and_replay(frame_csv: Path, tmp_path: Path) -> None:
     """Frames recorded, calibrated from their own peaks elsewhere, replayed bit by bit."""
     recording, settings = tmp_path / "frame.h5", tmp_path / "settings.json"

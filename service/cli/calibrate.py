@@ -1,0 +1,175 @@
+"""`lumiline calibrate`: cameras from a CSV file of control points, without a server."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from rich.table import Table
+
+from compute.calibration.crossvalidation import fitted_errors
+from compute.calibration.full import assess
+from compute.calibration.labels.finding import LabelFinding
+from compute.calibration.result import AxisErrors, Calibration, CrossValidation
+from compute.calibration.settings import CalibrationSettings, Distortion, LabelPolicy, Loss, Method
+from compute.camera.model import SensorGeometry
+from compute.errors import InvalidParameter, LumilineError
+from service.cli.calibration_file import DOCUMENT
+from service.cli.observations_csv import ObservationTable, read_observations
+from service.cli.output import console, error_table, fail, progress
+
+if TYPE_CHECKING:
+    from compute.camera.field_distortion import Term
+
+
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """What the command is asked for beside the file; see ``CalibrationSettings``."""
+
+    pixels: int
+    pitch_um: float | None
+    method: str
+    distortion: str
+    control_sigma_mm: float | None
+    loss: str
+    labels: str
+
+    def settings(self) -> CalibrationSettings:
+        """Return them for the computation; the methods of the thesis take no distortion.
+
+        Raises:
+            InvalidParameter: one means nothing, or contradicts another.
+        """
+        chosen = self.distortion
+        if chosen == "auto" and self.method != "metric":
+            chosen = "none"
+        return CalibrationSettings(
+            cast("Method", self.method),
+            _distortion(chosen),
+            self.control_sigma_mm,
+            cast("Loss", self.loss),
+            cast("LabelPolicy", self.labels),
+        )
+
+
+def run(
+    path: Path,
+    options: CalibrateOptions,
+    output: Path | None,
+    report: Path | None,
+    figures: Path | None,
+) -> None:
+    """Calibrate from a CSV file; print the fit, write the calibration as JSON, and a report."""
+    try:
+        settings = options.settings()
+        table = read_observations(path)
+        sensors = [SensorGeometry(name, options.pixels, options.pitch_um) for name in table.sensors]
+        given = table.points_mm, table.readings_px
+        with progress("calibrating", 1.0) as done:
+            found = assess(
+                *given, sensors, table.sigma_px, settings, lambda share, _stage: done(share)
+            )
+        fitted = AxisErrors.of(fitted_errors(found, *given, table.sigma_px))
+    except LumilineError as error:
+        raise fail(error.detail) from error
+    console.print(_fits(found, f"{path}: {len(table.points_mm)} points, {settings.method}"))
+    if found.distortion is not None:
+        console.print(f"distortion: {found.distortion.chosen} ({found.distortion.reason})")
+    for finding in found.labels:
+        console.print(f"[yellow]label:[/yellow] {label_in_words(finding)}", highlight=False)
+    if found.labels and settings.labels == "report":
+        console.print("look at them; --labels exclude or --labels repair takes them as they are")
+    if fitted.points:
+        rows = [("fitted", fitted, "")]
+        rows += [(_scheme(check), check.errors, "") for check in found.cross_validation
+                 if check.errors is not None]  # fmt: skip
+        console.print(error_table("control points, absolute errors in mm", rows))
+    else:
+        console.print("fewer than three sensors saw each point: no points were reconstructed")
+    for remark in found.diagnosis.remarks if found.diagnosis is not None else ():
+        console.print(remark, highlight=False)
+    if output is not None:
+        _write(output, DOCUMENT.dump_json(found, indent=2) + b"\n")
+    if report is not None:
+        _report(path, table, found, report, figures)
+
+
+def _scheme(check: CrossValidation) -> str:
+    return "leave one out" if check.scheme == "points" else f"{check.groups} blocks left out"
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise fail(f"{path} cannot be written: {error.strerror}") from error
+    console.print(f"written: {path}")
+
+
+def _report(
+    source: Path, table: ObservationTable, found: Calibration, page: Path, figures: Path | None
+) -> None:
+    from service.reports.content import ReportContent
+    from service.reports.write import write_report
+
+    names = [str(number) for number in range(1, len(table.points_mm) + 1)]
+    content = ReportContent(
+        f"Calibration of {source.name}", found, names, table.points_mm, table.readings_px,
+        table.sigma_px, {"file": source.name},
+    )  # fmt: skip
+    try:
+        write_report(content, page, figures)
+    except OSError as error:
+        raise fail(f"{error.filename or page} cannot be written: {error.strerror}") from error
+    console.print(f"written: {page}")
+
+
+def _fits(found: Calibration, title: str) -> Table:
+    fits = Table(title=title, title_justify="left")
+    for heading in ("sensor", "points", "rms, px", "max, px", "c, px", "p0, px"):
+        fits.add_column(heading, justify="left" if heading == "sensor" else "right")
+    for fit in found.sensors:
+        model = fit.model
+        fits.add_row(
+            model.name,
+            str(fit.points),
+            f"{fit.rms_px:.4g}",
+            f"{fit.max_px:.4g}",
+            f"{model.principal_distance_px:.2f}",
+            f"{model.principal_point_px:.2f}",
+        )
+    return fits
+
+
+def label_in_words(finding: LabelFinding) -> str:
+    """Return what a finding says, in a sentence; points counted from 1."""
+    where = "all sensors" if finding.sensor is None else f"sensor {finding.sensor}"
+    points = [str(point) for point in finding.points]
+    sure = f"probability {finding.probability:.3g}"
+    if finding.kind == "wrong":
+        off = finding.off_px[0] if finding.off_px else None
+        by = "" if off is None else f", off by {off:.4g} px"
+        return f"{where}: the reading of point {points[0]} is wrong{by} ({sure})"
+    if finding.kind == "missing":
+        return f"{where}: the reading of point {points[0]} is point {points[1]}'s ({sure})"
+    return f"{where}: the readings of points {' and '.join(points)} are exchanged ({sure})"
+
+
+def _distortion(text: str) -> Distortion:
+    """Return a named set, or terms written as ``3,0 1,2``.
+
+    Raises:
+        InvalidParameter: pairs that are not two whole numbers.
+    """
+    if not text[:1].isdigit():
+        return cast("Distortion", text)
+    terms: list[Term] = []
+    for pair in text.split():
+        powers = pair.split(",")
+        if len(powers) != 2 or not all(power.isdigit() for power in powers):
+            raise InvalidParameter(
+                f'distortion has the term "{pair}"; it must be the two powers of u^i v^j as "i,j", '
+                'for example "3,0 1,2"',
+                distortion=text,
+            )
+        terms.append((int(powers[0]), int(powers[1])))
+    return tuple(terms)

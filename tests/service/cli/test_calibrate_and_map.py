@@ -1,0 +1,143 @@
+"""`lumiline calibrate` and `lumiline map` as a user runs them, in a process of their own."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from compute.camera.field_distortion import FieldDistortion
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+from service.cli import app
+from service.cli.calibrate import label_in_words
+from service.cli.calibration_file import read_calibration
+from tests.compute.rig import rig
+from tests.service.cli.test_commands import frame_csv, lumiline
+from validation.thesis_data import DFW_V500
+
+__all__ = ["frame_csv"]
+
+SIGMA_PX = 0.03
+
+
+def bent_rig() -> tuple[SensorModel, ...]:
+    """The rig behind lenses that bend by some pixels."""
+    bend = FieldDistortion(((3, 0), (1, 2)), (0.25, 0.3), 0.0, 30.0)
+    return tuple(replace(model, distortion=bend) for model in rig())
+
+
+@pytest.fixture(scope="module")
+def mapping_csv(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """200 places in a cube of half a metre, read with noise."""
+    rng = np.random.default_rng(4)
+    points = np.array([0.0, 0.0, 1500.0]) + rng.uniform(-250.0, 250.0, (200, 3))
+    readings = CameraStack.of(bent_rig()).project(points)
+    readings += rng.normal(0.0, SIGMA_PX, readings.shape)
+    path: Path = tmp_path_factory.mktemp("map") / "map.csv"
+    names = [model.name for model in bent_rig()]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        head = [f"{name}{end}" for name in names for end in ("_px", "_sigma_px")]
+        writer.writerow(["X_mm", "Y_mm", "Z_mm", *head])
+        for point, row in zip(points.tolist(), readings.tolist(), strict=True):
+            writer.writerow([*point, *(cell for value in row for cell in (value, SIGMA_PX))])
+    return path
+
+
+def test_calibrate_writes_what_the_service_would_compute(frame_csv: Path, tmp_path: Path) -> None:
+    output, report = tmp_path / "calibration.json", tmp_path / "report.html"
+    figures = tmp_path / "figures"
+    shown = lumiline(
+        "calibrate", frame_csv, "--pixels", "640", "--output", output, "--report", report,
+        "--report-figures", figures,
+    ).stdout  # fmt: skip
+    assert "cam3" in shown
+    assert "leave one out" in shown
+    document = json.loads(output.read_text(encoding="utf-8"))
+    names = [s.name for s in DFW_V500]
+    assert [fit["model"]["name"] for fit in document["sensors"]] == names
+    counts = [model.parameter_count for model in read_calibration(output).calibration.models]
+    assert len(document["covariance"]) == sum(counts)
+    page = report.read_text(encoding="utf-8")
+    assert all(name in page for name in names)
+    assert list(figures.glob("*.png"))
+
+
+def test_calibrate_refuses_with_a_reason(frame_csv: Path, tmp_path: Path) -> None:
+    rows = frame_csv.read_text(encoding="utf-8").splitlines()
+    few = tmp_path / "few.csv"
+    few.write_text("\n".join(rows[:6]), encoding="utf-8")
+    assert "at least 7" in lumiline("calibrate", few, "--pixels", "640", code=2).stderr
+    for option, value, reason in (
+        ("--method", "best", "one of metric, dlt-iterative"),
+        ("--distortion", "barrel", "symmetric-3"),
+        ("--distortion", "3,0 0,1", "roll"),
+        ("--distortion", "3;0", '"i,j"'),
+        ("--labels", "mend", "report"),
+        ("--control-sigma", "-1", "control_sigma_mm"),
+    ):
+        given = ["calibrate", str(frame_csv), "--pixels", "640", option, value]
+        wrong = CliRunner().invoke(app, given)
+        assert wrong.exit_code == 2
+        assert reason in " ".join(wrong.stderr.split()), (option, value)
+
+
+def test_a_wide_field_is_calibrated_with_its_distortion(mapping_csv: Path, tmp_path: Path) -> None:
+    output = tmp_path / "calibration.json"
+    given = ("calibrate", mapping_csv, "--pixels", "2048", "--pitch", "10", "--output", output)
+    lumiline(*given, "--labels", "off")
+    found = read_calibration(output).calibration
+    for model, true, fit in zip(found.models, bent_rig(), found.sensors, strict=True):
+        assert model.distortion is not None
+        assert fit.rms_px == pytest.approx(SIGMA_PX, rel=0.2)
+        assert model.principal_distance_px == pytest.approx(true.principal_distance_px, abs=3.0)
+
+
+def test_map_writes_a_table_that_mends_a_plain_calibration(
+    mapping_csv: Path, tmp_path: Path
+) -> None:
+    plain, table = tmp_path / "plain.json", tmp_path / "table.h5"
+    lumiline(
+        "calibrate", mapping_csv, "--pixels", "2048", "--distortion", "none", "--labels", "off",
+        "--output", plain,
+    )  # fmt: skip
+    given = ("map", mapping_csv, "--calibration", plain, "--own-points", "--output", table)
+    shown = lumiline(*given).stdout
+    assert "s1" in shown
+    with h5py.File(table) as file:
+        assert file.attrs["calibration_hash"] == read_calibration(plain).content_hash
+        validation = json.loads(file.attrs["validation"])
+    for sensor in validation["sensors"]:
+        assert sensor["before_rms_px"] > 10.0 * SIGMA_PX
+        assert sensor["left_out_rms_px"] < 3.0 * SIGMA_PX
+    assert "never overwritten" in lumiline(*given, code=2).stderr
+
+
+def test_map_refuses_with_a_reason(mapping_csv: Path, frame_csv: Path, tmp_path: Path) -> None:
+    table, other = tmp_path / "table.h5", tmp_path / "other.json"
+    other.write_text('{"cameras": []}', encoding="utf-8")
+    wrong = lumiline("map", mapping_csv, "--calibration", other, "--output", table, code=2)
+    assert "holds no calibration" in wrong.stderr
+    calibration = tmp_path / "calibration.json"
+    lumiline("calibrate", frame_csv, "--pixels", "640", "--output", calibration)
+    wrong = lumiline("map", mapping_csv, "--calibration", calibration, "--output", table, code=2)
+    assert "cam1" in wrong.stderr
+    assert not table.exists()
+
+
+def test_findings_are_told_in_words() -> None:
+    from compute.calibration.labels.finding import LabelFinding
+
+    exchanged = LabelFinding("exchanged", "cam4", (14, 16), 0.999, (12.0, -11.0), (9.0, -8.0))
+    assert label_in_words(exchanged) == (
+        "sensor cam4: the readings of points 14 and 16 are exchanged (probability 0.999)"
+    )
+    wrong = LabelFinding("wrong", "cam1", (3,), 1.0, (25.0,), (20.0,))
+    assert "point 3 is wrong, off by 25 px" in label_in_words(wrong)
+    missing = LabelFinding("missing", None, (4, 7), 0.9, (25.0, None), (20.0, None))
+    assert label_in_words(missing).startswith("all sensors: the reading of point 4 is point 7's")

@@ -15,6 +15,7 @@ BENCHMARKS = {
     "signal": "raw lines to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
     "reconstruct": "readings to points through a correction table, beside SciPy, numba, CuPy",
+    "calibration": "19 points x 4 sensors, beside SciPy and pyceres on eleven parameters",
     "rays": "exact rays through a lens, beside optiland",
     "simulation": "simulated frames of a profile's device on one core, beside ideal lenses",
 }
@@ -46,6 +47,10 @@ def run(name: str | None, *, seconds: float, device: str | None, as_json: bool) 
 
         options = ["--json"] if as_json else []
         reconstruct.main([*options, *(["--device", device] if device else [])])
+    elif name == "calibration":
+        from benchmarks import calibration
+
+        calibration.main(["--json"] if as_json else [])
     elif name == "rays":
         from benchmarks import rays
 

@@ -71,7 +71,7 @@ def run(
         fitted = AxisErrors.of(fitted_errors(found, *given, table.sigma_px))
     except LumilineError as error:
         raise fail(error.detail) from error
-    console.print(_fits(found, f"{path}: {len(table.points_mm)} points, {settings.method}"))
+    console.print(fit_table(found, f"{path}: {len(table.points_mm)} points, {settings.method}"))
     if found.distortion is not None:
         console.print(f"distortion: {found.distortion.chosen} ({found.distortion.reason})")
     for finding in found.labels:
@@ -88,7 +88,7 @@ def run(
     for remark in found.diagnosis.remarks if found.diagnosis is not None else ():
         console.print(remark, highlight=False)
     if output is not None:
-        _write(output, DOCUMENT.dump_json(found, indent=2) + b"\n")
+        write_calibration(output, found)
     if report is not None:
         _report(path, table, found, report, figures)
 
@@ -97,9 +97,10 @@ def _scheme(check: CrossValidation) -> str:
     return "leave one out" if check.scheme == "points" else f"{check.groups} blocks left out"
 
 
-def _write(path: Path, content: bytes) -> None:
+def write_calibration(path: Path, found: Calibration) -> None:
+    """Write a calibration as JSON, or end the command with the reason."""
     try:
-        path.write_bytes(content)
+        path.write_bytes(DOCUMENT.dump_json(found, indent=2) + b"\n")
     except OSError as error:
         raise fail(f"{path} cannot be written: {error.strerror}") from error
     console.print(f"written: {path}")
@@ -123,7 +124,8 @@ def _report(
     console.print(f"written: {page}")
 
 
-def _fits(found: Calibration, title: str) -> Table:
+def fit_table(found: Calibration, title: str) -> Table:
+    """Return the fit by sensor."""
     fits = Table(title=title, title_justify="left")
     for heading in ("sensor", "points", "rms, px", "max, px", "c, px", "p0, px"):
         fits.add_column(heading, justify="left" if heading == "sensor" else "right")

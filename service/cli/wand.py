@@ -1,0 +1,83 @@
+"""`lumiline wand`: cameras from a bar of known length at unknown places, without a server."""
+
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from compute.calibration.selfcalibration.result import SelfCalibration
+from compute.calibration.selfcalibration.run import self_calibrate
+from compute.calibration.selfcalibration.subjects import Recording, Wand
+from compute.errors import InvalidParameter, LumilineError
+from service.cli.calibrate import fit_table, write_calibration
+from service.cli.calibration_file import read_calibration
+from service.cli.observations_csv import read_wand
+from service.cli.output import console, fail, progress
+
+SHOWN = 20
+"""Most readings left out that are listed."""
+
+
+def run(path: Path, start: Path, places: str, sigma_mm: float, output: Path | None) -> None:
+    """Calibrate from a wand; print the fit and what was left out, write it as JSON."""
+    try:
+        subject = Wand(_places(places), sigma_mm)
+        near = read_calibration(start).calibration.models
+        table = read_wand(path, len(subject))
+        names = tuple(model.name for model in near)
+        if set(table.sensors) != set(names):
+            raise InvalidParameter(
+                f"{path} has readings of {', '.join(table.sensors)}; {start} is of "
+                f"{', '.join(names)}"
+            )
+        order = [table.sensors.index(name) for name in names]
+        recording = Recording(
+            subject,
+            table.readings_px[..., order],
+            None if table.sigma_px is None else table.sigma_px[..., order],
+        )
+        with progress("calibrating", 1.0) as done:
+            found = self_calibrate(near, [recording], progress=lambda share, _stage: done(share))
+    except LumilineError as error:
+        raise fail(error.detail) from error
+    fit = found.subjects[0]
+    console.print(fit_table(found.calibration, f"{path}: {fit.used} of {fit.poses} poses"))
+    if fit.length_error_mm is not None:
+        span = float(np.ptp(np.array(subject.position_mm)))
+        console.print(
+            f"the wand of {span:g} mm, marker by marker: {fit.length_error_mm:.3g} mm RMS off",
+            highlight=False,
+        )
+    console.print(
+        f"the device is {found.device_scale:.4g} times as large as in {start}; "
+        f"chi2 {found.chi2_per_dof:.3g} a degree of freedom",
+        highlight=False,
+    )
+    if found.rejected:
+        console.print(_rejected(found))
+    if output is not None:
+        write_calibration(output, found.calibration)
+
+
+def _rejected(found: SelfCalibration) -> Table:
+    table = Table(title=f"{len(found.rejected)} readings left out", title_justify="left")
+    for heading in ("pose", "marker", "sensor", "deviations off"):
+        table.add_column(heading)
+    for one in found.rejected[:SHOWN]:
+        table.add_row(str(one.pose), str(one.marker), one.sensor, f"{one.off_sigma:.1f}")
+    return table
+
+
+def _places(text: str) -> tuple[float, ...]:
+    """Return the markers' places.
+
+    Raises:
+        InvalidParameter: something that is not a number.
+    """
+    try:
+        return tuple(float(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        raise InvalidParameter(
+            f'places is "{text}"; it must be the markers\' places along the wand in mm, '
+            'for example "0 300"'
+        ) from None

@@ -1,0 +1,87 @@
+"""`lumiline wand`: from a CSV of a waved bar to cameras that measure its length."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from compute.calibration.run import calibrate
+from compute.camera.stack import CameraStack
+from compute.reconstruction.points import reconstruct
+from service.cli import app
+from service.cli.calibration_file import DOCUMENT, read_calibration
+from tests.compute.rig import control_points, geometry, project, rig
+
+LENGTH_MM, SIGMA_PX, POSES = 300.0, 0.05, 120
+
+
+def _bar_ends() -> np.ndarray:
+    rng = np.random.default_rng(8)
+    middle = np.array([0.0, 0.0, 1500.0]) + rng.uniform(-150.0, 150.0, (POSES, 3))
+    along = rng.normal(size=(POSES, 3))
+    along *= LENGTH_MM / 2.0 / np.linalg.norm(along, axis=1, keepdims=True)
+    return np.stack([middle - along, middle + along], axis=1)
+
+
+@pytest.fixture(scope="module")
+def waved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Readings of a waved bar, and cameras 5 % off in their principal distance."""
+    folder: Path = tmp_path_factory.mktemp("wand")
+    rng = np.random.default_rng(9)
+    names = [model.name for model in rig()]
+    with (folder / "wand.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["pose", "marker", *(f"{name}_px" for name in names)])
+        for pose, ends in enumerate(_bar_ends(), start=1):
+            readings = project(rig(), ends) + rng.normal(0.0, SIGMA_PX, (2, 4))
+            for marker, row in enumerate(readings.tolist(), start=1):
+                writer.writerow([f"take {pose}", marker, *row])
+    points = control_points(30)
+    away = (points - [0.0, 0.0, 1500.0]) * [1.05, 1.05, 1.0] + [0.0, 0.0, 1500.0]
+    near = calibrate(away, project(rig(), points), geometry(rig()))
+    (folder / "near.json").write_bytes(DOCUMENT.dump_json(near))
+    return folder / "wand.csv", folder / "near.json"
+
+
+def run(*arguments: object, code: int = 0) -> str:
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == code, (result.stdout, result.stderr)
+    return " ".join((result.stderr if code else result.stdout).split())
+
+
+def test_a_waved_bar_gives_cameras_that_measure_its_length(
+    waved: tuple[Path, Path], tmp_path: Path
+) -> None:
+    output = tmp_path / "wand.json"
+    readings, near = waved
+    shown = run("wand", readings, "--start", near, "--places", "0 300", "--output", output)
+    assert f"{POSES} of {POSES} poses" in shown
+    models = read_calibration(output).calibration.models
+    ends = _bar_ends()
+    found = reconstruct(models, CameraStack.of(rig()).project(ends.reshape(-1, 3)), np.full(4, 1.0))
+    lengths = np.linalg.norm(np.diff(found.position_mm.reshape(-1, 2, 3), axis=1)[:, 0], axis=1)
+    assert abs(lengths.mean() - LENGTH_MM) < 0.1
+    before = reconstruct(
+        read_calibration(near).calibration.models, project(rig(), ends.reshape(-1, 3)), np.ones(4)
+    )
+    worse = np.linalg.norm(np.diff(before.position_mm.reshape(-1, 2, 3), axis=1)[:, 0], axis=1)
+    assert abs(worse.mean() - LENGTH_MM) > 3.0
+
+
+def test_a_wand_is_refused_with_a_reason(waved: tuple[Path, Path], tmp_path: Path) -> None:
+    readings, near = waved
+    start = ("--start", near, "--places")
+    assert "1 marker" in run("wand", readings, *start, "300", code=2)
+    assert 'for example "0 300"' in run("wand", readings, *start, "0 to 300", code=2)
+    rows = readings.read_text(encoding="utf-8").splitlines()
+    for name, lines, reason in (
+        ("twice.csv", [*rows, rows[1]], "given again; it stands in line 2"),
+        ("third.csv", [*rows, rows[1].replace(",1,", ",3,", 1)], "from 1 to 2"),
+        ("column.csv", [rows[0].replace("pose", "take"), *rows[1:]], "no column pose"),
+        ("sensor.csv", [rows[0].replace("s1_px", "x_px"), *rows[1:]], "is of s1"),
+    ):
+        path = tmp_path / name
+        path.write_text("\n".join(lines), encoding="utf-8")
+        assert reason in run("wand", path, *start, "0 300", code=2), name

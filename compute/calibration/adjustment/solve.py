@@ -87,8 +87,14 @@ def adjust(
     if free_frame and not varied.all():
         raise InvalidParameter("a free frame needs all parameters free; held ones fix the frame")
     search = _Search(state, prior, varied, progress, max_iterations)
-    search.all_stages(loss, 0.0)
-    return _finished(search, HUBER_LIMIT if loss == "robust" else np.inf, free_frame)
+    limit = HUBER_LIMIT if loss == "robust" else np.inf
+    try:
+        search.all_stages(loss, 0.0)
+    except NoConvergence:
+        # In a valley without an end no step settles: then the parameters are open, and named.
+        _finished(search, limit, free_frame)
+        raise
+    return _finished(search, limit, free_frame)
 
 
 def approach(
@@ -178,7 +184,7 @@ class _Search:
                     float((block.gradient * one).sum())
                     for block, one in zip(equations.blocks, local, strict=True)
                 )
-                trial = _moved(self.state, step, local)
+                trial = moved(self.state, step, local)
                 new = np.inf
                 if all(model.principal_distance_px > 0.0 for model in trial.models):
                     residuals = trial.residuals()
@@ -229,7 +235,8 @@ def _solved(normal: Array, right: Array) -> Array:
         return np.zeros_like(right)
 
 
-def _moved(state: State, step: Array, local: Sequence[Array]) -> State:
+def moved(state: State, step: Array, local: Sequence[Array]) -> State:
+    """Return the state after a step of the globals (F,) and the poses (B, d) of each set."""
     models = []
     first = 0
     for model in state.models:
@@ -237,12 +244,12 @@ def _moved(state: State, step: Array, local: Sequence[Array]) -> State:
         first += model.parameter_count
     pose_sets = []
     for poses, one in zip(state.pose_sets, local, strict=True):
-        moved = poses.moved(one)
+        after = poses.moved(one)
         if poses.shape.freedom:
             shape = poses.shape.moved(step[first : first + poses.shape.freedom])
-            moved = replace(moved, shape=shape)
+            after = replace(after, shape=shape)
             first += poses.shape.freedom
-        pose_sets.append(moved)
+        pose_sets.append(after)
     return State(tuple(models), tuple(pose_sets))
 
 

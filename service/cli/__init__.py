@@ -121,7 +121,7 @@ def calibrate(
         ),
     ] = "auto",
     control_sigma: Annotated[
-        float | None, typer.Option(help=r"Deviation of the control points' coordinates \\[mm].")
+        float | None, typer.Option(help=r"Deviation of the control points' coordinates \[mm].")
     ] = None,
     loss: Annotated[str, typer.Option(help="linear or robust.")] = "linear",
     labels: Annotated[
@@ -147,10 +147,10 @@ def wand(
         Path, typer.Option(help="Nearly right cameras: a calibration as JSON, a design's or old.")
     ],
     places: Annotated[
-        str, typer.Option(help=r"Where the markers are along the wand \\[mm], as '0 300'.")
+        str, typer.Option(help=r"Where the markers are along the wand \[mm], as '0 300'.")
     ],
     sigma: Annotated[
-        float, typer.Option(min=0.0, help=r"Deviation of these places \\[mm]; 0: exact.")
+        float, typer.Option(min=0.0, help=r"Deviation of these places \[mm]; 0: exact.")
     ] = 0.0,
     output: Annotated[Path | None, typer.Option(help="Write the calibration as JSON.")] = None,
 ) -> None:
@@ -171,13 +171,13 @@ def map_volume(
         str, typer.Option(help="b-spline for points anywhere; trilinear, tricubic for a grid.")
     ] = "b-spline",
     pitch: Annotated[
-        float | None, typer.Option(help=r"Edge of a cell \\[mm]; left out: from the points.")
+        float | None, typer.Option(help=r"Edge of a cell \[mm]; left out: from the points.")
     ] = None,
     smoothness: Annotated[
         float | None, typer.Option(help="Weight of the penalty; left out: by cross-validation.")
     ] = None,
     point_sigma: Annotated[
-        float, typer.Option(min=0.0, help=r"Deviation of the points' coordinates \\[mm].")
+        float, typer.Option(min=0.0, help=r"Deviation of the points' coordinates \[mm].")
     ] = 0.0,
     own_points: Annotated[
         bool, typer.Option("--own-points", help="They are the calibration's own control points.")

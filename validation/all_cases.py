@@ -8,6 +8,7 @@ from typing import Final
 from validation.aberrations_polynomials import CASE as TABLES_3_1_3_2
 from validation.aberrations_seidel import CASE as SEIDEL
 from validation.attenuation import CASE as ATTENUATION
+from validation.calibration_convergence import CASE as CONVERGENCE
 from validation.cases import CASES, Case
 from validation.close_peaks import CASE as CLOSE_PEAKS
 from validation.distortion_tables import TABLE_A1, TABLE_A2
@@ -80,6 +81,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_4_4,
     TABLE_4_5,
     TABLE_C,
+    CONVERGENCE,
     WAND,
 )
 

@@ -262,9 +262,9 @@ def _is_determined(observed: Observed, fits: SensorFits) -> bool:
         terms = () if model.distortion is None else model.distortion.terms
         if rows.sum() < free_parameters(terms):
             return False
-        sigma = float(fits.slits.prior.sigma_mm[column])
-        try:
-            check_determined(model, observed.points_mm[rows], observed.weights[rows, column], sigma)
-        except DegeneratePoints:
-            return False
+    used = np.where(fits.weights > 0.0, observed.weights, 0.0)
+    try:
+        check_determined(fits.models, observed.points_mm, used, fits.slits.prior.sigma_mm)
+    except DegeneratePoints:
+        return False
     return True

@@ -1,6 +1,7 @@
 """A fitted camera's equations: its weighted Jacobian, how well they determine it, their inverse."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -69,33 +70,112 @@ def centred(model: SensorModel, middle_mm: Array) -> SensorModel:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class EquationGroup:
+    """The fitted equations of sensors that have the same parameters, by QR, all at once.
+
+    Args:
+        sensors: which they are, shape (G,).
+        columns: their fitted parameters, shape (F,).
+        scale: lengths of the columns, shape (G, F).
+        triangles: R of the columns scaled to length 1, shape (G, F, F).
+    """
+
+    sensors: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    scale: Array
+    triangles: Array
+
+    @property
+    def ratios(self) -> Array:
+        """Smallest over largest singular value, shape (G,); 0 where a column is nothing."""
+        singular = np.linalg.svd(self.triangles, compute_uv=False)
+        ratios: Array = singular[:, -1] / np.maximum(singular[:, 0], 1e-300)
+        return ratios
+
+    @property
+    def cofactors(self) -> Array:
+        """(A'A)^-1 of the designs A, shape (G, F, F)."""
+        inverse = np.linalg.inv(self.triangles) / self.scale[:, :, None]
+        product: Array = inverse @ inverse.swapaxes(1, 2)
+        return product
+
+
+def equation_groups(
+    models: Sequence[SensorModel],
+    points_mm: Array,
+    weights: Array,
+    offset_sigma_mm: Array | None = None,
+    middle_mm: Array | None = None,
+) -> list[EquationGroup]:
+    """Return the equations of S cameras from points (N, 3) with weights (N, S), 0: not read.
+
+    Args:
+        models: the cameras.
+        points_mm: control points.
+        weights: 1 / standard deviation [1/px].
+        offset_sigma_mm: of the priors of the offsets along the slits, shape (S,).
+        middle_mm: the origin, shape (3,); None: the world's.
+    """
+    stack = CameraStack.of(models)
+    if middle_mm is not None:
+        moved = stack.offset_mm + stack.rotation @ middle_mm
+        stack, points_mm = replace(stack, offset_mm=moved), points_mm - middle_mm
+    jacobian = stack.parameter_jacobian(points_mm).swapaxes(0, 1)
+    used = weights.T[..., None]
+    rows = np.where(used > 0.0, jacobian, 0.0) * used
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for sensor, model in enumerate(models):
+        columns = fitted_columns(model)
+        # By the stack's columns, which hold the terms of all sensors.
+        own = np.flatnonzero(stack.owned[sensor])[columns]
+        groups.setdefault((*own.tolist(), -1, *columns.tolist()), []).append(sensor)
+    found = []
+    for key, members in groups.items():
+        split = key.index(-1)
+        own, columns = np.array(key[:split]), np.array(key[split + 1 :])
+        sensors = np.array(members)
+        matrix = rows[sensors][:, :, own]
+        if offset_sigma_mm is not None and PARAMETER_COUNT in key[:split]:
+            prior = np.zeros((len(sensors), 1, len(own)))
+            prior[:, 0, key.index(PARAMETER_COUNT)] = 1.0 / offset_sigma_mm[sensors]
+            matrix = np.concatenate([matrix, prior], axis=1)
+        scale = np.linalg.norm(matrix, axis=1)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        scaled = matrix / scale[:, None, :]
+        triangles = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=np.float64)
+        found.append(EquationGroup(sensors, columns, scale, triangles))
+    return found
+
+
 def check_determined(
-    model: SensorModel, points_mm: Array, weights: Array, offset_sigma_mm: float | None = None
+    models: Sequence[SensorModel],
+    points_mm: Array,
+    weights: Array,
+    offset_sigma_mm: Array | None = None,
 ) -> None:
-    """Raise DegeneratePoints when the readings leave a combination of parameters open."""
+    """Refuse readings (N, S) that leave a combination of a sensor's parameters open.
+
+    Raises:
+        DegeneratePoints: the first such sensor.
+    """
     middle = points_mm.mean(axis=0)
-    matrix = design(centred(model, middle), points_mm - middle, weights, offset_sigma_mm)
-    ratio = determined_ratio(matrix)
-    plain = model.distortion is None
-    least = DETERMINED_RATIO if plain else DISTORTED_RATIO
-    if not ratio >= least:
-        terms = "" if plain else " or take fewer distortion terms"
-        raise DegeneratePoints(
-            f"sensor {model.name} cannot be calibrated with these {len(points_mm)} control points: "
-            "seen along its slit they coincide or line up so that many cameras fit as well "
-            f"(ratio of singular values {ratio:.1e}, at least {least:g} is needed); "
-            f"add points off their grid{terms}",
-            sensor=model.name,
-        )
-
-
-def determined_ratio(matrix: Array) -> float:
-    """Return the smallest over the largest singular value with columns scaled to length 1."""
-    scale = np.linalg.norm(matrix, axis=0)
-    if not (scale > 0.0).all() or not np.isfinite(matrix).all():
-        return 0.0
-    singular = np.linalg.svd(matrix / scale, compute_uv=False)
-    return float(singular[-1] / singular[0])
+    for group in equation_groups(models, points_mm, weights, offset_sigma_mm, middle):
+        for sensor, ratio in zip(group.sensors, group.ratios.tolist(), strict=True):
+            model = models[sensor]
+            plain = model.distortion is None
+            least = DETERMINED_RATIO if plain else DISTORTED_RATIO
+            if ratio >= least:
+                continue
+            terms = "" if plain else " or take fewer distortion terms"
+            raise DegeneratePoints(
+                f"sensor {model.name} cannot be calibrated with these "
+                f"{int((weights[:, sensor] > 0.0).sum())} control points: seen along its slit "
+                "they coincide or line up so that many cameras fit as well "
+                f"(ratio of singular values {ratio:.1e}, at least {least:g} is needed); "
+                f"add points off their grid{terms}",
+                sensor=model.name,
+            )
 
 
 def cofactor(matrix: Array) -> Array:

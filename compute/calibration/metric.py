@@ -67,14 +67,13 @@ def fit_metric(
     starts = [model for model in models if model is not None]
     ended = minimise(CameraStack.of(starts), points_mm, readings_px, weights)
     fitted = ended.cameras.models(starts)
+    # First whether there is one camera: a search for none does not come to rest.
+    check_determined(fitted, points_mm, weights)
     for column, model in enumerate(fitted):
-        rows = seen[:, column]
-        # First whether there is one camera: a search for none does not come to rest.
-        check_determined(model, points_mm[rows], weights[rows, column])
         if not ended.settled[column]:
             raise NoConvergence(
-                f"sensor {model.name}: no camera with all its {int(rows.sum())} control points in "
-                "front of it fits the readings; look for exchanged or wrong labels",
+                f"sensor {model.name}: no camera with all its {int(seen[:, column].sum())} control "
+                "points in front of it fits the readings; look for exchanged or wrong labels",
                 sensor=model.name,
             )
     return fitted

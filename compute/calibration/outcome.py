@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.design import cofactor, design, fitted_columns
+from compute.calibration.design import equation_groups
 from compute.calibration.figures import QUANTISATION_PX, Residuals, sensor_fit
 from compute.calibration.joint import JointFit, adjust_with_points, point_spread
 from compute.calibration.result import Calibration, SensorFit
@@ -25,10 +25,13 @@ def with_exact_points(
 ) -> Calibration:
     """Return the calibration of sensors fitted one by one to points taken as exact."""
     residuals = CameraStack.of(fits.models).project(observed.points_mm) - observed.readings_px
-    size = sum(model.parameter_count for model in fits.models)
-    covariance = np.zeros((size, size))
+    counts = [model.parameter_count for model in fits.models]
+    first = np.cumsum([0, *counts])
+    covariance = np.zeros((first[-1], first[-1]))
+    used = np.where(fits.weights > 0.0, observed.weights, 0.0)
+    groups = equation_groups(fits.models, observed.points_mm, used, fits.slits.prior.sigma_mm)
+    factors = []
     found = []
-    first = 0
     for column, model in enumerate(fits.models):
         rows = observed.seen[:, column] & (fits.weights[:, column] > 0.0)
         sigma = observed.sigma_px[rows, column] if observed.sigma_known else None
@@ -36,13 +39,12 @@ def with_exact_points(
         fit, factor = sensor_fit(model, int(observed.seen[:, column].sum()), values)
         if settings.loss == "robust":
             factor *= EFFICIENCY_LOSS
-        weights = observed.weights[rows, column]
-        offset_sigma = float(fits.slits.prior.sigma_mm[column])
-        matrix = design(model, observed.points_mm[rows], weights, offset_sigma)
-        own = first + fitted_columns(model)
-        covariance[np.ix_(own, own)] = cofactor(matrix) * factor
-        first += model.parameter_count
+        factors.append(factor)
         found.append(fit)
+    for group in groups:
+        for sensor, inverse in zip(group.sensors, group.cofactors, strict=True):
+            own = first[sensor] + group.columns
+            covariance[own[:, None], own] = inverse * factors[sensor]
     return Calibration(
         settings.method,
         tuple(found),

@@ -167,20 +167,9 @@ def residual_sigma(observed: Observed, models: Sequence[SensorModel], weights: A
 def _check(
     observed: Observed, models: Sequence[SensorModel], weights: Array, slits: Slits | None
 ) -> None:
-    for column, model in enumerate(models):
-        _check_one(observed, model, weights, column, slits)
-
-
-def _check_one(
-    observed: Observed, model: SensorModel, weights: Array, column: int, slits: Slits | None
-) -> None:
-    rows = observed.seen[:, column] & (weights[:, column] > 0.0)
-    check_determined(
-        model,
-        observed.points_mm[rows],
-        observed.weights[rows, column],
-        None if slits is None else float(slits.prior.sigma_mm[column]),
-    )
+    used = np.where(weights > 0.0, observed.weights, 0.0)
+    sigma = None if slits is None else slits.prior.sigma_mm
+    check_determined(models, observed.points_mm, used, sigma)
 
 
 def _minimised(
@@ -200,7 +189,7 @@ def _minimised(
     for column, (sensor, own) in enumerate(zip(observed.sensors, starts, strict=True)):
         if not ended.settled[column]:
             # First whether there is one camera: a search for none does not come to rest.
-            _check_one(observed, models[column], weights, column, slits)
+            _check(observed, models, weights, slits)
             count = 0 if own.distortion is None else len(own.distortion.terms)
             raise NoConvergence(
                 f"sensor {sensor.name}: the search for its {PARAMETER_COUNT} parameters and "

@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from compute.camera.model import SensorGeometry, SensorModel, Vector3, vector3
+from compute.camera.rotation import rotation_vector
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 
@@ -85,13 +85,13 @@ def model_from_matrix(
         )
     along = along / principal_distance
     rotation = np.array([along[:3], np.cross(second[:3], along[:3]), second[:3]])
-    x, y, z = Rotation.from_matrix(rotation).as_rotvec()
+    x, y, z = rotation_vector(rotation).tolist()
     return SensorModel(
         sensor.name,
         sensor.pixels,
         principal_distance,
         principal_point,
-        (float(x), float(y), float(z)),
+        (x, y, z),
         float(along[3]),
         float(second[3]),
         cubic_per_px2,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from compute.camera.field_distortion import FieldDistortion
+from compute.camera.rotation import rotation_matrix
 
 Vector3 = tuple[float, float, float]
 
@@ -102,8 +103,7 @@ class SensorModel:
     @cached_property
     def rotation(self) -> NDArray[np.float64]:
         """R_sensor_world, shape (3, 3)."""
-        matrix: NDArray[np.float64] = Rotation.from_rotvec(self.rotation_vector_rad).as_matrix()
-        return matrix
+        return rotation_matrix(np.array(self.rotation_vector_rad))
 
     def moved(self, step: NDArray[np.float64]) -> "SensorModel":
         """Return the model after a step of its parameters, in the order of ``parameter_names``."""

@@ -1,4 +1,4 @@
-"""Small rotations as vectors: batched exponential of so(3)."""
+"""Rotations as vectors and as matrices, many at once."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,3 +31,32 @@ def rotation_matrix(vector_rad: Array) -> Array:
     matrix[..., 1, 2] -= first * x
     matrix[..., 2, 1] += first * x
     return matrix
+
+
+def rotation_vector(matrix: Array) -> Array:
+    """Return the axis times angle [rad] of rotation matrices (..., 3, 3), shape (..., 3).
+
+    By the largest component of the quaternion (S. W. Shepperd, doi:10.2514/3.55767b), which loses
+    no digits at any angle.
+    """
+    m = np.asarray(matrix, dtype=np.float64)
+    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    # 4 q q', from the sums and differences of the elements.
+    outer = np.empty((*m.shape[:-2], 4, 4))
+    outer[..., 0, 0] = 1.0 + trace
+    for axis in range(3):
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        outer[..., axis + 1, axis + 1] = 1.0 + 2.0 * m[..., axis, axis] - trace
+        turned = m[..., second, first] - m[..., first, second]
+        outer[..., 0, axis + 1] = outer[..., axis + 1, 0] = turned
+        swept = m[..., first, second] + m[..., second, first]
+        outer[..., first + 1, second + 1] = outer[..., second + 1, first + 1] = swept
+    largest = np.argmax(np.einsum("...ii->...i", outer), axis=-1)
+    quaternion = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
+    quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    quaternion *= np.where(quaternion[..., :1] < 0.0, -1.0, 1.0)
+    sine = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, quaternion[..., :1])
+    small = sine < 1e-12
+    vector: Array = quaternion[..., 1:] * np.where(small, 2.0, angle / np.where(small, 1.0, sine))
+    return vector

@@ -6,11 +6,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from compute.camera.field_distortion import Term, term_slopes, term_values
 from compute.camera.model import PARAMETER_COUNT, SensorModel, vector3
-from compute.camera.rotation import rotation_matrix
+from compute.camera.rotation import rotation_matrix, rotation_vector
 
 Array = NDArray[np.float64]
 
@@ -85,7 +84,7 @@ class CameraStack:
 
     def models(self, like: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
         """Return the cameras one by one; names, pixels and terms are those of ``like`` (S)."""
-        vectors = Rotation.from_matrix(self.rotation).as_rotvec()
+        vectors = rotation_vector(self.rotation)
         models = []
         for row, model in enumerate(like):
             distortion = model.distortion

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from compute.camera.rotation import rotation_matrix
+from compute.camera.rotation import rotation_matrix, rotation_vector
 from compute.camera.stack import CameraStack
 from tests.compute.distorted_rig import distorted_rig, field_points
 
@@ -16,6 +16,17 @@ def test_as_scipy_has_it(vector: list[float], tenths: int) -> None:
     expected = Rotation.from_rotvec(w).as_matrix()
     assert np.allclose(rotation_matrix(w), expected, atol=1e-14)
     assert np.allclose(rotation_matrix(np.array([w, -w]))[1], expected.T, atol=1e-14)
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3), st.floats(0.0, np.pi))
+def test_vectors_come_back(axis: list[float], angle: float) -> None:
+    """Up to half a turn, where the sign of the axis is open."""
+    length = np.linalg.norm(axis)
+    w = np.array(axis) / (length if length > 1e-3 else 1.0) * angle
+    found = rotation_vector(rotation_matrix(w))
+    assert np.allclose(rotation_matrix(found), rotation_matrix(w), atol=1e-14)
+    if np.linalg.norm(w) < 3.0:
+        assert np.allclose(found, w, atol=1e-13)
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -31,7 +31,7 @@ Worked = tuple[tuple[ResultTable, ...], tuple[str, ...]]
 SENSORS: Final = ("sensor 1", "sensor 2", "sensor 3", "sensor 4")
 STEPS: Final = np.array([0.2, 0.01, 0.1, 0.1, 1.0, *[1e-3] * 6])
 """Of c, p0, X0, Y0, Z0 [mm] and L1 .. L6: the digits of Table 5.12."""
-LONG_PASSES: Final = 200
+LONG_PASSES: Final = 50
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from compute.calibration.result import AxisErrors
 from validation.all_cases import ALL_CASES
 from validation.cases import MENDED, MENDED_LEFT_OUT, METRIC, CaseResult
 from validation.published import BUNDLE, DLT, PUBLISHED
-from validation.table_5_optimisation import (
+from validation.table_5_frame import (
     error_mm2,
     free_directions,
     metric_coefficients,

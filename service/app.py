@@ -10,6 +10,7 @@ from fastapi import FastAPI
 
 from service.body_limit import BodyLimit
 from service.calibrations.router import router as calibrations
+from service.captures.router import router as captures
 from service.correction_tables.router import TABLES_PATH
 from service.correction_tables.router import router as correction_tables
 from service.cross_origin import CrossOriginGuard
@@ -107,6 +108,7 @@ def create_app(
         calibrations,
         reports,
         runs_router,
+        captures,
         correction_tables,
         reconstructions,
         line_scans,

@@ -6,6 +6,8 @@ from fastapi import Depends, Request
 
 from service.database.engine import Database
 from service.devices.operation import Operation
+from service.errors import NotReady
+from service.live.manager import LiveManager
 from service.runs.manager import RunManager
 from service.settings import Settings
 
@@ -20,6 +22,13 @@ def _operation(request: Request) -> Operation:
     return operation
 
 
+def _live(request: Request) -> LiveManager:
+    live: LiveManager | None = request.app.state.live
+    if live is None:
+        raise NotReady("the live pipeline does not run; restart the server", part="live")
+    return live
+
+
 def _runs(request: Request) -> RunManager:
     runs: RunManager = request.app.state.runs
     return runs
@@ -32,5 +41,6 @@ def _settings(request: Request) -> Settings:
 
 DatabaseDep = Annotated[Database, Depends(_database)]
 OperationDep = Annotated[Operation, Depends(_operation)]
+LiveDep = Annotated[LiveManager, Depends(_live)]
 RunsDep = Annotated[RunManager, Depends(_runs)]
 SettingsDep = Annotated[Settings, Depends(_settings)]

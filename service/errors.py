@@ -189,6 +189,12 @@ class CaptureIncomplete(LumilineError):
     code = "capture-incomplete"
 
 
+class CaptureOfAnotherDevice(LumilineError):
+    """The capture session named belongs to another device, or to other sensors than it has now."""
+
+    code = "capture-of-another-device"
+
+
 class CaptureComplete(LumilineError):
     """All targets of the session are captured; name one to capture it again."""
 

@@ -38,6 +38,10 @@ TAGS: Final = [
         "retire.",
     },
     {
+        "name": "captures",
+        "description": "Guided measurement: place a marker, hold it, capture it, go to the next.",
+    },
+    {
         "name": "correction-tables",
         "description": "Maps of space: what is added to the readings, by where the marker is.",
     },

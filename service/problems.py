@@ -42,6 +42,7 @@ _STATUS: Final[dict[str, int]] = {
     own.DeviceNotRunning.code: 409,
     own.CaptureIncomplete.code: 409,
     own.CaptureComplete.code: 409,
+    own.CaptureOfAnotherDevice.code: 409,
     own.NothingSeen.code: 409,
     own.TargetMoved.code: 409,
     own.WorkerEnded.code: 500,

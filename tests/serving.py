@@ -16,10 +16,13 @@ from service.settings import Settings
 
 
 @contextmanager
-def serving(folder: Path) -> Iterator[str]:
+def serving(folder: Path, stream_queue_messages: int = 400) -> Iterator[str]:
     """Yield the base URL of a running service, ``http://127.0.0.1:PORT``."""
     settings = Settings(
-        data_dir=folder, compute_device="cpu", log_level="warning", stream_queue_messages=400
+        data_dir=folder,
+        compute_device="cpu",
+        log_level="warning",
+        stream_queue_messages=stream_queue_messages,
     )
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))

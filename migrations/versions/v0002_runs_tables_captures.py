@@ -41,6 +41,7 @@ def upgrade() -> None:
     )
     for table, columns in (
         ("active_calibrations", (sa.Column("table_id", sa.String(63), nullable=True),)),
+        ("reconstructions", (sa.Column("table_id", sa.String(63), nullable=True),)),
         (
             "activations",
             (
@@ -102,6 +103,7 @@ def downgrade() -> None:
     op.drop_table("runs")
     for table, columns in (
         ("activations", ("restores_id", "previous_table_id", "table_id")),
+        ("reconstructions", ("table_id",)),
         ("active_calibrations", ("table_id",)),
     ):
         with op.batch_alter_table(table) as batch:

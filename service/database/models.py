@@ -168,12 +168,16 @@ class ReconstructionRow(Base):
         ForeignKeyConstraint(
             ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
         ),
+        ForeignKeyConstraint(
+            ["table_id", "device_id"], ["correction_tables.id", "correction_tables.device_id"]
+        ),
         Index(None, "device_id", "created_at"),
     )
 
     id: Mapped[str] = mapped_column(String(63), primary_key=True)
     device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     calibration_id: Mapped[str] = mapped_column(String(63))
+    table_id: Mapped[str | None] = mapped_column(String(63))
     points: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
     estimates: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
     point_count: Mapped[int]

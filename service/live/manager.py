@@ -1,10 +1,15 @@
 """LiveManager: owns every running device's threads; what the REST layer talks to."""
 
 import logging
-from threading import RLock
+import time
+from threading import Lock, RLock
+
+import numpy as np
+from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter, LumilineError
 from hardware.driver import DeviceDescription, Driver
+from service.errors import DeviceNotRunning
 from service.live.compute_thread import ComputeThread
 from service.live.hub import Hub
 from service.live.in_force import NOTHING, InForce
@@ -14,11 +19,13 @@ from service.live.processor import DeviceProcessor
 from service.live.reader import Reader
 from service.live.ring import FrameRing
 from service.live.session import DeviceSession, DeviceStatus
+from service.live.tap import PeakTap
 
 _log = logging.getLogger(__name__)
 
 RING_SECONDS = 2.0
 RING_LEAST = 256
+_LOOK_S = 0.1
 
 
 class LiveManager:
@@ -40,6 +47,7 @@ class LiveManager:
         self._sessions: dict[str, DeviceSession] = {}
         self._refused: dict[str, str] = {}
         self._lock = RLock()
+        self._taps_lock = Lock()
 
     @property
     def ready(self) -> bool:
@@ -153,6 +161,42 @@ class LiveManager:
         session = self._sessions.get(device_id)
         return session.description if session else None
 
+    def collect(
+        self, device_id: str, frames: int, marker: int | None, timeout_s: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return what the sensors read of one marker in the next frames of a running device.
+
+        Args:
+            device_id: the device.
+            frames: how many.
+            marker: the strobed marker; None: frames in which all are lit, and one is in view.
+            timeout_s: how long they are waited for; then there are fewer.
+
+        Returns:
+            Positions and their deviations [px], shape (F, S); NaN where a sensor saw no clear
+            peak.
+
+        Raises:
+            DeviceNotRunning: it does not run, or ends meanwhile.
+        """
+        session = self._sessions.get(device_id)
+        if session is None or not session.running:
+            raise _not_running(device_id)
+        tap = PeakTap(session.ring.last_sequence, frames, marker)
+        end = time.monotonic() + timeout_s
+        with self._taps_lock:
+            session.taps = (*session.taps, tap)
+        try:
+            while not tap.wait(max(0.0, min(_LOOK_S, end - time.monotonic()))):
+                if not session.running:
+                    raise _not_running(device_id)
+                if time.monotonic() >= end:
+                    break
+        finally:
+            with self._taps_lock:
+                session.taps = tuple(one for one in session.taps if one is not tap)
+        return tap.readings(len(session.description.sensors))
+
     def close(self) -> None:
         """Stop all devices and the compute thread."""
         with self._lock:
@@ -186,3 +230,9 @@ class LiveManager:
             )
 
         self._compute.submit(tell)
+
+
+def _not_running(device_id: str) -> DeviceNotRunning:
+    return DeviceNotRunning(
+        f'device "{device_id}" does not run; start it to capture what it sees', device=device_id
+    )

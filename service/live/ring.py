@@ -40,6 +40,12 @@ class FrameRing:
             self._frames.append(frame)
         self._notify()
 
+    @property
+    def last_sequence(self) -> int:
+        """Sequence number of the newest frame that was put in; -1 before the first."""
+        last = self._last
+        return -1 if last is None else last
+
     def take(self, most: int) -> list[LineFrame]:
         """Remove and return up to ``most`` frames, oldest first."""
         with self._lock:

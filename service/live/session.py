@@ -13,6 +13,7 @@ from service.live.ring import FrameRing
 
 if TYPE_CHECKING:
     from service.live.reader import Reader
+    from service.live.tap import PeakTap
 
 _log = logging.getLogger(__name__)
 
@@ -66,6 +67,8 @@ class DeviceSession:
         self.ring = ring
         self.hub = hub
         self.reader: Reader | None = None
+        self.taps: tuple[PeakTap, ...] = ()
+        """Who takes readings beside the streams; replaced as a whole, so that it may be read."""
         self.processed = 0
         self.failure: str | None = None
         self.stopped = False
@@ -80,7 +83,10 @@ class DeviceSession:
             return False
         begin = time.monotonic()
         try:
-            self.hub.publish_batch(self.processor.process(frames))
+            batch = self.processor.process(frames)
+            for tap in self.taps:
+                tap.offer(batch)
+            self.hub.publish_batch(batch)
         except Exception as error:  # noqa: BLE001 - becomes the status
             self._fail(error)
             return False

@@ -7,6 +7,7 @@ from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from compute.errors import DuplicatePoint, ReadingOutsideSensor, UnknownSensor
 from service.calibrations.run import result_of
+from service.correction_tables.store import content_of
 from service.dependencies import DatabaseDep
 from service.devices.store import get_device, sensors_of_row
 from service.errors import (
@@ -87,10 +88,13 @@ def create_reconstruction(
         sensors = sensors_of_row(get_device(session, request.device))
         calibration = store.calibration_for(session, request)
         calibration_id, result = calibration.id, result_of(calibration.content)
-    estimates = run_reconstruction(request.device, request.points, sensors, result)
+        table = store.table_for(session, request)
+        table_id = None if table is None else table.id
+        corrections = None if table is None else content_of(table).table
+    estimates = run_reconstruction(request.device, request.points, sensors, result, corrections)
     with database.write() as session:
         get_device(session, request.device, lock=True)
-        row = store.add_reconstruction(session, request, calibration_id, estimates)
+        row = store.add_reconstruction(session, request, calibration_id, table_id, estimates)
         made = store.document(row)
     response.headers["Location"] = f"/api/v1/reconstructions/{made.id}"
     return made

@@ -6,6 +6,7 @@ import numpy as np
 
 from compute.calibration.result import Calibration
 from compute.calibration.weights import reading_sigma
+from compute.mapping.table import CorrectionTable
 from compute.reconstruction.points import reconstruct
 from hardware.driver import SensorDescription
 from service.calibrations.observations import observations
@@ -18,8 +19,12 @@ def run_reconstruction(
     points: Sequence[ObservedPoint],
     sensors: Sequence[SensorDescription],
     calibration: Calibration,
+    table: CorrectionTable | None = None,
 ) -> list[NamedEstimate]:
     """Return the estimates, the calibration's covariance included.
+
+    With a correction table the readings are corrected by it: its variance holds what the
+    calibration's covariance and misfit are without it.
 
     Readings without a standard deviation get the calibration's for their sensor; none is trusted
     further than the calibration reproduced its control points.
@@ -31,9 +36,10 @@ def run_reconstruction(
     check_sensors(device_id, sensors, calibration.models)
     observed = observations(points, sensors)
     sigma = reading_sigma(calibration, observed.readings_px, observed.sigma_px)
-    batch = reconstruct(
-        calibration.models, observed.readings_px, sigma, np.array(calibration.covariance)
-    )
+    covariance = np.array(calibration.covariance) if table is None else None
+    if table is not None:
+        sigma = np.where(np.isfinite(observed.sigma_px), observed.sigma_px, sigma)
+    batch = reconstruct(calibration.models, observed.readings_px, sigma, covariance, table)
     names = tuple(sensor.name for sensor in sensors)
     return [
         NamedEstimate(**vars(estimate), name=point.name)

@@ -23,7 +23,9 @@ class NewReconstruction(Given):
     id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
     device: Slug
     calibration: Slug | None = Field(
-        default=None, description="One of the device's; left out or null: its active one."
+        default=None,
+        description="One of the device's, without a table; left out or null: its active one, with "
+        "its active correction table.",
     )
     points: Annotated[list[ObservedPoint], Field(min_length=1, max_length=MAX_POINTS)]
 
@@ -41,6 +43,7 @@ class ReconstructionSummary(Document):
     id: str
     device: str
     calibration_id: str
+    table: str | None = Field(description="The correction table used with it; null: none.")
     point_count: int
     created_at: Moment
 
@@ -51,5 +54,6 @@ class Reconstruction(ReconstructionSummary):
     points: list[ObservedPoint]
     estimates: list[NamedEstimate] = Field(
         description="`position_mm` is null where there is none; `flags` say why: "
-        "`too-few-sensors` (three are needed), `degenerate`, `no-convergence`."
+        "`too-few-sensors` (three are needed), `degenerate`, `no-convergence`. `outside-map`: the "
+        "correction table does not vouch for a reading there."
     )

@@ -8,9 +8,11 @@ from pydantic import TypeAdapter
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from service.calibrations.activation import active
 from service.calibrations.store import active_id, get_calibration
+from service.correction_tables.store import get_table
 from service.database.engine import insert
-from service.database.models import CalibrationRow, ReconstructionRow
+from service.database.models import CalibrationRow, CorrectionTableRow, ReconstructionRow
 from service.errors import (
     CalibrationOfAnotherDevice,
     CalibrationRetired,
@@ -60,10 +62,19 @@ def calibration_for(session: Session, request: NewReconstruction) -> Calibration
     return row
 
 
+def table_for(session: Session, request: NewReconstruction) -> CorrectionTableRow | None:
+    """Return the device's active table, None where the request names a calibration itself."""
+    pointer = active(session, request.device)
+    if request.calibration is not None or pointer is None or pointer.table_id is None:
+        return None
+    return get_table(session, pointer.table_id)
+
+
 def add_reconstruction(
     session: Session,
     request: NewReconstruction,
     calibration_id: str,
+    table_id: str | None,
     estimates: list[NamedEstimate],
 ) -> ReconstructionRow:
     """Store a reconstruction; raises ReconstructionExists."""
@@ -77,6 +88,7 @@ def add_reconstruction(
         id=request.id or f"rec-{secrets.token_hex(8)}",
         device_id=request.device,
         calibration_id=calibration_id,
+        table_id=table_id,
         points=_POINTS.dump_python(request.points, mode="json"),
         estimates=_ESTIMATES.dump_python(estimates, mode="json"),
         point_count=len(request.points),
@@ -109,6 +121,7 @@ def list_reconstructions(
             ReconstructionRow.id,
             ReconstructionRow.device_id,
             ReconstructionRow.calibration_id,
+            ReconstructionRow.table_id,
             ReconstructionRow.point_count,
             ReconstructionRow.created_at,
         )
@@ -122,6 +135,7 @@ def list_reconstructions(
             id=row.id,
             device=row.device_id,
             calibration_id=row.calibration_id,
+            table=row.table_id,
             point_count=row.point_count,
             created_at=row.created_at,
         )
@@ -136,6 +150,7 @@ def document(row: ReconstructionRow) -> Reconstruction:
         id=row.id,
         device=row.device_id,
         calibration_id=row.calibration_id,
+        table=row.table_id,
         point_count=row.point_count,
         created_at=row.created_at,
         points=_POINTS.validate_python(row.points),

@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -30,7 +30,7 @@ def draw(figure: str, content: ReportContent, kind: Literal["svg", "png"]) -> by
 
     No state of pyplot's is used. Names are drawn as they are: no dollar sign begins a formula.
     """
-    settings = {"font.size": 9, "axes.titlesize": 10, "text.parse_math": False}
+    settings: dict[Any, Any] = {"font.size": 9, "axes.titlesize": 10, "text.parse_math": False}
     with mpl.rc_context(settings):
         made = FIGURES[figure](content)
         if made is None:
@@ -125,7 +125,9 @@ def residuals_histogram(content: ReportContent) -> Figure | None:
     axes = figure.subplots()
     reach = max(4.0, min(12.0, float(np.abs(found).max())))
     edges = np.linspace(-reach, reach, 41)
-    axes.hist(np.clip(found, -reach, reach), edges, density=True, color=COLOURS[0], alpha=0.6)
+    axes.hist(
+        np.clip(found, -reach, reach), edges.tolist(), density=True, color=COLOURS[0], alpha=0.6
+    )
     x = np.linspace(-reach, reach, 201)
     axes.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color="k", label="normal distribution")
     axes.set_xlabel("residual over its deviation (beyond the ends: in the last bars)")

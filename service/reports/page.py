@@ -252,14 +252,14 @@ def _uncertainty(content: ReportContent) -> str:
     known = content.volume_uncertainty_mm
     known = known[np.isfinite(known).all(axis=1)]
     if len(known):
-        rows = [
+        rows: list[tuple[Cell, ...]] = [
             (axis, *(float(value) for value in np.quantile(known[:, place], (0.5, 0.95, 1.0))))
             for place, axis in enumerate("XYZ")
         ]
         parts.append(_table(("deviation", "median, mm", "95 %, mm", "largest, mm"), rows))
     diagnosis = content.calibration.diagnosis
     if diagnosis is not None and diagnosis.suggestions:
-        rows_of = [
+        rows_of: list[tuple[Cell, ...]] = [
             (", ".join(number(value) for value in one.position_mm), one.mean_sigma_mm,
              one.max_sigma_mm)
             for one in diagnosis.suggestions

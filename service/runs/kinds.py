@@ -7,7 +7,7 @@ from typing import Any, Final
 from sqlalchemy.orm import Session
 
 from service.database.models import RunRow
-from service.runs import calibration
+from service.runs import calibration, mapping
 
 Task = tuple[Callable[..., Any], tuple[Any, ...]]
 
@@ -29,4 +29,5 @@ class RunKind:
 
 KINDS: Final[dict[str, RunKind]] = {
     "calibration": RunKind(calibration.task, calibration.store, "/api/v1/calibrations"),
+    "mapping": RunKind(mapping.task, mapping.store, "/api/v1/correction-tables"),
 }

@@ -1,4 +1,4 @@
-"""REST resources /api/v1/calibration-runs and /api/v1/runs."""
+"""REST resources /api/v1/calibration-runs, /api/v1/mapping-runs and /api/v1/runs."""
 
 from typing import Annotated
 
@@ -15,22 +15,34 @@ from compute.errors import (
     UnknownSensor,
 )
 from service.calibrations.schema import ControlPoint
-from service.calibrations.store import check_unused
+from service.calibrations.store import active_id, check_unused, usable
+from service.captures.store import captured_points
+from service.correction_tables import store as tables
+from service.database.models import CalibrationRow
 from service.dependencies import DatabaseDep, RunsDep, SettingsDep
 from service.devices.store import get_device, sensors_of_row
 from service.errors import (
     Busy,
     CalibrationExists,
+    CalibrationOfAnotherDevice,
+    CalibrationRetired,
+    CaptureIncomplete,
+    CaptureOfAnotherDevice,
+    CorrectionTableExists,
+    NoActiveCalibration,
     RunExists,
+    SensorsChanged,
+    UnknownCalibration,
+    UnknownCapture,
     UnknownDevice,
     UnknownRun,
 )
 from service.json_body import FromJson, JsonRoute
 from service.openapi import problems
-from service.runs import calibration, store
+from service.runs import calibration, mapping, store
 from service.runs.document import run_document
-from service.runs.examples import NEW_CALIBRATION_RUNS
-from service.runs.schema import NewCalibrationRun, Run
+from service.runs.examples import NEW_CALIBRATION_RUNS, NEW_MAPPING_RUNS
+from service.runs.schema import NewCalibrationRun, NewMappingRun, Run
 from service.runs.store import Kind, State
 from service.schema import SLUG_PATTERN, DeviceFilter, Limit, Offset, Page
 
@@ -39,6 +51,7 @@ router = APIRouter(prefix="/api/v1", tags=["runs"], route_class=JsonRoute)
 NewCalibrationRunBody = Annotated[
     NewCalibrationRun, FromJson(), Body(openapi_examples=NEW_CALIBRATION_RUNS)
 ]
+NewMappingRunBody = Annotated[NewMappingRun, FromJson(), Body(openapi_examples=NEW_MAPPING_RUNS)]
 RunPath = Annotated[
     str,
     Path(
@@ -56,8 +69,11 @@ RunPath = Annotated[
     status_code=HTTP_202_ACCEPTED,
     responses=problems(
         UnknownDevice,
+        UnknownCapture,
         RunExists,
         CalibrationExists,
+        CaptureOfAnotherDevice,
+        CaptureIncomplete,
         TooFewPoints,
         DegeneratePoints,
         DuplicatePoint,
@@ -98,11 +114,104 @@ def create_calibration_run(
     return made
 
 
-def _points(_session: Session, request: NewCalibrationRun) -> list[ControlPoint]:
-    """Return the control points that a request gives or names."""
-    if request.points is None:
-        raise InvalidParameter("there are no points; give points")
-    return request.points
+def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> list[ControlPoint]:
+    """Return the control points that a request gives, or the capture session that it names.
+
+    Raises:
+        InvalidParameter: neither or both are given.
+        UnknownCapture, CaptureOfAnotherDevice, CaptureIncomplete: as they say.
+    """
+    if (request.points is None) == (request.capture is None):
+        given = "neither" if request.points is None else "both"
+        raise InvalidParameter(f"of points and capture {given} are given; give one of them")
+    if request.points is not None:
+        return request.points
+    assert request.capture is not None
+    return captured_points(
+        session, request.capture, request.device, incomplete=request.allow_incomplete
+    )
+
+
+@router.post(
+    "/mapping-runs",
+    operation_id="create-mapping-run",
+    summary="Map the volume beside the requests",
+    status_code=HTTP_202_ACCEPTED,
+    responses=problems(
+        UnknownDevice,
+        UnknownCalibration,
+        UnknownCapture,
+        RunExists,
+        CorrectionTableExists,
+        CalibrationOfAnotherDevice,
+        CaptureOfAnotherDevice,
+        CaptureIncomplete,
+        CalibrationRetired,
+        NoActiveCalibration,
+        SensorsChanged,
+        TooFewPoints,
+        DegeneratePoints,
+        DuplicatePoint,
+        UnknownSensor,
+        ReadingOutsideSensor,
+        InvalidParameter,
+        Busy,
+    ),
+)
+def create_mapping_run(
+    request: NewMappingRunBody,
+    database: DatabaseDep,
+    runs: RunsDep,
+    settings: SettingsDep,
+    response: Response,
+) -> Run:
+    """Build a correction table in a process of its own: follow the run at the header `Location`.
+
+    The table is stored when it is done, under the run's `result_id`, and not activated.
+    """
+    with database.write() as session:
+        device = get_device(session, request.device, lock=True)
+        tables.check_unused(session, request.result_id)
+        parent = _parent(session, request)
+        stored = mapping.request_of(
+            mapping.Request(
+                calibration=parent.id,
+                points=_points(session, request),
+                sensors=sensors_of_row(device),
+                settings=request.settings(),
+                point_sigma_mm=request.point_sigma_mm,
+                result_id=request.result_id,
+                capture=request.capture,
+                note=request.note,
+            ),
+            parent,
+        )
+        row = store.add_run(
+            session, "mapping", device.id, stored, settings.runs_waiting, request.id
+        )
+        made = run_document(row)
+    runs.submitted()
+    response.headers["Location"] = f"/api/v1/runs/{made.id}"
+    return made
+
+
+def _parent(session: Session, request: NewMappingRun) -> CalibrationRow:
+    name = request.calibration or active_id(session, request.device)
+    if name is None:
+        raise NoActiveCalibration(
+            f'device "{request.device}" has no active calibration; activate one, or name the one '
+            "to map for",
+            device=request.device,
+        )
+    row = usable(session, name)
+    if row.device_id != request.device:
+        raise CalibrationOfAnotherDevice(
+            f'calibration "{row.id}" is of device "{row.device_id}"; the measurements are of '
+            f'"{request.device}"',
+            calibration=row.id,
+            device=request.device,
+        )
+    return row
 
 
 @router.get("/runs", operation_id="list-runs", summary="List runs")

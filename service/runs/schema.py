@@ -5,9 +5,12 @@ from typing import Annotated
 from pydantic import Field
 
 from compute.calibration.settings import Distortion, LabelPolicy
+from compute.mapping.settings import MappingMethod, MappingSettings
 from service.calibrations.schema import MAX_POINTS, CalibrationOptions, ControlPoint
 from service.runs.store import Kind, State
-from service.schema import Document, Moment, Note, Slug
+from service.schema import Document, Given, Moment, Note, Slug
+
+Pitch = Annotated[float, Field(gt=0, le=1e6)]
 
 
 class RunProblem(Document):
@@ -55,6 +58,53 @@ class NewCalibrationRun(CalibrationOptions):
     result_id: Slug | None = Field(
         default=None, description="Of the calibration to be made; left out: the server's choice."
     )
-    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS)] | None = None
+    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS)] | None = Field(
+        default=None, description="Give these, or `capture`."
+    )
     capture: Slug | None = Field(default=None, description="A capture session, in place of points.")
+    allow_incomplete: bool = Field(
+        default=False, description="Take a capture session of which targets are missing."
+    )
     note: Note = ""
+
+
+class NewMappingRun(Given):
+    """Measurements at known places, from which a correction table is built for a calibration."""
+
+    id: Slug | None = Field(default=None, description="The run's; left out: the server's choice.")
+    device: Slug
+    calibration: Slug | None = Field(
+        default=None, description="The table's parent; left out: the device's active calibration."
+    )
+    result_id: Slug | None = Field(
+        default=None, description="Of the table to be made; left out: the server's choice."
+    )
+    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS)] | None = Field(
+        default=None, description="Give these, or `capture`."
+    )
+    capture: Slug | None = Field(default=None, description="A capture session, in place of points.")
+    allow_incomplete: bool = Field(
+        default=False, description="Take a capture session of which targets are missing."
+    )
+    method: MappingMethod = Field(
+        default="b-spline",
+        description="`b-spline`: penalised, for points anywhere. `trilinear`, `tricubic`: through "
+        "every measured value, for points on a grid.",
+    )
+    pitch_mm: tuple[Pitch, Pitch, Pitch] | None = Field(
+        default=None, description="Edges of the cells; left out: from the data."
+    )
+    smoothness: Annotated[float, Field(gt=0, le=1e12)] | None = Field(
+        default=None, description="Weight of the penalty; left out: by cross-validation."
+    )
+    near_points: Annotated[int, Field(ge=1, le=1000)] = Field(
+        default=4, description="Measurements near a cell without which it is not vouched for."
+    )
+    point_sigma_mm: Annotated[float, Field(ge=0, le=1000)] = Field(
+        default=0.0, description="Standard deviation of each coordinate of the points."
+    )
+    note: Note = ""
+
+    def settings(self) -> MappingSettings:
+        """Return the settings for the computation; raises InvalidParameter."""
+        return MappingSettings(self.method, self.pitch_mm, self.smoothness, self.near_points)

@@ -3,7 +3,11 @@
 import warnings
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hardware.driver import DeviceDescription, Driver
+from service.errors import DeviceNotRunning
 from service.live.hub import Hub
 from service.live.in_force import NOTHING, InForce
 from service.live.manager import LiveManager
@@ -24,6 +28,7 @@ class RecordedLive(LiveManager):
         self.hub = Hub()
         self.calls: list[tuple[Any, ...]] = []
         self.states: dict[str, DeviceStatus] = {}
+        self.seen_px = np.full(4, 1000.0)
         self.in_force: dict[str, InForce] = {}
         self.answers = True
 
@@ -65,6 +70,15 @@ class RecordedLive(LiveManager):
 
     def describe(self, device_id: str) -> DeviceDescription | None:
         return None
+
+    def collect(
+        self, device_id: str, frames: int, marker: int | None, timeout_s: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        if self.status(device_id).state != "running":
+            raise DeviceNotRunning("it does not run")
+        self.calls.append(("collect", device_id, frames, marker))
+        noise = np.random.default_rng(1).normal(0.0, 0.05, (frames, 4))
+        return self.seen_px + noise, np.full((frames, 4), 0.05)
 
     def close(self) -> None:
         self.calls.append(("close",))

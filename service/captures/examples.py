@@ -1,0 +1,25 @@
+"""Examples of capture sessions; each works on a new server as it stands."""
+
+from typing import Any, Final
+
+import numpy as np
+
+from hardware.simulated.bar import WORKING_CENTRE_MM
+from hardware.simulated.frame_shape import frame_shape_mm
+
+_PLACES: Final = (np.asarray(WORKING_CENTRE_MM) + frame_shape_mm()).round(3).tolist()
+
+NEW_CAPTURES: Final[dict[str, Any]] = {
+    "frame": {
+        "summary": "The calibration frame's markers, lit one after the other",
+        "value": {
+            "id": "sim-capture",
+            "device": "sim",
+            "targets": [
+                {"name": f"P{number + 1}", "position_mm": place}
+                for number, place in enumerate(_PLACES)
+            ],
+            "settings": {"frames": 20, "marker": 0},
+        },
+    },
+}

@@ -13,6 +13,7 @@ from validation.cases import CASES, Case
 from validation.close_peaks import CASE as CLOSE_PEAKS
 from validation.distortion_tables import TABLE_A1, TABLE_A2
 from validation.labels import CASE as LABELS
+from validation.map_bound import CASE as MAP_BOUND
 from validation.passive_detection import CASE as PASSIVE_DETECTION
 from validation.peak_efficiency import CASE as PEAK_EFFICIENCY
 from validation.signal_ordering import TABLE_4_1, TABLE_4_2, TABLE_4_3
@@ -74,6 +75,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     _drawn(PASSIVE_DETECTION, "passive_picture"),
     _drawn(PEAK_EFFICIENCY, "peak_efficiency_picture"),
     _drawn(CLOSE_PEAKS, "close_peaks_picture"),
+    MAP_BOUND,
     TABLES_3_1_3_2,
     TABLE_4_1,
     TABLE_4_2,

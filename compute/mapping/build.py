@@ -28,7 +28,7 @@ MOST_ALONG = 256
 """Cells of a grid, and of one of its axes."""
 MOST_FUNCTIONS = 1200
 """Smooth functions that are fitted, at most; about ten along each axis of a cube."""
-FEWEST_FUNCTIONS = 200
+FEWEST_FUNCTIONS = 120
 FUNCTIONS_BY_POINT = 2
 _TRIALS = 25  # of smoothness, about: for the progress alone
 

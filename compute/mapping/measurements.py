@@ -24,7 +24,7 @@ LEAST_POINTS = 8
 """Of each sensor: the corners of one cell."""
 FLATNESS_LIMIT = 1e-3
 """Smallest extent of the points, as a fraction of their largest, that is not flat."""
-ONE_SIDED_LIMIT = 0.05
+ONE_SIDED_LIMIT = 0.1
 """Least share of the extent of all points, along their axes, that a sensor's points must have."""
 SAME_POSITION_MM = 1e-6
 SIGMA_RANGE_PX = (1e-6, 1e4)

@@ -9,6 +9,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 Array = NDArray[np.float64]
 
 
+_LEAST_PRECISION = 1e-12
 _ALONE = 1e-9  # keeps a block that alone determines a function from an infinite error
 
 
@@ -41,6 +42,8 @@ class PenalisedProblem:
     def solve(self, penalty: Array) -> "PenalisedFit":
         """Fit with prior precisions (R,) of the penalised functions."""
         precision = np.concatenate([penalty, self.others_precision])
+        # Where next to nothing is penalised, samples are too few to tell all functions apart.
+        precision = np.maximum(precision, _LEAST_PRECISION * np.trace(self.gram))
         normal = self.gram + np.diag(precision)
         triangle = cholesky(normal, lower=True, check_finite=False)
         amounts = cho_solve((triangle, True), self.product, check_finite=False)

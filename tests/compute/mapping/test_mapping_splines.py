@@ -1,0 +1,207 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from compute.mapping.grid import VoxelGrid
+from compute.mapping.nodes import of_function, through_corners
+from compute.mapping.penalised import PenalisedProblem
+from compute.mapping.smooth_basis import SmoothBasis
+from compute.mapping.smoothness import choose_smoothness, gcv_score
+from compute.mapping.support import cell_corners, supported_cells, within_hull
+from compute.mapping.table import CorrectionTable
+
+cells = st.tuples(*(st.integers(1, 5),) * 3)
+
+
+def grid_of(counts) -> VoxelGrid:
+    return VoxelGrid((-1.0, 2.0, 5.0), (0.5, 0.7, 0.3), counts)
+
+
+def table_of(grid, coefficients) -> CorrectionTable:
+    corners = tuple(count + 1 for count in grid.cells)
+    return CorrectionTable(
+        ("s",),
+        "",
+        grid,
+        3,
+        coefficients[None],
+        np.zeros((1, *corners)),
+        np.ones((1, *grid.cells), dtype=bool),
+    )
+
+
+def inside(grid, count=50, seed=0):
+    low, high = np.asarray(grid.origin_mm), grid.end_mm
+    return np.random.default_rng(seed).uniform(low, high, (count, 3))
+
+
+@given(cells, st.integers(0, 1000))
+@settings(deadline=None, max_examples=20)
+def test_all_functions_together_are_the_tensor_splines(counts, seed):
+    """Their sums, and the table with the coefficients made of them, are the same function."""
+    grid = grid_of(counts)
+    basis = SmoothBasis.of(grid, 10_000)
+    assert len(basis) == np.prod(np.array(counts) + 3)
+    amounts = np.random.default_rng(seed).standard_normal(len(basis))
+    points = inside(grid)
+    table = table_of(grid, basis.coefficients(amounts))
+    np.testing.assert_allclose(
+        table.at(points).value_px[:, 0], basis.values(points) @ amounts, atol=1e-10
+    )
+
+
+@given(cells)
+@settings(deadline=None, max_examples=20)
+def test_the_penalty_is_that_of_the_differences(counts):
+    grid = grid_of(counts)
+    basis = SmoothBasis.of(grid, 10_000)
+    amounts = np.random.default_rng(1).standard_normal(len(basis))
+    coefficients = basis.coefficients(amounts)
+    weights = np.array([1.0, 3.0, 0.2])
+    unit = np.prod(grid.pitch_mm) ** (1.0 / 3.0)
+    expected = 1e-4 * (coefficients**2).sum()
+    for axis in range(3):
+        order = min(4, counts[axis] + 2)
+        scale = (unit / grid.pitch_mm[axis]) ** (2 * order)
+        expected += weights[axis] * scale * (np.diff(coefficients, order, axis) ** 2).sum()
+    assert basis.penalty(weights) @ amounts**2 == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_smoothest_functions_are_kept():
+    basis = SmoothBasis.of(grid_of((4, 4, 4)), 60)
+    assert len(basis) == 60
+    rest = SmoothBasis.of(grid_of((4, 4, 4)), 10_000)
+    costs = np.sort(rest.costs.sum(axis=1))
+    np.testing.assert_allclose(np.sort(basis.costs.sum(axis=1)), costs[:60])
+
+
+@given(cells, st.integers(0, 1000))
+@settings(deadline=None, max_examples=20)
+def test_a_cubic_goes_through_its_nodes(counts, seed):
+    values = np.random.default_rng(seed).standard_normal([count + 1 for count in counts])
+    grid = grid_of(counts)
+    found = table_of(grid, through_corners(values)).at(cell_corners(grid)).value_px[:, 0]
+    np.testing.assert_allclose(found, values.ravel(), atol=1e-9)
+
+
+def polynomial(points):
+    x, y, z = (points - [-0.5, 2.5, 5.2]).T
+    return 1.0 + x * y - 2.0 * z**3 + x**3 * y**2 - 0.5 * y**3 * z
+
+
+def test_cubics_are_met_exactly_by_both():
+    grid = grid_of((4, 3, 5))
+    points = inside(grid)
+    nodes = polynomial(cell_corners(grid)).reshape(5, 4, 6)
+    for coefficients in (through_corners(nodes), of_function(grid, polynomial)):
+        found = table_of(grid, coefficients).at(points).value_px[:, 0]
+        np.testing.assert_allclose(found, polynomial(points), atol=1e-10)
+
+
+def problem_of(count=60, seed=3, others=2, noise=0.3):
+    """Samples with noise of a smooth function, in blocks of one to three."""
+    rng = np.random.default_rng(seed)
+    grid = grid_of((3, 3, 2))
+    basis = SmoothBasis.of(grid, 40)
+    points = inside(grid, count, seed)
+    rows = np.concatenate([basis.values(points), rng.standard_normal((count, others))], axis=1)
+    samples = (np.sin(3.0 * points[:, 0]) + points[:, 1] ** 2) / noise
+    samples += rng.standard_normal(count)
+    sizes = np.array([3] * 10 + [2] * 10 + [1] * 10)
+    whole = PenalisedProblem(
+        rows.T @ rows,
+        rows.T @ samples,
+        float(samples @ samples),
+        count,
+        np.full(others, 1e-6),
+        rows,
+        samples,
+        sizes,
+    )
+    return basis, whole
+
+
+def test_left_out_errors_are_those_of_fits_without_the_block():
+    basis, whole = problem_of()
+    penalty = basis.penalty(np.ones(3))
+    found = whole.solve(penalty).left_out()
+    prior = np.diag(np.concatenate([penalty, whole.others_precision]))
+    starts = np.cumsum(whole.sizes) - whole.sizes
+    for start, size in zip(starts, whole.sizes, strict=True):
+        block = np.arange(start, start + size)
+        rest = np.setdiff1d(np.arange(60), block)
+        rows, samples = whole.functions[rest], whole.samples[rest]
+        normal = rows.T @ rows + prior
+        amounts = np.linalg.solve(normal, rows.T @ samples)
+        error = whole.samples[block] - whole.functions[block] @ amounts
+        np.testing.assert_allclose(found.error[block], error, rtol=1e-5, atol=1e-6)
+        spread = np.linalg.solve(normal, whole.functions[block].T)
+        covariance = np.eye(size) + whole.functions[block] @ spread
+        np.testing.assert_allclose(found.deviation[block], np.sqrt(np.diag(covariance)), rtol=1e-5)
+        square = error @ np.linalg.solve(covariance, error)
+        assert (found.unit[block] ** 2).sum() == pytest.approx(square, rel=1e-4)
+
+
+def test_effective_parameters_and_residuals_by_the_hat_matrix():
+    basis, whole = problem_of()
+    penalty = basis.penalty(np.ones(3))
+    fit = whole.solve(penalty)
+    prior = np.diag(np.concatenate([penalty, whole.others_precision]))
+    hat = whole.functions @ np.linalg.solve(whole.gram + prior, whole.functions.T)
+    rest = whole.samples - hat @ whole.samples
+    assert fit.effective_parameters == pytest.approx(np.trace(hat))
+    assert fit.residual_square == pytest.approx(rest @ rest)
+    expected = 60 * (rest @ rest) / (60 - np.trace(hat)) ** 2
+    assert gcv_score(fit) == pytest.approx(expected)
+    np.testing.assert_allclose(
+        fit.variance(whole.functions),
+        np.diag(whole.functions @ np.linalg.inv(whole.gram + prior) @ whole.functions.T),
+    )
+
+
+def test_the_penalty_chosen_predicts_as_well_as_any():
+    basis, whole = problem_of(noise=0.1)
+    chosen = choose_smoothness(whole, basis)
+    scores = [
+        (whole.solve(10.0**power * basis.penalty(np.ones(3))).left_out().error ** 2).mean()
+        for power in np.arange(-8.0, 12.0, 0.25)
+    ]
+    assert chosen.score <= min(scores) * 1.02
+    assert chosen.score < 0.5 * max(scores)
+
+
+def test_noise_alone_is_smoothed_away():
+    basis, whole = problem_of(others=0)
+    noise = np.random.default_rng(8).standard_normal(60)
+    flat = PenalisedProblem(
+        whole.gram,
+        whole.functions.T @ noise,
+        float(noise @ noise),
+        60,
+        np.zeros(0),
+        whole.functions,
+        noise,
+        whole.sizes,
+    )
+    assert choose_smoothness(flat, basis).fit.effective_parameters < 6.0
+
+
+def test_hull_and_neighbours_decide_which_cells_are_supported():
+    grid = VoxelGrid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (6, 6, 6))
+    corners = cell_corners(grid)
+    everything = supported_cells(grid, corners, 4, 1.0)
+    assert everything.all()
+    half = corners[corners @ [1.0, 1.0, 0.0] <= 6.0]
+    found = supported_cells(grid, half, 4, 1.0)
+    assert found[0, 0].all()
+    assert not found[5, 5].any()
+    assert not found[4, 4].any()
+    # Far from all but one point, inside the hull.
+    sparse = np.concatenate([corners[corners[:, 0] < 2.0], [[6.0, 3.0, 3.0]]])
+    assert not supported_cells(grid, sparse, 4, 0.5)[4].any()
+
+
+def test_a_flat_hull_holds_nothing():
+    flat = np.random.default_rng(0).uniform(0.0, 1.0, (20, 3)) * [1.0, 1.0, 0.0]
+    assert not within_hull(flat, flat).any()

@@ -8,7 +8,7 @@ own algorithm, and on a GPU CuPy's arrays. On a GPU "on the device" leaves the c
 
 The limit is arithmetic, not memory: a point reads 64 bytes and writes 112, and the table stays in
 the caches, while one setting-up of its equations takes ``flops_of_equations`` additions and
-multiplications (1,984 for degree 3, 792 for degree 1), and there are about six of them. Divisions
+multiplications (1,950 for degree 3, 630 for degree 1), and there are about six of them. Divisions
 and roots are counted as one. Operations are of the algorithm, not of the compiled code; how many
 times equations are set up is counted by the numba peer. The limit is what the CPUs reach in a
 product of matrices, on a GPU in chains of fused multiply-adds, measured in the same run; the
@@ -108,11 +108,11 @@ def run(device: str | None = None, seconds: float = 1.0, most: int = SIZES[-1]) 
     rows: list[Row] = []
     limit = None
     for degree in (3, 1):
-        task = task_of(degree)  # type: ignore[arg-type]
+        task = task_of(degree)
         solver = PointSolver(task.cameras, None, task.corrections, device)
         if limit is None:
             limit = _limits(solver)
-        peers = list(_cpu_peers(task))
+        peers = list(cpu_peers(task))
         own = numba_method(task)
         setups = 0.0
         if own is not None:
@@ -142,7 +142,8 @@ def run(device: str | None = None, seconds: float = 1.0, most: int = SIZES[-1]) 
     return rows
 
 
-def _cpu_peers(task: Task) -> list[tuple[str, Callable[[Array], Any]]]:
+def cpu_peers(task: Task) -> list[tuple[str, Callable[[Array], Any]]]:
+    """Return what a user would write with NumPy and SciPy: readings to positions and more."""
     interpolators = [("map_coordinates", by_map_coordinates(task, np, map_coordinates))]
     if task.corrections.degree == 1:
         interpolators.append(("RegularGridInterpolator", by_regular_grid(task)))

@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
-from benchmarks import agreement, points, signal
+from benchmarks import agreement, points, reconstruct, signal
 from benchmarks.bare_stream import running_bare_stream
 from benchmarks.live import measure, summarise
+from benchmarks.reconstruct_peers import numba_method
 from benchmarks.signal_lines import measured_lines
+from compute.mapping.table import Degree
+from compute.reconstruction.solver import PointSolver
 
 
 def test_points_methods_solve_the_same_problem() -> None:
@@ -82,3 +85,30 @@ def test_the_bare_websocket_is_a_stream_like_ours() -> None:
         figures = measure(url, 0.3)
     assert figures.lost == 0
     assert figures.frames > 100
+
+
+@pytest.mark.parametrize("degree", [1, 3])
+def test_reconstruct_methods_solve_the_same_problem(degree: Degree) -> None:
+    task = reconstruct.task_of(degree)
+    readings = reconstruct.readings_of(task, 300)
+    solver = PointSolver(task.cameras, None, task.corrections, "cpu")
+    ours = solver.solve(readings, np.full(4, reconstruct.SIGMA_PX))
+    assert (ours.flags == 0).all()
+    own = numba_method(task)
+    assert own is not None
+    position, covariance, setups = own(readings)
+    assert np.abs(position - ours.position_mm).max() < 1e-6
+    assert np.allclose(covariance, ours.covariance_mm2, rtol=1e-5, atol=1e-9)
+    assert 4 <= setups.mean() <= 10
+    # Weights without the correction's slope: the same within a tenth of the deviation.
+    deviation = np.sqrt(np.trace(ours.covariance_mm2, axis1=1, axis2=2))
+    peers = reconstruct.cpu_peers(task)
+    assert len(peers) == (2 if degree == 1 else 1)
+    for _, solve in peers:
+        off = np.abs(solve(readings)[0] - ours.position_mm).max(axis=1)
+        assert (off < 0.1 * deviation).all()
+
+
+def test_reconstruct_counts_what_a_point_takes() -> None:
+    assert reconstruct.flops_of_equations(3) == 1950
+    assert reconstruct.flops_of_equations(1) == 630

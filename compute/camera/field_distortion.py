@@ -45,6 +45,8 @@ class FieldDistortion:
         row_behind_mm: how far behind the lens the row of pixels is, its glass taken as air, about
             the principal distance [mm]; known, not fitted. 0 where it is not known: then v is
             taken to the lens's middle, which costs some hundredths of a pixel in a wide field.
+        derived: the coefficients follow from a camera of fewer parameters and are not fitted one
+            by one (``compute.camera.planar``): then degenerate terms may be among them.
 
     Raises:
         InvalidParameter: terms that are refused by ``check_terms``, or not one coefficient each.
@@ -54,9 +56,10 @@ class FieldDistortion:
     coefficients: tuple[float, ...]
     offset_y_mm: float = 0.0
     row_behind_mm: float = 0.0
+    derived: bool = False
 
     def __post_init__(self) -> None:
-        check_terms(self.terms)
+        check_terms(self.terms, fitted=not self.derived)
         if len(self.coefficients) != len(self.terms):
             raise InvalidParameter(
                 f"{len(self.coefficients)} coefficients for {len(self.terms)} terms; give one each",
@@ -90,14 +93,14 @@ def all_terms(order: int) -> tuple[Term, ...]:
     )
 
 
-def check_terms(terms: Sequence[Term]) -> None:
-    """Refuse terms that are degenerate with the camera, negative, or given twice.
+def check_terms(terms: Sequence[Term], *, fitted: bool = True) -> None:
+    """Refuse terms that are degenerate with the camera if fitted, negative, or given twice.
 
     Raises:
         InvalidParameter: such a term.
     """
     for number, term in enumerate(terms):
-        if term in DEGENERATE:
+        if fitted and term in DEGENERATE:
             raise InvalidParameter(
                 f"terms has u^{term[0]} v^{term[1]}, which is degenerate with "
                 f"{DEGENERATE[term]}; leave it out",

@@ -12,7 +12,12 @@ from compute.calibration.adjustment.equations import (
     State,
     build,
 )
-from compute.calibration.adjustment.gauge import centring, cloud_datum, rigid_motion_slopes
+from compute.calibration.adjustment.gauge import (
+    centring,
+    cloud_datum,
+    complement,
+    rigid_motion_slopes,
+)
 from compute.calibration.adjustment.poses import PoseSet
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
@@ -96,7 +101,7 @@ def global_covariance(
         motion = centre @ motion / scale[:, None]
     _check_determined(scaled, motion, _names(state, varied))
     if free_frame:
-        basis = _complement(scale[:, None] * (change.T @ _datum(state, len(varied))))
+        basis = complement(scale[:, None] * (change.T @ _datum(state, len(varied))))
     else:
         basis = np.eye(len(scaled))
     inverse = basis @ np.linalg.inv(basis.T @ scaled @ basis) @ basis.T
@@ -118,7 +123,7 @@ def _carried(spread: NormalEquations, reduced: ReducedEquations) -> Array:
 
 
 def _check_determined(scaled: Array, motion: Array | None, names: Sequence[str]) -> None:
-    basis = np.eye(len(scaled)) if motion is None else _complement(motion)
+    basis = np.eye(len(scaled)) if motion is None else complement(motion)
     values, vectors = np.linalg.eigh(basis.T @ scaled @ basis)
     if values[0] > DETERMINED_RATIO * values[-1]:
         return
@@ -131,13 +136,6 @@ def _check_determined(scaled: Array, motion: Array | None, names: Sequence[str])
         "poses that differ in place and direction, or a length",
         parameters=tuple(names[index] for index in order),
     )
-
-
-def _complement(columns: Array) -> Array:
-    """Return orthonormal columns orthogonal to the given ones."""
-    basis, _ = np.linalg.qr(columns, mode="complete")
-    rest: Array = basis[:, columns.shape[1] :]
-    return rest
 
 
 def _datum(state: State, size: int) -> Array:

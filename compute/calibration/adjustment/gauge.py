@@ -92,3 +92,10 @@ def centring(models: Sequence[SensorModel], middle_mm: Array) -> Array:
             change[first + 7, first + 2 : first + 5] = (-c, 0.0, a)
         first += model.parameter_count
     return change
+
+
+def complement(columns: Array) -> Array:
+    """Return orthonormal columns orthogonal to the given ones."""
+    basis, _ = np.linalg.qr(columns, mode="complete")
+    rest: Array = basis[:, columns.shape[1] :]
+    return rest

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from compute.calibration.adjustment.covariance import check_poses, global_covariance
 from compute.calibration.adjustment.equations import State, build
+from compute.calibration.adjustment.gauge import complement, rigid_motion_slopes
 from compute.calibration.adjustment.loss import (
     HUBER_LIMIT,
     Loss,
@@ -86,7 +87,7 @@ def adjust(
         varied[:count] = free
     if free_frame and not varied.all():
         raise InvalidParameter("a free frame needs all parameters free; held ones fix the frame")
-    search = _Search(state, prior, varied, progress, max_iterations)
+    search = _Search(state, prior, varied, progress, max_iterations, free_frame)
     limit = HUBER_LIMIT if loss == "robust" else np.inf
     try:
         search.all_stages(loss, 0.0)
@@ -102,6 +103,7 @@ def approach(
     pose_sets: Sequence[PoseSet],
     *,
     prior: SensorPrior | None = None,
+    free_frame: bool = False,
     loss: Loss = "linear",
     steps: int = ROUGH_STEPS,
 ) -> State:
@@ -116,7 +118,7 @@ def approach(
     state = _checked(models, pose_sets)
     count = sum(model.parameter_count for model in state.models)
     count += sum(poses.shape.freedom for poses in state.pose_sets)
-    search = _Search(state, prior, np.ones(count, dtype=np.bool_), None, steps)
+    search = _Search(state, prior, np.ones(count, dtype=np.bool_), None, steps, free_frame)
     with suppress(NoConvergence):
         search.all_stages(loss, ROUGH)
     return search.state
@@ -131,6 +133,7 @@ class _Search:
     varied: NDArray[np.bool_]
     progress: Progress | None
     max_iterations: int
+    free_frame: bool
     iterations: int = 0
 
     def __post_init__(self) -> None:
@@ -157,6 +160,13 @@ class _Search:
             scale = min(robust_scale(self.state, self.residuals), scale / 1.5)
         self.run(HUBER_LIMIT, max(settled, ROBUST_SETTLED))
 
+    def _motion(self) -> Array:
+        """Return the globals' slopes by rigid motions of the world, shape (F, 6)."""
+        slopes = rigid_motion_slopes(self.state.models)
+        motion = np.zeros((len(self.varied), 6))
+        motion[: len(slopes)] = slopes
+        return motion
+
     def run(self, limit: float, settled: float) -> None:
         """Step until the next one promises less than a share ``settled`` of the loss."""
         damping = 1e-4
@@ -164,6 +174,9 @@ class _Search:
         while True:
             weights = loss_weights(self.residuals, limit)
             equations = build(self.state, weights, self.prior)
+            # A prior that knows the frame a little would turn the whole world in the end, by
+            # steps that are straight where the way is bent.
+            motion = self._motion() if self.free_frame else None
             while True:
                 if self.progress is not None:
                     self.progress(min(self.iterations / self.max_iterations, 1.0), "adjustment")
@@ -178,6 +191,7 @@ class _Search:
                 step[self.varied] = _solved(
                     reduced.normal[np.ix_(self.varied, self.varied)],
                     -reduced.gradient[self.varied],
+                    motion,
                 )
                 local = reduced.local_steps(equations, step)
                 promised = -float(equations.gradient @ step) - sum(
@@ -193,8 +207,11 @@ class _Search:
                 better = new <= loss
                 ending = damping <= UNDAMPED and promised <= SETTLED + (settled + ROUNDING) * loss
                 if better:
+                    # Less than was promised: the way bends, and shorter steps follow it.
+                    kept = (loss - new) / promised if promised > 0.0 else 1.0
+                    damping *= 0.1 if kept > 0.75 else 1.0 if kept > 0.25 else 3.0
+                    damping = max(damping, 1e-12)
                     self.state, self.residuals, loss = trial, residuals, new
-                    damping = max(damping * 0.1, 1e-12)
                     break
                 if ending:
                     break
@@ -225,12 +242,16 @@ def _checked(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> Sta
     return State(tuple(models), tuple(pose_sets))
 
 
-def _solved(normal: Array, right: Array) -> Array:
-    """Solve the damped equations, scaled to a diagonal of 1."""
+def _solved(normal: Array, right: Array, motion: Array | None) -> Array:
+    """Solve the damped equations, scaled to a diagonal of 1, without rigid motions (F, 6)."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), np.finfo(np.float64).tiny))
     scaled = normal * scale[:, None] * scale
     try:
-        return np.asarray(scale * np.linalg.solve(scaled, scale * right), dtype=np.float64)
+        if motion is None:
+            return np.asarray(scale * np.linalg.solve(scaled, scale * right), dtype=np.float64)
+        basis = complement(motion / scale[:, None])
+        inner = np.linalg.solve(basis.T @ scaled @ basis, basis.T @ (scale * right))
+        return np.asarray(scale * (basis @ inner), dtype=np.float64)
     except np.linalg.LinAlgError:
         return np.zeros_like(right)
 

@@ -106,6 +106,15 @@ def in_pose_frame(adjusted: Adjusted, origin_mm: Array, index: int = 0, pose: in
     )
 
 
+def beside(models: Sequence[SensorModel], start: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
+    """Return cameras moved as one rigid device to where the start's are nearest.
+
+    A free frame wanders; what is known of the start's cameras is known in the start's.
+    """
+    rotation, translation = _between(models, start)
+    return tuple(moved_world(model, rotation, translation) for model in models)
+
+
 def _between(models: Sequence[SensorModel], start: Sequence[SensorModel]) -> tuple[Array, Array]:
     """Return the rigid motion that takes cameras nearest to those of the start."""
     turns = np.array(

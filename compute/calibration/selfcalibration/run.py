@@ -18,7 +18,7 @@ from compute.calibration.selfcalibration.checks import (
     check_spread,
     device_scale,
 )
-from compute.calibration.selfcalibration.frame import Placed, in_pose_frame, in_start_frame
+from compute.calibration.selfcalibration.frame import Placed, beside, in_pose_frame, in_start_frame
 from compute.calibration.selfcalibration.noise import (
     SIGMA_FLOOR_PX,
     sensor_sigma,
@@ -204,7 +204,7 @@ class _Work:
         adjusted = adjust(
             self.near, pose_sets, prior=slit_prior(self.start, pose_sets), free_frame=True
         )
-        self.near = adjusted.models
+        self.near = beside(adjusted.models, self.start)
         return adjusted
 
     def scale_sigma(self, factors: Array) -> None:

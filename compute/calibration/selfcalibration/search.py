@@ -11,6 +11,7 @@ from compute.calibration.adjustment.loss import HUBER_LIMIT
 from compute.calibration.adjustment.poses import PoseSet
 from compute.calibration.adjustment.prior import SensorPrior
 from compute.calibration.adjustment.solve import approach
+from compute.calibration.selfcalibration.frame import beside
 from compute.calibration.selfcalibration.screening import screened
 from compute.calibration.selfcalibration.starts import Start, selected, start_poses
 from compute.calibration.selfcalibration.subjects import Recording
@@ -95,10 +96,13 @@ def near_solution(
             starts = _placed(now, recordings, sigma)
         blurred = [_blurred(start.poses, coarse) for start in starts]
         now = approach(now, blurred, prior=prior, loss="robust").models
+    now = beside(now, models)
     for _ in range(ROUNDS):
         pose_sets = [start.poses for start in _placed(now, recordings, sigma)]
-        state = approach(now, pose_sets, prior=slit_prior(models, pose_sets), loss="robust")
-        now = state.models
+        state = approach(
+            now, pose_sets, prior=slit_prior(models, pose_sets), free_frame=True, loss="robust"
+        )
+        now = beside(state.models, models)
         sizes = np.concatenate([np.abs(one).ravel() for one in state.residuals()])
         beyond = int((sizes > HUBER_LIMIT).sum())
         if beyond < FAR_OFF * sum(int(poses.seen.sum()) for poses in pose_sets):

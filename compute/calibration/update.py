@@ -79,13 +79,17 @@ def update_calibration(
     )
     adjusted = adjust(models, [poses], prior=SensorPrior(models, information), free=free)
     covariance = adjusted.sensor_covariance + (old if relative else 0.0)
+    counts = [model.parameter_count for model in models]
+    touched = [part.any() for part in np.split(free, np.cumsum(counts)[:-1])]
     residuals = np.full(still.readings_px.shape, np.nan)
     residuals[compared.kept] = adjusted.residuals[0][:, 0] * compared.noise_px
     return Calibration(
         "update",
         tuple(
-            replace(fit, model=model)
-            for fit, model in zip(calibration.sensors, adjusted.models, strict=True)
+            replace(fit, model=model) if changed else fit
+            for fit, model, changed in zip(
+                calibration.sensors, adjusted.models, touched, strict=True
+            )
         ),
         tuple(tuple(row) for row in covariance.tolist()),
         tuple(tuple(None if np.isnan(x) else x for x in row) for row in residuals.tolist()),

@@ -16,8 +16,8 @@ MAX_ITERATIONS: Final = 200
 PROMISE: Final = 1e-9
 """Decrease, of the mean square, that is not worth a step: its length is less than 3e-5 standard
 deviations, as the residuals show them."""
-ROUNDING: Final = 1e-13
-"""Rounding of a residual, of the readings; a decrease below its square is none."""
+ROUNDING: Final = 2e-15
+"""Rounding of a residual, of the readings: what the sum of squares hides by it is no decrease."""
 STUCK: Final = 1e12
 
 
@@ -78,7 +78,7 @@ def minimise(
     count = len(cameras)
     used = weights > 0.0
     readings = np.where(used, readings_px, 0.0)
-    least = ROUNDING**2 * ((readings * weights) ** 2).sum(axis=0)
+    rounding = ROUNDING * np.sqrt(((readings * weights) ** 2).sum(axis=0))
     state = cameras
     equations = _Equations.of(state, points_mm, readings, weights, used, prior)
     damping = np.full(count, 1e-4)
@@ -99,7 +99,8 @@ def minimise(
         equations.put(index[better], new.rows(np.flatnonzero(better)))
         state = _put(state, index[better], trial.rows(np.flatnonzero(better)))
         # Under little damping a step that promises nothing has arrived, better or not.
-        done = (promised <= worth[index] * old + least[index]) & (damping[index] <= 1e-3)
+        hidden = rounding[index] * (2.0 * np.sqrt(old) + rounding[index])
+        done = (promised <= worth[index] * old + hidden) & (damping[index] <= 1e-3)
         damping[index] = np.maximum(damping[index] * np.where(better, 0.1, 10.0), 1e-14)
         settled[index[done]] = True
         index = index[~done & (damping[index] < STUCK)]

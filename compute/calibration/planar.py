@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.checks import check_observations
+from compute.calibration.levenberg import ROUNDING
 from compute.calibration.metric import fit_metric
 from compute.camera.model import SensorGeometry, SensorModel, vector3
 from compute.camera.planar import PlanarCamera
@@ -160,7 +161,7 @@ def _minimised(
     """Return the camera at the minimum, its Jacobian (M, Q) and residuals (M,), both weighted."""
     jacobian, residuals = _equations(camera, points, readings, weights, square)
     cost = float(residuals @ residuals)
-    least = (1e-13 * float(np.linalg.norm(np.nan_to_num(readings) * weights))) ** 2
+    rounding = ROUNDING * float(np.linalg.norm(np.nan_to_num(readings) * weights))
     damping = 1e-4
     for _ in range(MAX_STEPS):
         scale = np.linalg.norm(jacobian, axis=0)
@@ -174,7 +175,8 @@ def _minimised(
         new_cost = float(new @ new)
         if new_cost <= cost:
             camera, jacobian, residuals, cost = trial, new_jacobian, new, new_cost
-        if promised <= SETTLED * cost / len(residuals) + least and damping <= 1e-3:
+        hidden = rounding * (2.0 * np.sqrt(cost) + rounding)
+        if promised <= SETTLED * cost / len(residuals) + hidden and damping <= 1e-3:
             return camera, jacobian, residuals
         damping = max(damping * (0.1 if new_cost <= cost else 10.0), 1e-14)
         if damping > 1e12:

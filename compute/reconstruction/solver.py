@@ -135,7 +135,7 @@ class PointSolver:
         if len(readings) == 0:
             return empty_points(0, self.sensors)
         if sigma.ndim == 1:
-            sigma = np.broadcast_to(sigma, readings.shape)
+            sigma = np.repeat(sigma[None], len(readings), axis=0)
         return self.launch.solve(readings, np.ascontiguousarray(sigma))
 
 

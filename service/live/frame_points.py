@@ -101,7 +101,8 @@ def frame_points(
     readings, deviations = np.array(rows), np.array(sigmas)
     points = active.solver.solve(readings, deviations)
     found_flags = np.where(ambiguous, int(PointFlag.AMBIGUOUS), 0)
-    from_doubtful = np.isin(readings, doubtful).any(axis=1)
-    found_flags |= np.where(from_doubtful, int(PointFlag.DOUBTFUL_PEAK), 0)
+    if len(doubtful):
+        from_doubtful = np.isin(readings, doubtful).any(axis=1)
+        found_flags |= np.where(from_doubtful, int(PointFlag.DOUBTFUL_PEAK), 0)
     points = replace(points, flags=(points.flags | found_flags).astype(np.int32))
     return points, np.array(owner, dtype=np.intp)

@@ -1,5 +1,6 @@
 """Launches of the point kernel: on the CPU in threads, on CUDA with copies or without."""
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -19,6 +20,8 @@ points: the copies' starts take longer than that."""
 POINTS_PER_LAUNCH: Final = 1 << 18
 """Most points in the buffers on CUDA; of more, one part after another is brought there."""
 THREADS_OF_A_BLOCK: Final = 64
+POINT_BYTES: Final = 108
+"""A point's position, covariance, chi2 and flags."""
 _MOVING: Final = 7
 """Addresses of a job that change from batch to batch, the first of its record."""
 
@@ -29,13 +32,14 @@ def address(array: NDArray[Any]) -> int:
 
 
 def empty_points(count: int, sensors: int) -> PointBatch:
-    """Return a batch to be filled."""
+    """Return a batch to be filled; its arrays lie one after another in one block of memory."""
+    block = np.empty(count * (POINT_BYTES + sensors), dtype=np.uint8)
     return PointBatch(
-        np.empty((count, 3)),
-        np.empty((count, 3, 3)),
-        np.empty(count),
-        np.empty((count, sensors), dtype=np.bool_),
-        np.empty(count, dtype=np.int32),
+        np.ndarray((count, 3), np.float64, block),
+        np.ndarray((count, 3, 3), np.float64, block, 24 * count),
+        np.ndarray((count,), np.float64, block, 96 * count),
+        np.ndarray((count, sensors), np.bool_, block, POINT_BYTES * count),
+        np.ndarray((count,), np.int32, block, 104 * count),
     )
 
 
@@ -57,6 +61,7 @@ class CpuLaunch:
         self._threads = check_threads(threads)
         self._jobs = np.repeat(job, self._threads)
         self._words = self._jobs.view(np.uint64).reshape(self._threads, -1)
+        self._counts = [1] * self._threads
         first = address(self._jobs)
         self._launches = [
             wp.launch(
@@ -73,22 +78,22 @@ class CpuLaunch:
         """Return the points of readings (N, S) and their standard deviations, C-contiguous."""
         count, sensors = len(readings), self._sensors
         points = empty_points(count, sensors)
-        arrays = (
-            readings,
-            sigma,
-            points.position_mm,
-            points.covariance_mm2,
-            points.chi2,
-            points.used,
-            points.flags,
+        base = address(points.position_mm)
+        addresses = (
+            address(readings),
+            address(sigma),
+            base,
+            base + 24 * count,
+            base + 96 * count,
+            base + POINT_BYTES * count,
+            base + 104 * count,
         )
-        addresses = [address(array) for array in arrays]
         parts = max(min(self._threads, count // POINTS_PER_THREAD), 1)
         if parts == 1:
             self._prepare(0, addresses, count)
             self._launches[0].launch()
             return points
-        strides = [array.strides[0] for array in arrays]
+        strides = (8 * sensors, 8 * sensors, 24, 72, 8, sensors, 4)
         starts = [count * part // parts for part in range(parts + 1)]
         for part in range(parts):
             moved = [
@@ -102,9 +107,12 @@ class CpuLaunch:
             future.result()
         return points
 
-    def _prepare(self, part: int, addresses: list[int], count: int) -> None:
+    def _prepare(self, part: int, addresses: Sequence[int], count: int) -> None:
         self._words[part, :_MOVING] = addresses
-        self._launches[part].set_dim(count)
+        # It takes as long as a few points.
+        if self._counts[part] != count:
+            self._counts[part] = count
+            self._launches[part].set_dim(count)
 
 
 class CudaLaunch:

@@ -192,7 +192,13 @@ class CudaLaunch:
         self.wait()
 
     def _collect(self, host: list[NDArray[Any]], points: PointBatch, first: int, end: int) -> None:
-        filled = (points.position_mm, points.covariance_mm2, points.chi2, points.used, points.flags)
+        filled: list[NDArray[Any]] = [
+            points.position_mm,
+            points.covariance_mm2,
+            points.chi2,
+            points.used,
+            points.flags,
+        ]
         for source, target in zip(host[2:], filled, strict=True):
             part = target[first:end]
             part[...] = source[: part.size].reshape(part.shape)

@@ -42,10 +42,12 @@ class Evidence:
     Args:
         pixels: the sensor's pixels.
         scale: what is known of the deviations.
+        parameters: of the camera.
     """
 
     pixels: int
     scale: ScalePrior
+    parameters: int = WIDTH
 
     def log_likelihood(
         self, chi2: Array, kept: Array, log_determinant: Array, log_sigma: Array, wrong: Array
@@ -59,7 +61,7 @@ class Evidence:
             log_sigma: sum of the logarithms of their deviations [px].
             wrong: number of readings left out.
         """
-        freedom = kept - WIDTH
+        freedom = kept - self.parameters
         common = -0.5 * log_determinant - log_sigma - wrong * np.log(self.pixels)
         common = common - 0.5 * freedom * LOG_TWO_PI
         prior = self.scale.freedom
@@ -80,5 +82,5 @@ class Evidence:
         prior = self.scale.freedom
         if np.isinf(prior):
             return self.scale.factor
-        freedom = max(kept - WIDTH, 0)
+        freedom = max(kept - self.parameters, 0)
         return float(np.sqrt((prior * self.scale.factor**2 + chi2) / (prior + freedom)))

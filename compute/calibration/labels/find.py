@@ -1,8 +1,8 @@
 """Find label errors in control data: which readings carry a label that is not theirs."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from math import log
+from dataclasses import dataclass, replace
+from math import log, pi
 from statistics import median
 from typing import Final
 
@@ -15,7 +15,7 @@ from compute.calibration.labels.common import DeviceLabels, search_device
 from compute.calibration.labels.evidence import KNOWN, ScalePrior
 from compute.calibration.labels.finding import LabelErrorKind, LabelFinding
 from compute.calibration.labels.hypothesis import Hypothesis
-from compute.calibration.labels.projective import WIDTH
+from compute.calibration.labels.lens import with_lens
 from compute.calibration.labels.report import LabelReport
 from compute.calibration.labels.sensor_search import (
     SensorLabels,
@@ -63,9 +63,9 @@ def find_label_errors(
         readings_px: readings, shape (N, S) [px]; NaN where a sensor did not see the point.
         sensors: the device's sensors in order.
         sigma_px: standard deviations of the readings, shape (N, S) [px]. None: one for each
-            sensor, not known but alike. Given ones that even the best explanation's residuals
-            exceed beyond chance (a lens with distortion) are multiplied by a common factor,
-            found along with the errors.
+            sensor, not known but alike. Where given ones are contradicted by most of the
+            readings, a lens with distortion is thought of (36 readings at least), and if that
+            does not do, a common factor of the deviations.
         progress: told the share done and what is done; what it raises passes through.
 
     Raises:
@@ -94,11 +94,12 @@ def find_label_errors(
         if progress is not None:
             progress(column / len(data), f"labels of {names[column]}")
         if given is not None and contradicted(one):
-            one = data[column] = _scaled(one, UNKNOWN_FACTOR)
+            one = data[column] = _freed(one)
         found.append(search_labels(one))
     if given is None:
-        usual = ScalePrior(ALIKE, median(labels.factor for labels in found))
-        data = [_scaled(one, usual) for one in data]
+        chosen = [_bent(one, labels) for one, labels in zip(data, found, strict=True)]
+        usual = ScalePrior(ALIKE, median(labels.factor for _, labels in chosen))
+        data = [replace(one, scale=usual) for one, _ in chosen]
         found = [search_labels(one) for one in data]
     else:
         doubted = [_doubted(one, labels) for one, labels in zip(data, found, strict=True)]
@@ -107,26 +108,64 @@ def find_label_errors(
 
 
 def _doubted(data: SensorReadings, known: SensorLabels) -> tuple[SensorReadings, SensorLabels]:
-    """Leave the factor of the stated deviations free where that explains the readings better.
+    """Take a lens's distortion, or other deviations, where they explain the readings better.
 
-    Where a lens's distortion is many deviations, as an example, no number of wrong readings is
-    a good explanation.
+    Where a distortion is many deviations no number of wrong readings is a good explanation.
     """
     best = known.best
-    if data.scale is not KNOWN:
+    if data.scale is not KNOWN or data.extra is not None:
         return data, known
-    ordinary = best.chi2 <= chi2_distribution.isf(SUSPICIOUS, max(best.kept - WIDTH, 1))
+    ordinary = best.chi2 <= chi2_distribution.isf(SUSPICIOUS, max(best.kept - data.camera.width, 1))
     if ordinary and best.hypothesis.size < 2:
         return data, known
-    free = _scaled(data, UNKNOWN_FACTOR)
+    free = _freed(data)
     labels = search_labels(free)
-    if labels.best.log_posterior + DISBELIEVED > best.log_posterior:
-        return free, labels
-    return data, known
+    cost = 0.0 if free.scale is KNOWN else DISBELIEVED
+    return (
+        (free, labels) if _schwarz(free, labels) + cost > _schwarz(data, known) else (data, known)
+    )
 
 
-def _scaled(data: SensorReadings, scale: ScalePrior) -> SensorReadings:
-    return SensorReadings(data.points_mm, data.readings_px, data.sigma_px, data.pixels, scale)
+def _bent(data: SensorReadings, labels: SensorLabels) -> tuple[SensorReadings, SensorLabels]:
+    """Take a lens with distortion where it explains the readings better."""
+    bent = with_lens(data)
+    if bent is None:
+        return data, labels
+    other = search_labels(bent)
+    better = _schwarz(bent, other) > _schwarz(data, labels)
+    return (bent, other) if better else (data, labels)
+
+
+def _schwarz(data: SensorReadings, labels: SensorLabels) -> float:
+    """Return the best explanation's log posterior, fit to compare cameras of other forms.
+
+    Its parameters are as likely beforehand as one reading makes them (Schwarz's criterion,
+    doi:10.1214/aos/1176344136), instead of evenly.
+    """
+    best, width = labels.best, data.camera.width
+    sign, log_determinant = np.linalg.slogdet(np.linalg.inv(_covariance(data, labels)))
+    return float(
+        best.log_posterior + 0.5 * log_determinant - 0.5 * width * log(2.0 * pi * best.kept)
+        if sign > 0.0
+        else -np.inf
+    )
+
+
+def _covariance(data: SensorReadings, labels: SensorLabels) -> Array:
+    """Return the covariance of the camera's parameters under the best explanation."""
+    _, slopes = data.camera.linearised(labels.best.theta[None])
+    mended, sigma = labels.best.hypothesis.mended(data.readings_px, data.sigma_px)
+    kept = np.isfinite(mended)
+    weighted = slopes[0, kept] / sigma[kept, None]
+    return np.asarray(np.linalg.inv(weighted.T @ weighted))
+
+
+def _freed(data: SensorReadings) -> SensorReadings:
+    """Return readings that may have distortion, and, if that does not do, any deviation."""
+    bent = with_lens(data)
+    if bent is None:
+        return replace(data, scale=UNKNOWN_FACTOR)
+    return replace(bent, scale=UNKNOWN_FACTOR) if contradicted(bent) else bent
 
 
 def _report(found: DeviceLabels, readings_px: Array, names: Sequence[str]) -> LabelReport:
@@ -185,10 +224,7 @@ def _missed(
     """Return by how much readings miss what the camera of an explanation reads at points."""
     best = labels.best
     fitted, slopes = data.camera.linearised(best.theta[None])
-    mended, sigma = best.hypothesis.mended(data.readings_px, data.sigma_px)
-    kept = np.isfinite(mended)
-    weighted = slopes[0, kept] / sigma[kept, None]
-    covariance = np.linalg.inv(weighted.T @ weighted)
+    covariance = _covariance(data, labels)
     usual = float(np.median(data.sigma_px[data.seen]))
     px: list[float | None] = []
     in_sigma: list[float | None] = []

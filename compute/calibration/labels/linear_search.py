@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from compute.calibration.labels.evidence import Evidence
 from compute.calibration.labels.hypothesis import WRONG_CHANCE, Hypothesis, log_exchange
-from compute.calibration.labels.projective import WIDTH
 
 Array = NDArray[np.float64]
 
@@ -33,7 +32,7 @@ class LinearCamera:
     """A camera linearised at a solution, over the n readings that the sensor has.
 
     Args:
-        basis: orthonormal columns that span J over sigma, shape (n, 7).
+        basis: orthonormal columns that span J over sigma, shape (n, width).
         fitted: what the camera reads, shape (n,) [px].
         readings: what the sensor read, shape (n,) [px].
         sigma: deviations, shape (n,) [px].
@@ -125,7 +124,9 @@ def _work_out(camera: LinearCamera, explained: Sequence[Hypothesis]) -> _States:
     misfit = np.where(kept, np.where(kept, readings, 0.0) - camera.fitted, 0.0) / camera.sigma
     basis = camera.basis * kept[..., None]
     normal = basis.swapaxes(1, 2) @ basis
-    hat = basis @ np.linalg.solve(normal + 1e-12 * np.eye(WIDTH), basis.swapaxes(1, 2))
+    hat = basis @ np.linalg.solve(
+        normal + 1e-12 * np.eye(camera.evidence.parameters), basis.swapaxes(1, 2)
+    )
     redundancy = np.eye(n) * kept[:, None, :] - hat
     residual = (redundancy @ misfit[..., None])[..., 0]
     return _States(
@@ -153,7 +154,7 @@ def _score(camera: LinearCamera, states: _States) -> Array:
         np.array([len(h.wrong) for h in states.explained]),
     )
     score = likelihood + _prior(camera, states.explained)
-    return np.where(states.kept > WIDTH, score, -np.inf)
+    return np.where(states.kept > camera.evidence.parameters, score, -np.inf)
 
 
 def _more(camera: LinearCamera, states: _States, count: int) -> list[tuple[float, Hypothesis]]:
@@ -162,7 +163,7 @@ def _more(camera: LinearCamera, states: _States, count: int) -> list[tuple[float
     own = np.einsum("bii->bi", states.redundancy)
     wrong = np.array([len(h.wrong) for h in states.explained])[:, None]
     prior = _prior(camera, states.explained)[:, None]
-    usable = states.free & (own > TIED) & (states.kept[:, None] - 1 > WIDTH)
+    usable = states.free & (own > TIED) & (states.kept[:, None] - 1 > camera.evidence.parameters)
     safe = np.where(usable, own, 1.0)
     left_out = camera.evidence.log_likelihood(
         np.maximum(states.chi2[:, None] - states.residual**2 / safe, 0.0),

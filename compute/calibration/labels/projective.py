@@ -26,11 +26,19 @@ class ProjectiveCamera:
         points: control points in the frame of ``normalisation``, shape (N, 3).
         middle_px: subtracted from readings.
         scale_px: readings are divided by it.
+        extra: columns that readings may have linearly besides (a lens's distortion), in units of
+            ``scale_px``, shape (N, K); None: none. theta has their K coefficients at its end.
     """
 
     points: Array
     middle_px: float
     scale_px: float
+    extra: Array | None = None
+
+    @property
+    def width(self) -> int:
+        """Number of parameters: 7 + K."""
+        return WIDTH + (0 if self.extra is None else self.extra.shape[1])
 
     @classmethod
     def of(cls, points_mm: Array, readings_px: Array) -> "ProjectiveCamera":
@@ -41,34 +49,40 @@ class ProjectiveCamera:
         return cls(points, float(readings_px[seen].mean()), float(readings_px[seen].std()) or 1.0)
 
     def project(self, theta: Array) -> Array:
-        """Return the readings of cameras (K, 7), shape (K, N) [px]."""
+        """Return the readings of cameras (K, width), shape (K, N) [px]."""
         numerator = theta[:, :3] @ self.points.T + theta[:, 3:4]
-        readings: Array = numerator / (1.0 + theta[:, 4:] @ self.points.T)
+        readings: Array = numerator / (1.0 + theta[:, 4:WIDTH] @ self.points.T)
+        if self.extra is not None:
+            readings += theta[:, WIDTH:] @ self.extra.T
         return readings * self.scale_px + self.middle_px
 
     def linearised(self, theta: Array) -> tuple[Array, Array]:
-        """Return readings (K, N) [px] and their slopes by theta, shape (K, N, 7)."""
-        depth = 1.0 + theta[:, 4:] @ self.points.T
+        """Return readings (K, N) [px] and their slopes by theta, shape (K, N, width)."""
+        depth = 1.0 + theta[:, 4:WIDTH] @ self.points.T
         readings = (theta[:, :3] @ self.points.T + theta[:, 3:4]) / depth
-        slopes = np.empty((*readings.shape, WIDTH))
+        slopes = np.empty((*readings.shape, self.width))
         slopes[..., :3] = self.points / depth[..., None]
         slopes[..., 3] = 1.0 / depth
-        slopes[..., 4:] = -readings[..., None] * slopes[..., :3]
+        slopes[..., 4:WIDTH] = -readings[..., None] * slopes[..., :3]
+        if self.extra is not None:
+            slopes[..., WIDTH:] = self.extra
+            readings = readings + theta[:, WIDTH:] @ self.extra.T
         slopes *= self.scale_px
         return readings * self.scale_px + self.middle_px, slopes
 
     def algebraic(self, readings_px: Array, weights: Array) -> Array:
-        """Solve [5.5] for readings (K, N) with weights (K, N), 0 for none; theta (K, 7)."""
+        """Solve [5.5] for readings (K, N) with weights (K, N), 0 for none; theta (K, width)."""
         q = (np.where(weights > 0.0, readings_px, self.middle_px) - self.middle_px) / self.scale_px
         design = np.empty((*q.shape, WIDTH))
         design[..., :3] = self.points
         design[..., 3] = 1.0
         design[..., 4:] = -q[..., None] * self.points
         design *= weights[..., None]
-        return self._in_front(_solve(design, q * weights, 1e-12))
+        found = self._in_front(_solve(design, q * weights, 1e-12))
+        return np.pad(found, ((0, 0), (0, self.width - WIDTH)))
 
     def fit(self, readings_px: Array, weights: Array, theta: Array, steps: int) -> Array:
-        """Minimise the weighted squares by Levenberg-Marquardt from theta (K, 7).
+        """Minimise the weighted squares by Levenberg-Marquardt from theta (K, width).
 
         Args:
             readings_px: shape (K, N); anything finite where the weight is 0.
@@ -113,10 +127,10 @@ class ProjectiveCamera:
 
     def _in_front(self, theta: Array) -> Array:
         """Flatten the depth's slope where a point would come too near or behind."""
-        lowest = (theta[:, 4:] @ self.points.T).min(axis=1)
+        lowest = (theta[:, 4:WIDTH] @ self.points.T).min(axis=1)
         shrink = np.minimum(1.0, (1.0 - NEAREST) / np.maximum(-lowest, 1e-12))
         theta = theta.copy()
-        theta[:, 4:] *= shrink[:, None]
+        theta[:, 4:WIDTH] *= shrink[:, None]
         return theta
 
 
@@ -125,7 +139,7 @@ def _solve(design: Array, right: Array, damping: Array | float) -> Array:
     scale = np.sqrt((design**2).sum(axis=1)) + 1e-150
     design = design / scale[:, None]
     normal = design.swapaxes(1, 2) @ design
-    here = np.arange(WIDTH)
+    here = np.arange(design.shape[2])
     normal[:, here, here] += np.broadcast_to(np.asarray(damping), len(normal))[:, None] + 1e-13
     slope = (design.swapaxes(1, 2) @ right[..., None])[..., 0]
     step: Array = np.linalg.solve(normal, slope[..., None])[..., 0] / scale

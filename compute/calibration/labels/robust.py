@@ -37,7 +37,7 @@ def robust_starts(
     unit[seen] = 1.0 / sigma_px[seen]
     weights = np.zeros((SUBSETS, len(values)))
     np.put_along_axis(weights, chosen, unit[chosen], axis=1)
-    covered = min(len(seen), (len(seen) + WIDTH + 1) // 2)
+    covered = min(len(seen), (len(seen) + camera.width + 1) // 2)
     theta = camera.algebraic(np.broadcast_to(values, weights.shape), weights)
     theta, cost = _concentrate(camera, values, unit, theta, covered, rounds=2, steps=2)
     theta = theta[np.argsort(cost, kind="stable")[:KEPT]]

@@ -1,7 +1,7 @@
 """The label errors of one sensor: search in the linearised camera, judgement in the camera."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, permutations, product
 from typing import Final
@@ -13,7 +13,7 @@ from scipy.stats import chi2 as chi2_distribution
 from compute.calibration.labels.evidence import Evidence, ScalePrior
 from compute.calibration.labels.hypothesis import Hypothesis
 from compute.calibration.labels.linear_search import BEAM, LinearCamera, explore
-from compute.calibration.labels.projective import WIDTH, ProjectiveCamera
+from compute.calibration.labels.projective import ProjectiveCamera
 from compute.calibration.labels.robust import robust_starts
 
 Array = NDArray[np.float64]
@@ -46,6 +46,7 @@ class SensorReadings:
         sigma_px: deviations, shape (N,); of any value where not seen.
         pixels: the sensor's pixels.
         scale: what is known of a common factor of the deviations.
+        extra: columns of the camera besides, see ``ProjectiveCamera``.
     """
 
     points_mm: Array
@@ -53,6 +54,7 @@ class SensorReadings:
     sigma_px: Array
     pixels: int
     scale: ScalePrior
+    extra: Array | None = None
 
     @cached_property
     def seen(self) -> NDArray[np.intp]:
@@ -62,19 +64,19 @@ class SensorReadings:
     @cached_property
     def camera(self) -> ProjectiveCamera:
         """The camera's form for these points."""
-        return ProjectiveCamera.of(self.points_mm, self.readings_px)
+        return replace(ProjectiveCamera.of(self.points_mm, self.readings_px), extra=self.extra)
 
     @cached_property
     def evidence(self) -> Evidence:
         """Marginal likelihoods of explanations."""
-        return Evidence(self.pixels, self.scale)
+        return Evidence(self.pixels, self.scale, self.camera.width)
 
     def exchanged(self, first: int, second: int) -> "SensorReadings":
         """Return them with the readings of two points exchanged."""
         readings, sigma = self.readings_px.copy(), self.sigma_px.copy()
         readings[[first, second]] = readings[[second, first]]
         sigma[[first, second]] = sigma[[second, first]]
-        return SensorReadings(self.points_mm, readings, sigma, self.pixels, self.scale)
+        return replace(self, readings_px=readings, sigma_px=sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +215,7 @@ def judge(data: SensorReadings, hypotheses: Sequence[Hypothesis], theta: Array) 
     sigma = np.where(kept, np.array([one for _, one in mended]), 1.0)
     weights = np.where(kept, 1.0 / sigma, 0.0)
     readings = np.where(kept, readings, data.camera.middle_px)
-    starts = np.broadcast_to(theta, (len(hypotheses), WIDTH))
+    starts = np.broadcast_to(theta, (len(hypotheses), data.camera.width))
     found = data.camera.fit(readings, weights, starts, FIT_STEPS)
     fitted, slopes = data.camera.linearised(found)
     chi2 = (((fitted - readings) * weights) ** 2).sum(axis=1)
@@ -231,7 +233,7 @@ def judge(data: SensorReadings, hypotheses: Sequence[Hypothesis], theta: Array) 
     return [
         Judged(hypothesis, float(log_posterior[row]), found[row], float(chi2[row]), int(count[row]))
         for row, hypothesis in enumerate(hypotheses)
-        if sign[row] > 0.0 and count[row] > WIDTH
+        if sign[row] > 0.0 and count[row] > data.camera.width
     ]
 
 
@@ -239,7 +241,7 @@ def _ordinary(pool: _Pool) -> bool:
     best = pool.best
     return bool(
         best.chi2 / pool.data.scale.factor**2
-        <= chi2_distribution.isf(ORDINARY, max(best.kept - WIDTH, 1))
+        <= chi2_distribution.isf(ORDINARY, max(best.kept - pool.data.camera.width, 1))
     )
 
 
@@ -248,7 +250,7 @@ def _outliers(data: SensorReadings, theta: Array) -> Hypothesis:
     seen = data.seen
     off, deviation = _off(data, theta)
     deviation = max(deviation, data.scale.factor)
-    order = np.argsort(-off, kind="stable")[: max(len(seen) - WIDTH - 1, 0)]
+    order = np.argsort(-off, kind="stable")[: max(len(seen) - data.camera.width - 1, 0)]
     return Hypothesis(frozenset(int(seen[k]) for k in order if off[k] > START_SIGMAS * deviation))
 
 
@@ -257,9 +259,9 @@ def _off(data: SensorReadings, theta: Array) -> tuple[Array, float]:
     seen = data.seen
     off = np.abs(data.camera.project(theta[None])[0, seen] - data.readings_px[seen])
     off = off / data.sigma_px[seen]
-    most = (len(seen) + WIDTH + 1) // 2
+    most = (len(seen) + data.camera.width + 1) // 2
     nearest = np.sort(off)[:most]
-    return off, float(np.sqrt((nearest**2).sum() / max(most - WIDTH, 1)))
+    return off, float(np.sqrt((nearest**2).sum() / max(most - data.camera.width, 1)))
 
 
 def _rearranged(data: SensorReadings, best: Judged) -> list[Hypothesis]:

@@ -1,5 +1,7 @@
 """Label errors are found, named, and mended; clean data stay clean."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 from compute.calibration.labels.find import find_label_errors
 from compute.calibration.labels.mend import exclude, repair
 from compute.calibration.run import calibrate
+from compute.camera.field_distortion import FieldDistortion
 from compute.camera.stack import CameraStack
 from compute.errors import DuplicatePoint, InvalidParameter, TooFewPoints
 from tests.compute.rig import control_points, geometry, project, rig
@@ -183,3 +186,25 @@ def test_findings_of_other_data_are_refused() -> None:
         repair(findings, SENSORS, readings[:3])
     with pytest.raises(InvalidParameter, match='sensor "s2"; the sensors are s1'):
         exclude(findings, SENSORS[:1], readings[:, :1])
+
+
+def test_a_lens_with_distortion_is_no_label_error() -> None:
+    """Without its columns a distortion of tenths of a pixel names readings at the field's edge."""
+    bent = tuple(
+        replace(model, distortion=FieldDistortion(((3, 0), (1, 2)), (0.05, 0.035)))
+        for model in rig()[:2]
+    )
+    rng = np.random.default_rng(1)
+    points = np.array([0.0, 0.0, 1500.0]) + rng.uniform(-1.0, 1.0, (45, 3)) * [340.0, 340.0, 250.0]
+    readings = CameraStack.of(bent).project(points)
+    readings = readings + 0.1 * rng.standard_normal(readings.shape)
+    readings[(readings < 0.0) | (readings > 2047.0)] = np.nan
+    sigma = np.full(readings.shape, 0.1)
+    report = find_label_errors(points, readings, SENSORS[:2], sigma)
+    assert report.findings == ()
+    assert report.sigma_px == pytest.approx((0.1, 0.1), rel=0.5)
+    first, second = np.flatnonzero(np.isfinite(readings[:, 1]))[[3, 7]].tolist()
+    readings[[first, second], 1] = readings[[second, first], 1]
+    (finding,) = find_label_errors(points, readings, SENSORS[:2], sigma).findings
+    assert (finding.kind, finding.sensor) == ("exchanged", "s2")
+    assert finding.points == (first + 1, second + 1)

@@ -10,10 +10,11 @@ import numpy as np
 
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
-from service.errors import TableHasHoles
+from service.errors import InvalidTableFile, TableHasHoles
 
 MEDIA_TYPE: Final = "application/x-hdf5"
 """Of the files that tables are exchanged in; see ``service.correction_tables.hdf5``."""
+_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 MOST_PX: Final = 1e5
 """Largest correction that means something: more than the pixels of any sensor."""
 MOST_MM: Final = 1e6
@@ -112,3 +113,12 @@ def check_table(table: CorrectionTable) -> None:
                 cell=cell,
                 cells=len(holes),
             )
+
+
+def check_signature(data: bytes) -> None:
+    """Raise InvalidTableFile when a file does not begin as HDF5 does."""
+    if not data.startswith(_SIGNATURE):
+        raise InvalidTableFile(
+            f"the file is not HDF5: it begins with {data[:8]!r}; upload a file that was downloaded "
+            "from /api/v1/correction-tables/{id}/file"
+        )

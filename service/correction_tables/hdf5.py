@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable, Degree
-from service.correction_tables.content import TableContent
+from service.correction_tables.content import TableContent, check_signature
 from service.errors import InvalidTableFile
 
 FORMAT: Final = "lumiline-correction-table"
 VERSION: Final = 1
 
-_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _ARRAYS: Final = {"coefficients_px": "<f8", "variance_px2": "<f8", "valid": "|u1"}
 _TEXTS: Final = (
     "format",
@@ -83,11 +82,7 @@ def read_table(data: bytes) -> TableContent:
             their declared size, unknown members.
         InvalidParameter, NonFiniteValue: shapes or values that make no table.
     """
-    if not data.startswith(_SIGNATURE):
-        raise InvalidTableFile(
-            f"the file is not HDF5: it begins with {data[:8]!r}; upload a file that was downloaded "
-            "from /api/v1/correction-tables/{id}/file"
-        )
+    check_signature(data)
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             return _read(file)

@@ -3,7 +3,7 @@
 from threading import BoundedSemaphore
 from typing import Any, Final
 
-from service.correction_tables.content import TableContent, check_table
+from service.correction_tables.content import TableContent, check_signature, check_table
 from service.errors import Busy, InvalidTableFile, WorkerEnded
 from service.runs.process import call_apart
 
@@ -22,6 +22,7 @@ def read_apart(data: bytes) -> TableContent:
         InvalidTableFile: as ``read_table``; also when reading crashes or takes too much.
         InvalidParameter, NonFiniteValue, TableHasHoles: as ``read_table`` and ``check_table``.
     """
+    check_signature(data)
     if not _slots.acquire(blocking=False):
         raise Busy(f"{AT_ONCE} uploads are being read; send this one again in a few seconds")
     try:

@@ -33,7 +33,6 @@ NEW_MAPPING_RUNS: Final[dict[str, Any]] = {
             "id": "sim-map-run",
             "device": "sim",
             "calibration": "sim-nominal",
-            "result_id": "sim-map",
             "points": simulated_points(_GRID @ _TURNED.T),
             "note": "The simulator has no distortion: a map of nothing but rounding",
         },

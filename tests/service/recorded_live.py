@@ -75,7 +75,7 @@ class RecordedLive(LiveManager):
         self, device_id: str, frames: int, marker: int | None, timeout_s: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if self.status(device_id).state != "running":
-            raise DeviceNotRunning("it does not run")
+            raise DeviceNotRunning(f'device "{device_id}" does not run')
         self.calls.append(("collect", device_id, frames, marker))
         noise = np.random.default_rng(1).normal(0.0, 0.05, (frames, 4))
         return self.seen_px + noise, np.full((frames, 4), 0.05)

@@ -8,20 +8,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from sqlalchemy import select
 
 from service.app import create_app
 from service.calibrations.examples import NEW_CALIBRATIONS
+from service.correction_tables.content import MEDIA_TYPE
+from service.correction_tables.hdf5 import write_table
 from service.database.models import Base
 from service.problems import PROBLEM_TYPES
 from service.reconstructions.examples import NEW_RECONSTRUCTIONS
+from service.runs.examples import NEW_MAPPING_RUNS
 from service.settings import Settings
+from tests.service.correction_tables import test_hdf5 as hdf5_files
+from tests.service.correction_tables.tables import content
 from tests.service.own_profiles import text_as
 from tests.service.recorded_live import RecordedLive, TestClient
 
 TABLE = Path(__file__).parents[2] / "docs" / "bad-input.md"
 BODY_LIMIT_BYTES = 65536
+TABLE_LIMIT_BYTES = 262144
 Json = Any
 
 
@@ -381,6 +388,139 @@ builds("grid of a picture no number")(
 builds("unknown problem type")(lambda: Sent("GET", "/problems/nothing"))
 
 
+def post_run(**changes: Any) -> Sent:
+    body = calibration() | {"result_id": None} | changes
+    return Sent("POST", "/api/v1/calibration-runs", body)
+
+
+def post_mapping(**changes: Any) -> Sent:
+    body = copy.deepcopy(NEW_MAPPING_RUNS["grid"]["value"]) | {"id": None} | changes
+    return Sent("POST", "/api/v1/mapping-runs", body)
+
+
+def upload(data: bytes, query: str = "", media_type: str = MEDIA_TYPE) -> Sent:
+    path = f"/api/v1/correction-tables{query}"
+    return Sent("POST", path, content=data, headers={"content-type": media_type})
+
+
+def table(change: Callable[[Any], Any] | None = None, **arrays: Any) -> bytes:
+    data = write_table(content("ab" * 32, **arrays))
+    if change is None:
+        return data
+    with hdf5_files.changed(data) as (file, after):
+        change(file)
+    return after[0]
+
+
+def with_nan(file: Any) -> None:
+    file["coefficients_px"][1, 2, 0, 0] = float("nan")
+
+
+def wrong_shape(file: Any) -> None:
+    hdf5_files.replace(file, "variance_px2", data=np.zeros((4, 6, 5, 5)))
+
+
+def with_hole() -> bytes:
+    valid = np.ones((4, 5, 4, 3), dtype=np.bool_)
+    valid[2, 2, 1, 1] = False
+    return table(valid=valid)
+
+
+def flat(points: Json) -> Json:
+    for point in points:
+        point["position_mm"][2] = 1500.0
+    return points
+
+
+builds("neither points nor a capture for a run")(lambda: post_run(points=None))
+builds("both points and a capture for a run")(lambda: post_run(capture="begun"))
+builds("coplanar points for a run")(lambda: post_run(points=flat(calibration()["points"])))
+builds("distortion of a published method")(
+    lambda: post_run(method="dlt-iterative", distortion="all-3")
+)
+builds("unknown distortion")(lambda: post_run(distortion="everything"))
+builds("result id of a run taken")(lambda: post_run(result_id="sim-nominal"))
+builds("capture of nothing for a run")(lambda: post_run(points=None, capture="nothing"))
+builds("capture with targets left for a run")(
+    lambda: post_run(points=None, capture="begun", device="bar")
+)
+builds("unknown run")(lambda: Sent("GET", "/api/v1/runs/nothing"))
+builds("unknown run cancelled")(lambda: Sent("POST", "/api/v1/runs/nothing/cancel"))
+builds("unknown state of runs")(lambda: Sent("GET", "/api/v1/runs?state=broken"))
+
+
+@builds("too few points to map")
+def _() -> Sent:
+    return post_mapping(points=NEW_MAPPING_RUNS["grid"]["value"]["points"][::18])
+
+
+@builds("points to map in one plane")
+def _() -> Sent:
+    return post_mapping(points=flat(copy.deepcopy(NEW_MAPPING_RUNS["grid"]["value"]["points"])))
+
+
+builds("map for a calibration of another device")(lambda: post_mapping(device="bar"))
+builds("map for a retired calibration")(lambda: post_mapping(calibration="old"))
+builds("pitch of a map through every value")(
+    lambda: post_mapping(method="trilinear", pitch_mm=[10, 10, 10])
+)
+builds("table that is not HDF5")(lambda: upload(b"points=3"))
+builds("table cut short")(lambda: upload(table()[:3000]))
+builds("table declared as JSON")(lambda: upload(table(), media_type="application/json"))
+builds("table that is a decompression bomb")(lambda: upload(table(small_bomb)))
+builds("table that declares terabytes")(lambda: upload(table(hdf5_files.huge)))
+builds("table with a link to another file")(lambda: upload(table(hdf5_files.external_link)))
+builds("table with data in another file")(lambda: upload(table(hdf5_files.external_data)))
+builds("table with virtual data")(lambda: upload(table(hdf5_files.virtual_data)))
+builds("table with NaN")(lambda: upload(table(with_nan)))
+builds("table of the wrong shape")(lambda: upload(table(wrong_shape)))
+builds("table with holes")(lambda: upload(with_hole()))
+builds("table of another calibration")(lambda: upload(table()))
+builds("table changed after it was written")(lambda: upload(table(hdf5_files.other_values)))
+builds("table too large")(lambda: upload(bytes(TABLE_LIMIT_BYTES + 1)))
+builds("table id taken")(lambda: upload(table(), "?id=foreign"))
+builds("table of a calibration that is not active")(
+    lambda: Sent("POST", "/api/v1/correction-tables/foreign/activate")
+)
+builds("unknown table activated")(
+    lambda: Sent("POST", "/api/v1/correction-tables/nothing/activate")
+)
+builds("unknown table")(lambda: Sent("GET", "/api/v1/correction-tables/nothing"))
+builds("nothing to roll back to")(lambda: Sent("POST", "/api/v1/devices/bar/roll-back"))
+builds("calibrations of two devices compared")(
+    lambda: Sent("GET", "/api/v1/calibrations/sim-nominal/compare/of-bar")
+)
+builds("report of nothing")(lambda: Sent("GET", "/api/v1/calibrations/nothing/report.html"))
+builds("unknown figure of a report")(
+    lambda: Sent("GET", "/api/v1/calibrations/sim-nominal/report/pie.png")
+)
+builds("figure that a report has not")(
+    lambda: Sent("GET", "/api/v1/calibrations/sim-nominal/report/coverage.png")
+)
+
+
+def post_capture(**changes: Any) -> Sent:
+    target = {"name": "P1", "position_mm": [0.0, 0.0, 1500.0]}
+    body = {"id": "begun", "device": "bar", "targets": [target]} | changes
+    return Sent("POST", "/api/v1/captures", body)
+
+
+builds("capture of targets with one name")(
+    lambda: post_capture(id="twice", targets=[{"name": "P1", "position_mm": [0, 0, 1500]}] * 2)
+)
+builds("capture without targets")(lambda: post_capture(id="none", targets=[]))
+builds("capture id taken")(post_capture)
+builds("capture of a device that does not run")(
+    lambda: Sent("POST", "/api/v1/captures/begun/capture")
+)
+builds("unknown target captured")(lambda: Sent("POST", "/api/v1/captures/begun/capture?target=P9"))
+builds("unknown capture")(lambda: Sent("GET", "/api/v1/captures/nothing"))
+
+
+def small_bomb(file: Any) -> None:
+    hdf5_files.bomb(file, 16)
+
+
 @pytest.fixture(scope="module")
 def bad_input_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A server with an external device "bar", a running one, a retired calibration of "sim".
@@ -388,7 +528,11 @@ def bad_input_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     In its folder of profiles is one with a mistake, "broken".
     """
     data_dir = tmp_path_factory.mktemp("bad-input")
-    settings = Settings(data_dir=data_dir, body_limit_bytes=BODY_LIMIT_BYTES)
+    settings = Settings(
+        data_dir=data_dir,
+        body_limit_bytes=BODY_LIMIT_BYTES,
+        table_limit_bytes=TABLE_LIMIT_BYTES,
+    )
     app = create_app(settings, RecordedLive())
     settings.folders.profiles.mkdir()
     (settings.folders.profiles / "broken.toml").write_text(
@@ -402,6 +546,14 @@ def bad_input_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
             post_calibration(calibration() | {"id": "old"}),
             Sent("POST", "/api/v1/calibrations/old/retire"),
         ):
+            assert send(client, sent).is_success
+        retired = client.get("/api/v1/calibrations/old").json()["content_hash"]
+        foreign = write_table(content(retired))
+        of_bar = calibration(device="bar") | {"id": "of-bar"}
+        for point in of_bar["points"]:
+            values = list(point["readings"].values())
+            point["readings"] = dict(zip("ABCD", values, strict=True))
+        for sent in (upload(foreign, "?id=foreign"), post_calibration(of_bar), post_capture()):
             assert send(client, sent).is_success
         yield client
 

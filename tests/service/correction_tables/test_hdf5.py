@@ -148,7 +148,7 @@ def growing(file: h5py.File) -> None:
     replace(file, "valid", data=values, maxshape=(None, *shape[1:]), chunks=(1, *shape[1:]))
 
 
-def bomb(file: h5py.File) -> None:
+def bomb(file: h5py.File, mebibytes: int = 1024) -> None:
     """A chunk that declares a few hundred bytes and unpacks to a gigabyte."""
     shape = file["coefficients_px"].shape
     replace(
@@ -157,7 +157,7 @@ def bomb(file: h5py.File) -> None:
     )  # fmt: skip
     packer = zlib.compressobj(9)
     zeros = bytes(2**20)
-    stored = b"".join(packer.compress(zeros) for _ in range(1024)) + packer.flush()
+    stored = b"".join(packer.compress(zeros) for _ in range(mebibytes)) + packer.flush()
     for sensor in range(shape[0]):
         file["coefficients_px"].id.write_direct_chunk((sensor, 0, 0, 0), stored)
 

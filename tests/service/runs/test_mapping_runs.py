@@ -27,7 +27,9 @@ def test_a_run_makes_the_table_that_mends_a_known_error(client: Any, live: Any):
         }}
         for point in BODY["points"]
     ]  # fmt: skip
-    posted = client.post(URL, json=BODY | {"points": points, "note": "bent"})
+    posted = client.post(
+        URL, json=BODY | {"points": points, "note": "bent", "result_id": "sim-map"}
+    )
     assert posted.status_code == 202, posted.text
     found = wait(client, "sim-map-run")
     assert (found["state"], found["problem"]) == ("succeeded", None)

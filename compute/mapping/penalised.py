@@ -10,6 +10,8 @@ Array = NDArray[np.float64]
 
 
 _LEAST_PRECISION = 1e-12
+GROSS = 5.0
+_NORMAL_MEDIAN = 1.4826  # standard deviation over the median of absolute normal errors
 _ALONE = 1e-9  # keeps a block that alone determines a function from an infinite error
 
 
@@ -28,6 +30,8 @@ class PenalisedProblem:
         functions, samples: of the blocks that are left out, block after block, whitened, shapes
             (T, R + Q) and (T,).
         sizes: of these blocks; they add up to T.
+        known_variance: whether the variances that whitened the samples are known, or all have an
+            unknown factor.
     """
 
     gram: Array
@@ -38,6 +42,7 @@ class PenalisedProblem:
     functions: Array
     samples: Array
     sizes: NDArray[np.intp]
+    known_variance: bool = True
 
     def solve(self, penalty: Array) -> "PenalisedFit":
         """Fit with prior precisions (R,) of the penalised functions."""
@@ -103,7 +108,7 @@ class PenalisedFit:
         problem = self.problem
         half = self.spread(problem.functions)
         rest = problem.samples - problem.functions @ self.amounts
-        error, deviation, unit = np.empty_like(rest), np.empty_like(rest), np.empty_like(rest)
+        error, deviation, unit, spread = (np.empty_like(rest) for _ in range(4))
         first = np.cumsum(problem.sizes) - problem.sizes
         for size in np.unique(problem.sizes):
             # All blocks of one size at once.
@@ -114,7 +119,8 @@ class PenalisedFit:
             unit[rows] = here
             error[rows] = np.einsum("bji,bj->bi", inverse, here)
             deviation[rows] = np.sqrt((inverse**2).sum(axis=1))
-        return LeftOut(error, deviation, unit)
+            spread[rows] = 2.0 * np.log(np.diagonal(inverse, axis1=1, axis2=2))
+        return LeftOut(error, deviation, unit, spread)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +132,29 @@ class LeftOut:
         deviation: the standard deviations that they should have, shape (T,).
         unit: the errors of each block made independent and of unit variance, if the model is
             right, shape (T,).
+        log_variance: logarithms of the variances from which they were made so, shape (T,).
     """
 
     error: Array
     deviation: Array
     unit: Array
+    log_variance: Array
+
+    def surprise(self, *, known_variance: bool) -> float:
+        """Return minus twice the mean log density of the blocks that were left out.
+
+        But for a constant. Without known variances all have one factor, the likeliest. No sample
+        counts for more than one GROSS deviations off: a single wrong measurement would have the
+        whole field taken for rough.
+        """
+        spread = float(self.log_variance.mean())
+        unit = self.unit if known_variance else self.unit / _scale(self.unit)
+        square = float(np.minimum(unit**2, GROSS**2).mean())
+        if known_variance:
+            return square + spread
+        return float(np.log(square * _scale(self.unit) ** 2)) + spread
+
+
+def _scale(unit: Array) -> float:
+    """Return the standard deviation of most of the errors."""
+    return max(_NORMAL_MEDIAN * float(np.median(np.abs(unit))), np.finfo(np.float64).tiny)

@@ -9,7 +9,7 @@ from scipy.special import chdtri
 
 from compute.errors import DegeneratePoints, TooFewPoints
 from compute.mapping.nodes import of_function
-from compute.mapping.penalised import PenalisedProblem
+from compute.mapping.penalised import GROSS, PenalisedProblem
 from compute.mapping.result import SensorMapping, Suspect
 from compute.mapping.smooth_basis import SmoothBasis
 from compute.mapping.smoothness import Smoothness, choose_smoothness, fit_with, gcv_score
@@ -22,7 +22,6 @@ OPEN_RATIO = 1e-9
 """Ratio of singular values below which the measurements leave the calibration open."""
 UNEXPLAINED_PROBABILITY = 0.01
 """Chance that right deviations are taken for too small."""
-SUSPECT_SIGMAS = 5.0
 BLOCKS_TESTED = 2000
 """Blocks that are left out in turn, at most; of more, these are spread evenly over all."""
 _CHUNK = 4096
@@ -126,7 +125,7 @@ def describe(data: SensorData, fitted: FittedCorrection, valid_share: float) -> 
     order, _ = _tested(data.block)
     sigmas = np.abs(left_out.error) / (left_out.deviation * np.sqrt(fitted.factor))
     errors = left_out.error * np.sqrt(data.variance_px2[order])
-    worst = np.argsort(-sigmas, kind="stable")[: int((sigmas > SUSPECT_SIGMAS).sum())]
+    worst = np.argsort(-sigmas, kind="stable")[: int((sigmas > GROSS).sum())]
     suspects = tuple(
         Suspect(int(data.numbers[order[one]]), float(errors[one]), float(sigmas[one]))
         for one in worst
@@ -142,9 +141,9 @@ def describe(data: SensorData, fitted: FittedCorrection, valid_share: float) -> 
         _rms(errors),
         float((left_out.unit**2).mean()) / factor,
         fit.effective_parameters,
-        fitted.chosen.weight,
+        float(fitted.chosen.weight),
         (x, y, z),
-        float(np.sqrt(gcv_score(fit) / fitted.chosen.score)),
+        float(np.sqrt(gcv_score(fit) / (left_out.error**2).mean())),
         float(np.sqrt(data.variance_px2.mean() * (1.0 if data.known_variance else factor))),
         factor if data.known_variance else 1.0,
         valid_share,
@@ -209,6 +208,7 @@ def _problem(
         tested,
         data.samples_px[order] * weight[order],
         sizes,
+        data.known_variance,
     )
 
 

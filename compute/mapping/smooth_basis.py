@@ -14,9 +14,8 @@ DEGREE = 3
 PENALTY_ORDER = 4
 """Of the differences that are penalised; over a single cell, third ones. The fields of lenses are
 smooth: with second differences the same data take twice as many parameters."""
-RIDGE = 1e-4
-"""Share of the penalty on whatever no difference penalises, in units of the mean pitch: as the
-penalty grows, the correction goes to none, and not to the straightest that fits."""
+POLYNOMIAL_SHARE = 0.01
+"""What polynomials cost of what the oscillating functions' costs would say for them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +29,12 @@ class SmoothBasis:
     Durban, P. H. C. Eilers, 2006, doi:10.1111/j.1467-9868.2006.00543.x). The roughest of
     these functions can be left out where data are too few to tell of them (S. N. Wood, 2003,
     doi:10.1111/1467-9868.00374).
+
+    Along an axis the differences cost the first functions, polynomials, nothing; there are 4^3
+    products of them, more than few measurements tell apart. So they are given a share of what the
+    first oscillating function costs, less by the power with which the costs grow with the number
+    of turns; and the constant what the cheapest of the others costs: as the penalty's weight
+    grows, the correction goes to none.
 
     Args:
         grid: the voxels.
@@ -54,7 +59,10 @@ class SmoothBasis:
             found, turned = np.linalg.eigh(difference.T @ difference)
             vectors.append(turned)
             # Per length and not per cell, so that no axis counts for being finely divided.
-            values.append(np.maximum(found, 0.0) * (unit / pitch) ** (2 * order))
+            growth = (np.arange(order) / order) ** (2 * order)
+            found[:order] = POLYNOMIAL_SHARE * found[order] * growth
+            turned[:, :order] = _polynomials(cells + DEGREE, order)
+            values.append(found * (unit / pitch) ** (2 * order))
         index = np.indices([len(one) for one in values]).reshape(3, -1).T
         costs = np.stack([values[axis][index[:, axis]] for axis in range(3)], axis=1)
         smoothest = np.sort(np.argsort(costs.sum(axis=1), kind="stable")[:most])
@@ -67,8 +75,8 @@ class SmoothBasis:
 
     def penalty(self, weights: Array) -> Array:
         """Return the functions' penalties with weights of the axes (3,), shape (R,)."""
-        total: Array = self.costs @ weights + RIDGE
-        return total
+        total: Array = self.costs @ weights
+        return np.maximum(total, total[total > 0.0].min())
 
     def values(self, points_mm: Array) -> Array:
         """Return the functions at points (N, 3), shape (N, R)."""
@@ -88,3 +96,10 @@ class SmoothBasis:
         for axis, turned in enumerate(self.vectors):
             full = np.moveaxis(np.tensordot(turned, full, axes=(1, axis)), 0, axis)
         return full
+
+
+def _polynomials(count: int, order: int) -> Array:
+    """Return orthonormal polynomials of degree 0 to order - 1 over equal steps, as columns."""
+    powers = np.vander(np.linspace(-1.0, 1.0, count), order, increasing=True)
+    orthonormal: Array = np.linalg.qr(powers)[0]
+    return orthonormal

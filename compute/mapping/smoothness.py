@@ -15,8 +15,9 @@ DECADES = np.arange(9.0, -9.1, -1.5)
 """Of the penalty's weight that are tried, from where it weighs as the samples."""
 AXIS_RATIO = 30.0
 """Step of the weights of the axes against one another."""
-TIE = 1e-3
-"""Relative difference of squared errors that decides nothing: then the smoother one is taken."""
+TIE = 1.0
+"""Difference of twice the log density of all left-out samples that decides nothing: then the
+smoother one is taken."""
 _STEPS = 3
 
 
@@ -28,7 +29,7 @@ class Smoothness:
         weight: of the penalty [1/px^2].
         axes: weights of the axes against one another, shape (3,).
         fit: the fit.
-        score: mean squared whitened error of left-out blocks.
+        score: how badly left-out blocks are predicted, see ``LeftOut.surprise``.
     """
 
     weight: float
@@ -42,7 +43,8 @@ def fit_with(
 ) -> Smoothness:
     """Fit with a given penalty."""
     fit = problem.solve(weight * functions.penalty(axes))
-    return Smoothness(weight, axes, fit, float((fit.left_out().error ** 2).mean()))
+    score = fit.left_out().surprise(known_variance=problem.known_variance)
+    return Smoothness(weight, axes, fit, score)
 
 
 def choose_smoothness(
@@ -50,6 +52,8 @@ def choose_smoothness(
 ) -> Smoothness:
     """Return the penalty with which left-out blocks are predicted best.
 
+    Best by the density that the fit without a block gives its samples, so that the variances count
+    as the errors do (S. Sundararajan and S. S. Keerthi, 2001, doi:10.1162/08997660151134343).
     Blocks and not single points: neighbours share what is wrong with both, and a fit that follows
     it would be thought good. The weight is searched over decades and then between them; the axes'
     weights one after the other, as corrections change less along the depth than across it.
@@ -70,18 +74,19 @@ def choose_smoothness(
         for factor in (step, 1.0 / step):
             for _ in range(_STEPS):
                 other = trial(best.weight * factor, best.axes)
-                if other.score >= best.score * (1.0 - TIE):
+                if other.score >= best.score - tie:
                     break
                 best = other
         return best
 
+    tie = TIE / len(problem.samples)
     equal = np.ones(3)
     samples = np.diag(problem.gram)[: len(functions)].mean()
     middle = float(samples / np.median(functions.penalty(equal)))
     tried = [trial(middle * 10.0**decade, equal) for decade in DECADES]
     least = min(one.score for one in tried)
     # The smoothest of those that do as well.
-    best = next(one for one in tried if one.score <= least * (1.0 + TIE))
+    best = next(one for one in tried if one.score <= least + tie)
     if best is tried[0]:
         return best  # no correction at all: there is nothing that could have a direction
     for axis in range(3):
@@ -89,7 +94,7 @@ def choose_smoothness(
             axes = best.axes.copy()
             axes[axis] *= ratio
             other = walked(trial(best.weight, axes), AXIS_RATIO**0.5)
-            if other.score < best.score * (1.0 - TIE):
+            if other.score < best.score - tie:
                 best = other
                 break
     return walked(best, 2.0)

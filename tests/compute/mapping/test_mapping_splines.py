@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
 
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.nodes import of_function, through_corners
@@ -53,19 +56,34 @@ def test_all_functions_together_are_the_tensor_splines(counts, seed):
 
 @given(cells)
 @settings(deadline=None, max_examples=20)
-def test_the_penalty_is_that_of_the_differences(counts):
+def test_the_penalty_is_that_of_the_differences_and_a_little_on_polynomials(counts):
     grid = grid_of(counts)
     basis = SmoothBasis.of(grid, 10_000)
-    amounts = np.random.default_rng(1).standard_normal(len(basis))
-    coefficients = basis.coefficients(amounts)
     weights = np.array([1.0, 3.0, 0.2])
     unit = np.prod(grid.pitch_mm) ** (1.0 / 3.0)
-    expected = 1e-4 * (coefficients**2).sum()
-    for axis in range(3):
-        order = min(4, counts[axis] + 2)
-        scale = (unit / grid.pitch_mm[axis]) ** (2 * order)
-        expected += weights[axis] * scale * (np.diff(coefficients, order, axis) ** 2).sum()
-    assert basis.penalty(weights) @ amounts**2 == pytest.approx(expected, rel=1e-8)
+    penalty = basis.penalty(weights)
+    for number in np.random.default_rng(1).integers(0, len(basis), 8):
+        one = np.zeros(len(basis))
+        one[number] = 1.0
+        coefficients = basis.coefficients(one)
+        expected = 0.0
+        for axis in range(3):
+            order = min(4, counts[axis] + 2)
+            scale = (unit / grid.pitch_mm[axis]) ** (2 * order)
+            expected += weights[axis] * scale * (np.diff(coefficients, order, axis) ** 2).sum()
+        if (basis.kept[number] >= [min(4, count + 2) for count in counts]).all():
+            assert penalty[number] == pytest.approx(expected, rel=1e-8)
+        else:
+            assert penalty[number] > expected * (1.0 - 1e-8)
+
+
+def test_what_costs_more_turns_more():
+    basis = SmoothBasis.of(grid_of((4, 4, 4)), 10_000)
+    along = basis.penalty(np.ones(3))[(basis.kept[:, 1:] == 0).all(axis=1)]
+    assert (np.diff(along) >= 0.0).all()
+    assert along[0] > 0.0
+    # Polynomials to the third degree: all but free beside the first function that oscillates.
+    assert along[3] < 0.01 * along[4]
 
 
 def test_the_smoothest_functions_are_kept():
@@ -164,11 +182,48 @@ def test_the_penalty_chosen_predicts_as_well_as_any():
     basis, whole = problem_of(noise=0.1)
     chosen = choose_smoothness(whole, basis)
     scores = [
-        (whole.solve(10.0**power * basis.penalty(np.ones(3))).left_out().error ** 2).mean()
+        whole.solve(10.0**power * basis.penalty(np.ones(3)))
+        .left_out()
+        .surprise(known_variance=True)
         for power in np.arange(-8.0, 12.0, 0.25)
     ]
-    assert chosen.score <= min(scores) * 1.02
-    assert chosen.score < 0.5 * max(scores)
+    # Twice the log density of all 60 samples is within 2 of the best, or better by its axes.
+    assert 60 * (chosen.score - min(scores)) < 2.0
+    assert 60 * (chosen.score - max(scores)) < -60.0
+
+
+def test_surprise_is_the_density_of_left_out_blocks():
+    basis, whole = problem_of()
+    fit = whole.solve(basis.penalty(np.ones(3)))
+    prior = np.diag(fit.precision)
+    total = 0.0
+    starts = np.cumsum(whole.sizes) - whole.sizes
+    for start, size in zip(starts, whole.sizes, strict=True):
+        block = np.arange(start, start + size)
+        rest = np.setdiff1d(np.arange(60), block)
+        rows, samples = whole.functions[rest], whole.samples[rest]
+        normal = rows.T @ rows + prior
+        mean = whole.functions[block] @ np.linalg.solve(normal, rows.T @ samples)
+        spread = np.linalg.solve(normal, whole.functions[block].T)
+        density = multivariate_normal(mean, np.eye(size) + whole.functions[block] @ spread)
+        total -= 2.0 * density.logpdf(whole.samples[block]) + size * np.log(2.0 * np.pi)
+    found = fit.left_out().surprise(known_variance=True)
+    assert found == pytest.approx(total / 60, rel=1e-5)
+    # With an unknown factor of the variances it does not matter which one is stated.
+    scaled = replace(
+        whole,
+        gram=9.0 * whole.gram,
+        product=9.0 * whole.product,
+        square=9.0 * whole.square,
+        others_precision=9.0 * whole.others_precision,
+        functions=3.0 * whole.functions,
+        samples=3.0 * whole.samples,
+    )
+    other = scaled.solve(9.0 * basis.penalty(np.ones(3))).left_out()
+    mine = fit.left_out()
+    assert other.surprise(known_variance=False) - mine.surprise(
+        known_variance=False
+    ) == pytest.approx(np.log(9.0))
 
 
 def test_noise_alone_is_smoothed_away():

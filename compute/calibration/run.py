@@ -11,6 +11,7 @@ from compute.calibration.checks import check_observations
 from compute.calibration.distorted import Slits
 from compute.calibration.joint import point_spread
 from compute.calibration.labels.find import find_label_errors
+from compute.calibration.labels.finding import LabelFinding
 from compute.calibration.labels.mend import exclude, repair
 from compute.calibration.outcome import with_exact_points, with_uncertain_points
 from compute.calibration.published import published_fits
@@ -20,6 +21,7 @@ from compute.calibration.sensor_fits import Observed, SensorFits, fit_distorted,
 from compute.calibration.settings import DEFAULTS, CalibrationSettings
 from compute.calibration.terms import preset_terms
 from compute.camera.model import SensorGeometry, SensorModel
+from compute.errors import DegeneratePoints, NoConvergence
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -67,8 +69,11 @@ def calibrate(
     check_observations(points, readings, sensors, deviations)
     labels = None
     if settings.labels != "off":
-        _tell(progress, 0.0, "labels")
-        labels = find_label_errors(points, readings, sensors, deviations).findings
+
+        def search(fraction: float, stage: str) -> None:
+            _tell(progress, 0.05 * fraction, stage)
+
+        labels = find_label_errors(points, readings, sensors, deviations, search).findings
         if labels and settings.labels != "report":
             mend = exclude if settings.labels == "exclude" else repair
             readings, deviations = mend(labels, sensors, readings, deviations)
@@ -81,9 +86,35 @@ def calibrate(
         deviations is not None,
         tuple(sensors),
     )
+    try:
+        result = _fitted(observed, settings, near, progress)
+    except (DegeneratePoints, NoConvergence) as error:
+        if not labels:
+            raise
+        # What was found must not be lost with the fit that it spoils.
+        named = "; ".join(_in_words(one) for one in labels)
+        advice = "" if settings.labels != "report" else '; "repair" or "exclude" deals with them'
+        raise type(error)(
+            f"{error.detail}; labels that look wrong: {named}{advice}", **error.context
+        ) from error
+    return replace(result, labels=labels or ())
+
+
+def _in_words(finding: LabelFinding) -> str:
+    sensor = "all sensors" if finding.sensor is None else f"sensor {finding.sensor}"
+    points = " and ".join(str(point) for point in finding.points)
+    return f"{finding.kind} for {sensor}: {points} (probability {finding.probability:.2g})"
+
+
+def _fitted(
+    observed: Observed,
+    settings: CalibrationSettings,
+    near: Sequence[SensorModel] | None,
+    progress: Progress | None,
+) -> Calibration:
     if settings.method != "metric":
-        return replace(published_fits(observed, settings, progress), labels=labels or ())
-    _tell(progress, 0.0, "cameras without distortion")
+        return published_fits(observed, settings, progress)
+    _tell(progress, 0.05, "cameras without distortion")
     models, weights = fit_undistorted(observed, settings.loss, near)
     staged = _with_point_spread(observed, models, settings.control_sigma_mm)
     fits, selection = _with_distortion(staged, models, weights, settings, progress)
@@ -97,7 +128,7 @@ def calibrate(
 
         result = with_uncertain_points(observed, fits, settings, settings.control_sigma_mm, last)
     _tell(progress, 1.0, "calibrated")
-    return replace(result, distortion=selection, labels=labels or ())
+    return replace(result, distortion=selection)
 
 
 def _tell(progress: Progress | None, fraction: float, stage: str) -> None:

@@ -1,6 +1,6 @@
 """Which distortion terms a device is given: the fewest that predict blocks of space as well."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -99,7 +99,7 @@ def select_terms(
         [_standard_error(values - losses[best], blocks, count, readings) for values in losses]
     )
     order = sorted(range(len(scored)), key=lambda one: _parameters(scored[one].terms))
-    chosen = next(one for one in order if excess[one] <= spread[one])
+    chosen = first_within(order, excess, spread)
     table = []
     for row in rows:
         found = next((k for k, one in enumerate(scored) if one.name == row.name), None)
@@ -120,6 +120,11 @@ def select_terms(
     taken = scored[chosen]
     reason = _reason(taken.name, scored[best].name, float(excess[chosen]), float(spread[chosen]))
     return taken.terms, DistortionSelection(taken.name, reason, tuple(table), count, taken.smaller)
+
+
+def first_within(order: Sequence[int], excess: Array, error: Array) -> int:
+    """Return the first of ``order`` whose loss exceeds the lowest by no more than its error."""
+    return next(one for one in order if excess[one] <= error[one])
 
 
 def _row(name: str, note: str) -> CandidateTerms:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from compute.calibration.crossvalidation import cross_validate
 from compute.calibration.run import calibrate
+from compute.calibration.selection import first_within
 from compute.calibration.settings import CalibrationSettings
 from compute.calibration.terms import PRESETS
 from compute.camera.field_distortion import all_terms, symmetric_terms
@@ -110,6 +111,13 @@ def test_auto_takes_no_terms_where_there_is_no_distortion() -> None:
         assert found.distortion is not None
         taken.append(found.distortion.chosen)
     assert taken.count("none") >= 3
+
+
+def test_the_fewest_parameters_within_one_standard_error() -> None:
+    excess, error = np.array([5.0, 0.3, 0.0, 0.1]), np.array([1.0, 0.4, 0.0, 0.2])
+    assert first_within((0, 1, 2, 3), excess, error) == 1
+    assert first_within((0, 3, 2, 1), excess, error) == 3
+    assert first_within((0, 1, 2, 3), excess, error / 4.0) == 2
 
 
 def test_auto_takes_what_the_lenses_have() -> None:

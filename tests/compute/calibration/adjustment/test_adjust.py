@@ -149,6 +149,42 @@ def test_slopes_of_a_rigid_motion_are_those_of_moved_cameras() -> None:
         assert np.concatenate(steps) / motion[column] == pytest.approx(slopes[:, column], abs=1e-5)
 
 
+def test_datum_of_a_rigid_motion_is_the_cloud_s_normal_matrix() -> None:
+    """Cameras and cloud moved together: ``M'A' J dp = -M'A' A M h``, as no reading changes."""
+    models = distorted_rig()
+    cameras = CameraStack.of(models)
+    points = control_points(9)
+    weights = np.random.default_rng(1).uniform(5.0, 15.0, (9, 4))
+    weights[2, 1] = 0.0
+    slopes = cameras.linearised(points)[1] * weights[..., None]
+    middle = points.mean(axis=0)
+    turned = np.stack([np.cross(axis, points - middle) for axis in np.eye(3)], axis=2)
+    motion = np.concatenate([turned, np.broadcast_to(np.eye(3), (9, 3, 3))], axis=2)
+    seen = (slopes @ motion).reshape(-1, 6)
+    about_origin = rigid_motion_slopes(models)
+    shift = np.stack([np.cross(middle, axis) for axis in np.eye(3)], axis=1)
+    about_middle = about_origin.copy()
+    about_middle[:, :3] += about_origin[:, 3:] @ shift
+    datum = cloud_datum(cameras, points, weights)
+    expected = -seen.T @ seen
+    assert datum.T @ about_middle == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+def test_prior_s_slope_is_that_of_its_difference_far_away() -> None:
+    turned = tuple(model.moved(np.array([5.0, 1.0, 0.4, -0.5, 0.3, 2.0, 3.0])) for model in rig())
+    prior = SensorPrior(rig(), np.eye(28))
+    away, slope = prior.difference(turned)
+    for column in range(28):
+        sensor, own = divmod(column, 7)
+        step = np.zeros(7)
+        step[own] = 1e-6
+        ahead, behind = list(turned), list(turned)
+        ahead[sensor], behind[sensor] = turned[sensor].moved(step), turned[sensor].moved(-step)
+        change = prior.difference(ahead)[0] - prior.difference(behind)[0]
+        assert change / 2e-6 == pytest.approx(slope[:, column], abs=1e-4)
+    assert away[2:5] == pytest.approx([0.4, -0.5, 0.3])
+
+
 @pytest.mark.parametrize(
     ("shape", "freedom"),
     [

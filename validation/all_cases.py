@@ -12,6 +12,7 @@ from validation.calibration_convergence import CASE as CONVERGENCE
 from validation.cases import CASES, Case
 from validation.close_peaks import CASE as CLOSE_PEAKS
 from validation.distortion_tables import TABLE_A1, TABLE_A2
+from validation.interpolators import CASE as INTERPOLATORS
 from validation.labels import CASE as LABELS
 from validation.map_bound import CASE as MAP_BOUND
 from validation.passive_detection import CASE as PASSIVE_DETECTION
@@ -76,6 +77,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     _drawn(PEAK_EFFICIENCY, "peak_efficiency_picture"),
     _drawn(CLOSE_PEAKS, "close_peaks_picture"),
     MAP_BOUND,
+    _drawn(INTERPOLATORS, "interpolators_picture"),
     TABLES_3_1_3_2,
     TABLE_4_1,
     TABLE_4_2,

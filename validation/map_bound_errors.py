@@ -111,7 +111,8 @@ def point_errors(one: Fit, seen: Readings, bound: Array) -> PointErrors:
     vouched: NDArray[np.bool_] = np.ones(len(square), dtype=np.bool_)
     if table is not None:
         inside = table.at(seen.points_mm).inside
-        vouched = np.logical_or(inside, np.isnan(seen.position_px)).all(axis=1)
+        fit_for_use: NDArray[np.bool_] = np.logical_or(inside, np.isnan(seen.position_px))
+        vouched = np.all(fit_for_use, axis=1)
     return PointErrors(difference, square, np.trace(bound, axis1=1, axis2=2), vouched)
 
 

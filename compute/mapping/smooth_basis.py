@@ -76,7 +76,8 @@ class SmoothBasis:
     def penalty(self, weights: Array) -> Array:
         """Return the functions' penalties with weights of the axes (3,), shape (R,)."""
         total: Array = self.costs @ weights
-        return np.maximum(total, total[total > 0.0].min())
+        raised: Array = np.maximum(total, total[total > 0.0].min())
+        return raised
 
     def values(self, points_mm: Array) -> Array:
         """Return the functions at points (N, 3), shape (N, R)."""

@@ -86,7 +86,9 @@ def readings_of(task: Task, count: int) -> Array:
     """Return noisy readings (N, 4) of points over the table's box."""
     rng = np.random.default_rng(count)
     points = np.array([0.0, 0.0, 1500.0]) + 0.95 * HALF_EDGE_MM * rng.uniform(-1, 1, (count, 3))
-    readings = task.cameras.project(points) - task.corrections.at(points).value_px
+    parts = range(0, count, BLOCK_POINTS)
+    corrections = [task.corrections.at(points[at : at + BLOCK_POINTS]).value_px for at in parts]
+    readings = task.cameras.project(points) - np.concatenate(corrections)
     return np.asarray(readings + SIGMA_PX * rng.standard_normal(readings.shape))
 
 

@@ -154,7 +154,7 @@ def test_a_replay_gives_the_same_bits(live: LiveManager, tmp_path: Path) -> None
     assert isinstance(hub, RecordingHub)
     hub.batches.clear()
     hub.messages.clear()
-    live.start_device("sim", ReplayDriver("sim", path, speed=None), "c1", nominal())
+    live.start_device("sim", ReplayDriver("sim", path, speed=None), InForce("c1", nominal()))
     wait_for(lambda: any(message["state"] == "ended" for message in hub.messages))
     replayed = [
         message
@@ -258,11 +258,11 @@ def test_calibrations_are_switched_between_two_frames(live: LiveManager) -> None
     assert isinstance(hub, RecordingHub)
     scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
     settings = SimulationSettings(scene=scene, frame_rate_hz=500.0)
-    live.start_device("sim", SimulatedDriver("sim", settings), "zero", nominal())
+    live.start_device("sim", SimulatedDriver("sim", settings), InForce("zero", nominal()))
     wait_for(lambda: len(hub.batches) > 20)
     for turn in range(20):
         name, shift = (("ten", 10.0), ("zero", 0.0))[turn % 2]
-        live.set_calibration("sim", name, nominal(shift))
+        live.set_calibration("sim", InForce(name, nominal(shift)))
         seen = len(hub.batches)
         wait_for(lambda seen=seen: len(hub.batches) > seen + 1)  # type: ignore[misc]
     live.stop_device("sim")
@@ -301,7 +301,7 @@ def test_a_failing_driver_is_a_state_with_a_reason(
 ) -> None:
     hub = live.hub
     assert isinstance(hub, RecordingHub)
-    live.start_device("sim", FaultyDriver(error), "c1", nominal())
+    live.start_device("sim", FaultyDriver(error), InForce("c1", nominal()))
     wait_for(lambda: any(message["state"] == "failed" for message in hub.messages))
     status = live.status("sim")
     assert (status.state, status.reason) == ("failed", reason)
@@ -343,12 +343,12 @@ def test_a_description_that_the_kernel_cannot_take_closes_the_driver(live: LiveM
 def test_stopping_and_starting_again(live: LiveManager) -> None:
     endless = SimulationSettings()
     for _ in range(3):
-        live.start_device("sim", SimulatedDriver("sim", endless), "c1", nominal())
+        live.start_device("sim", SimulatedDriver("sim", endless), InForce("c1", nominal()))
         wait_for(lambda: live.status("sim").frames_processed > 3)
         live.stop_device("sim")
         assert live.status("sim").state == "stopped"
-    live.start_device("sim", SimulatedDriver("sim", endless), "c1", nominal())
-    live.start_device("sim", SimulatedDriver("sim", endless), "c1", nominal())
+    live.start_device("sim", SimulatedDriver("sim", endless), InForce("c1", nominal()))
+    live.start_device("sim", SimulatedDriver("sim", endless), InForce("c1", nominal()))
     assert live.status("sim").state == "running"
     names = [thread.name for thread in threading.enumerate()]
     assert names.count("reader-sim") == 1
@@ -361,17 +361,17 @@ def test_a_calibration_of_other_sensors_is_refused(live: LiveManager) -> None:
     first = replace(known.sensors[0], model=replace(known.sensors[0].model, name="another"))
     other = replace(known, sensors=(first, *known.sensors[1:]))
     with pytest.raises(InvalidParameter, match="another"):
-        live.start_device("sim", SimulatedDriver("sim", simulation()), "c1", other)
+        live.start_device("sim", SimulatedDriver("sim", simulation()), InForce("c1", other))
     assert live.status("sim").state == "failed"
 
     # A running one goes on with what it has: its source was changed, and works from the next start.
-    live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), "c1", known)
-    live.set_calibration("sim", "c2", other)
+    live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), InForce("c1", known))
+    live.set_calibration("sim", InForce("c2", other))
     assert live.status("sim").calibration_id == "c1"
-    live.set_calibration("sim", "c3", known)
+    live.set_calibration("sim", InForce("c3", known))
     assert live.status("sim").calibration_id == "c3"
     live.stop_device("sim")
-    live.set_calibration("sim", "c4", known)
+    live.set_calibration("sim", InForce("c4", known))
     assert live.status("sim").calibration_id == "c3"
 
 
@@ -389,14 +389,14 @@ def test_a_failure_of_the_processing_ends_the_device(
 
     monkeypatch.setattr(DeviceProcessor, "process", fail_after_20)
     driver = SimulatedDriver("sim", SimulationSettings())
-    live.start_device("sim", driver, "c1", nominal())
+    live.start_device("sim", driver, InForce("c1", nominal()))
     wait_for(lambda: any(message["state"] == "failed" for message in hub.messages))
     status = live.status("sim")
     assert status.state == "failed"
     assert status.reason is not None
     assert "singular" in status.reason
     wait_for(lambda: "reader-sim" not in [thread.name for thread in threading.enumerate()])
-    live.start_device("sim", SimulatedDriver("sim", simulation()), "c1", nominal())
+    live.start_device("sim", SimulatedDriver("sim", simulation()), InForce("c1", nominal()))
     assert live.status("sim").state != "failed"
 
 
@@ -413,14 +413,14 @@ def test_a_device_with_slow_frames_takes_few_at_a_time(
         return process(self, frames)
 
     monkeypatch.setattr(DeviceProcessor, "process", slow)
-    live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), "c1", nominal())
+    live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), InForce("c1", nominal()))
     wait_for(lambda: len(hub.batches) > 5)
     assert {len(batch.frames) for batch in hub.batches[1:]} == {1}
 
 
 def test_status_never_waits(live: LiveManager) -> None:
     """The event loop asks for it; a start or stop may hold the manager for seconds."""
-    live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), "c1", nominal())
+    live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), InForce("c1", nominal()))
     answers: list[DeviceStatus] = []
     with live._lock:
         asking = threading.Thread(

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, StringConstraints, Tag
 
-from compute.calibration.result import AxisErrors, Calibration
+from compute.calibration.result import AxisErrors, Calibration, UnknownPlaces
 from compute.calibration.settings import (
     CalibrationSettings,
     Distortion,
@@ -21,7 +21,7 @@ LEAVE_ONE_OUT_POINTS = 100
 """Most control points that are left out one by one, and that a request calibrates in full."""
 
 State = Literal["active", "available", "retired"]
-Provenance = Literal["fitted", "nominal"]
+Provenance = Literal["fitted", "self-calibrated", "nominal"]
 
 
 class Reading(Given):
@@ -132,9 +132,10 @@ class CalibrationSummary(Document):
     device: str
     state: State
     provenance: Provenance = Field(
-        description="`fitted`: from control points. `nominal`: a design's values, not measured."
+        description="`fitted`: from control points. `self-calibrated`: from subjects at unknown "
+        "places. `nominal`: a design's values, not measured."
     )
-    method: Method
+    method: Method | UnknownPlaces
     note: str
     point_count: int
     content_hash: str = Field(

@@ -4,6 +4,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from compute.camera.stack import CameraStack
+from hardware.simulated.bar import WORKING_CENTRE_MM, simulated_sensor_models
 from service.calibrations.examples import NEW_CALIBRATIONS, simulated_points
 
 _POINTS: Final = NEW_CALIBRATIONS["frame"]["value"]["points"]
@@ -35,6 +37,41 @@ NEW_MAPPING_RUNS: Final[dict[str, Any]] = {
             "calibration": "sim-nominal",
             "points": simulated_points(_GRID @ _TURNED.T),
             "note": "The simulator has no distortion: a map of nothing but rounding",
+        },
+    },
+}
+
+_WAND_MM: Final = (0.0, 300.0)
+_POSES: Final = 60
+
+
+def simulated_wand(poses: int = _POSES) -> list[dict[str, list[float]]]:
+    """Return what the simulated device reads of a wand waved through its volume, to 0.01 px."""
+    generator = np.random.default_rng(20)
+    ways = generator.normal(size=(poses, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    middle = np.asarray(WORKING_CENTRE_MM) + generator.uniform(-180.0, 180.0, (poses, 3))
+    ends = middle[:, None] + ways[:, None] * np.array([[-150.0], [150.0]])
+    models = simulated_sensor_models()
+    readings = CameraStack.of(models).project(ends.reshape(-1, 3)).round(2).reshape(poses, 2, -1)
+    return [
+        {model.name: pose[:, place].tolist() for place, model in enumerate(models)}
+        for pose in readings
+    ]
+
+
+NEW_SELF_CALIBRATION_RUNS: Final[dict[str, Any]] = {
+    "wand": {
+        "summary": "A wand of 300 mm, 60 times as the simulated device reads it",
+        "value": {
+            "id": "sim-wand-run",
+            "device": "sim",
+            "recordings": [
+                {
+                    "subject": {"kind": "wand", "position_mm": list(_WAND_MM)},
+                    "poses": simulated_wand(),
+                }
+            ],
         },
     },
 }

@@ -7,7 +7,7 @@ from typing import Any, Final
 from sqlalchemy.orm import Session
 
 from service.database.models import RunRow
-from service.runs import calibration, mapping
+from service.runs import calibration, mapping, self_calibration
 
 Task = tuple[Callable[..., Any], tuple[Any, ...]]
 
@@ -29,5 +29,8 @@ class RunKind:
 
 KINDS: Final[dict[str, RunKind]] = {
     "calibration": RunKind(calibration.task, calibration.store, "/api/v1/calibrations"),
+    "self-calibration": RunKind(
+        self_calibration.task, self_calibration.store, "/api/v1/calibrations"
+    ),
     "mapping": RunKind(mapping.task, mapping.store, "/api/v1/correction-tables"),
 }

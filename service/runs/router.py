@@ -39,10 +39,15 @@ from service.errors import (
 )
 from service.json_body import FromJson, JsonRoute
 from service.openapi import problems
-from service.runs import calibration, mapping, store
+from service.runs import calibration, mapping, self_calibration, store
 from service.runs.document import run_document
-from service.runs.examples import NEW_CALIBRATION_RUNS, NEW_MAPPING_RUNS
+from service.runs.examples import (
+    NEW_CALIBRATION_RUNS,
+    NEW_MAPPING_RUNS,
+    NEW_SELF_CALIBRATION_RUNS,
+)
 from service.runs.schema import NewCalibrationRun, NewMappingRun, Run
+from service.runs.self_calibration_schema import NewSelfCalibrationRun
 from service.runs.store import Kind, State
 from service.schema import SLUG_PATTERN, DeviceFilter, Limit, Offset, Page
 
@@ -52,6 +57,9 @@ NewCalibrationRunBody = Annotated[
     NewCalibrationRun, FromJson(), Body(openapi_examples=NEW_CALIBRATION_RUNS)
 ]
 NewMappingRunBody = Annotated[NewMappingRun, FromJson(), Body(openapi_examples=NEW_MAPPING_RUNS)]
+NewSelfCalibrationRunBody = Annotated[
+    NewSelfCalibrationRun, FromJson(), Body(openapi_examples=NEW_SELF_CALIBRATION_RUNS)
+]
 RunPath = Annotated[
     str,
     Path(
@@ -172,7 +180,7 @@ def create_mapping_run(
     with database.write() as session:
         device = get_device(session, request.device, lock=True)
         tables.check_unused(session, request.result_id)
-        parent = _parent(session, request)
+        parent = _named_or_active(session, request.device, request.calibration)
         stored = mapping.request_of(
             mapping.Request(
                 calibration=parent.id,
@@ -195,21 +203,79 @@ def create_mapping_run(
     return made
 
 
-def _parent(session: Session, request: NewMappingRun) -> CalibrationRow:
-    name = request.calibration or active_id(session, request.device)
+@router.post(
+    "/self-calibration-runs",
+    operation_id="create-self-calibration-run",
+    summary="Calibrate a device without known coordinates",
+    status_code=HTTP_202_ACCEPTED,
+    responses=problems(
+        UnknownDevice,
+        UnknownCalibration,
+        RunExists,
+        CalibrationExists,
+        CalibrationOfAnotherDevice,
+        CalibrationRetired,
+        NoActiveCalibration,
+        SensorsChanged,
+        TooFewPoints,
+        DegeneratePoints,
+        UnknownSensor,
+        ReadingOutsideSensor,
+        InvalidParameter,
+        Busy,
+    ),
+)
+def create_self_calibration_run(
+    request: NewSelfCalibrationRunBody,
+    database: DatabaseDep,
+    runs: RunsDep,
+    settings: SettingsDep,
+    response: Response,
+) -> Run:
+    """Calibrate from a wand, a rigid body or a frame at unknown places, in a process of its own.
+
+    It starts from a calibration that is near; the scale comes from the lengths given. The new
+    calibration is stored when it is done, under the run's `result_id`, and not activated.
+    """
+    with database.write() as session:
+        device = get_device(session, request.device, lock=True)
+        check_unused(session, request.result_id)
+        start = _named_or_active(session, request.device, request.start)
+        stored = self_calibration.request_of(
+            self_calibration.Request(
+                start=start.id,
+                recordings=request.recordings,
+                sensors=sensors_of_row(device),
+                datum=request.datum,
+                result_id=request.result_id,
+                note=request.note,
+            ),
+            start,
+        )
+        row = store.add_run(
+            session, "self-calibration", device.id, stored, settings.runs_waiting, request.id
+        )
+        made = run_document(row)
+    runs.submitted()
+    response.headers["Location"] = f"/api/v1/runs/{made.id}"
+    return made
+
+
+def _named_or_active(session: Session, device_id: str, named: str | None) -> CalibrationRow:
+    name = named or active_id(session, device_id)
     if name is None:
         raise NoActiveCalibration(
-            f'device "{request.device}" has no active calibration; activate one, or name the one '
-            "to map for",
-            device=request.device,
+            f'device "{device_id}" has no active calibration; activate one, or name one '
+            "in the request",
+            device=device_id,
         )
     row = usable(session, name)
-    if row.device_id != request.device:
+    if row.device_id != device_id:
         raise CalibrationOfAnotherDevice(
             f'calibration "{row.id}" is of device "{row.device_id}"; the measurements are of '
-            f'"{request.device}"',
+            f'"{device_id}"',
             calibration=row.id,
-            device=request.device,
+            device=device_id,
         )
     return row
 

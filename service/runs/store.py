@@ -14,7 +14,7 @@ from service.database.engine import insert
 from service.database.models import RunRow
 from service.errors import Busy, RunExists, UnknownRun
 
-Kind = Literal["calibration", "mapping"]
+Kind = Literal["calibration", "self-calibration", "mapping"]
 State = Literal["queued", "running", "succeeded", "failed", "cancelled", "interrupted"]
 OPEN: Final = ("queued", "running")
 STATES: Final[tuple[State, ...]] = get_args(State)

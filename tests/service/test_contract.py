@@ -29,6 +29,7 @@ RULES_BEYOND_THE_SCHEMA = {
     "draw-peaks",
     "create-calibration-run",
     "create-mapping-run",
+    "create-self-calibration-run",
     "create-capture",
     "upload-correction-table",
 }

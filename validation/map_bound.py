@@ -100,8 +100,7 @@ def compare(
     """
     rng = np.random.default_rng(_NOISE_SEED)
     low, high = np.array(LOW_MM), np.array(HIGH_MM)
-    known = _enough(scene.read(spread_points(control * 5 // 4, low, high, _POINT_SEED), rng))
-    known = known.of(np.arange(control))
+    known = _control(scene, control, rng)
     anywhere = np.random.default_rng(_TEST_SEED).uniform(low, high, (test * 5 // 4, 3))
     seen = _enough(scene.read(anywhere, rng))
     takes = [known, *(known.drawn(rng) for _ in range(exposures - 1))]
@@ -128,6 +127,16 @@ def compare(
         for (name, with_map), some in fits.items()
     )
     return Comparison(rows, seen, control, (drawn - len(chosen), drawn))
+
+
+def _control(scene: Scene, count: int, rng: np.random.Generator) -> Readings:
+    """Read control points until there are enough that three sensors see."""
+    places = spread_points(2 * count, np.array(LOW_MM), np.array(HIGH_MM), _POINT_SEED)
+    first = count * 5 // 4
+    known = _enough(scene.read(places[:first], rng))
+    if len(known.points_mm) < count:
+        known = known.and_(_enough(scene.read(places[first:], rng)))
+    return known.of(np.arange(count))
 
 
 def _enough(readings: Readings) -> Readings:

@@ -53,6 +53,12 @@ class Readings:
         """Return some of the points."""
         return Readings(*(getattr(self, name)[rows] for name in vars(self)))
 
+    def and_(self, others: "Readings") -> "Readings":
+        """Return these points and others."""
+        return Readings(
+            *(np.concatenate([getattr(one, name) for one in (self, others)]) for name in vars(self))
+        )
+
     def drawn(self, rng: np.random.Generator) -> "Readings":
         """Return other exposures: the exact readings with normal errors of the same deviations."""
         noise = self.sigma_px * rng.standard_normal(self.sigma_px.shape)

@@ -19,7 +19,7 @@ from service.correction_tables.hdf5 import write_table
 from service.database.models import Base
 from service.problems import PROBLEM_TYPES
 from service.reconstructions.examples import NEW_RECONSTRUCTIONS
-from service.runs.examples import NEW_MAPPING_RUNS
+from service.runs.examples import NEW_MAPPING_RUNS, NEW_SELF_CALIBRATION_RUNS
 from service.settings import Settings
 from tests.service.correction_tables import test_hdf5 as hdf5_files
 from tests.service.correction_tables.tables import content
@@ -464,6 +464,31 @@ builds("map for a retired calibration")(lambda: post_mapping(calibration="old"))
 builds("pitch of a map through every value")(
     lambda: post_mapping(method="trilinear", pitch_mm=[10, 10, 10])
 )
+
+
+def post_wand(**changes: Any) -> Sent:
+    body = copy.deepcopy(NEW_SELF_CALIBRATION_RUNS["wand"]["value"]) | {"id": None} | changes
+    return Sent("POST", "/api/v1/self-calibration-runs", body)
+
+
+@builds("wand with one marker")
+def _() -> Sent:
+    sent = post_wand()
+    [recording] = sent.body["recordings"]
+    recording["subject"]["position_mm"] = [0.0]
+    recording["poses"] = [{name: pair[:1] for name, pair in pose.items()}
+                          for pose in recording["poses"]]  # fmt: skip
+    return sent
+
+
+@builds("wand read by an unknown sensor")
+def _() -> Sent:
+    sent = post_wand()
+    sent.body["recordings"][0]["poses"][0]["sixth"] = [1.0, 2.0]
+    return sent
+
+
+builds("self-calibration from another device's start")(lambda: post_wand(start="of-bar"))
 builds("table that is not HDF5")(lambda: upload(b"points=3"))
 builds("table cut short")(lambda: upload(table()[:3000]))
 builds("table declared as JSON")(lambda: upload(table(), media_type="application/json"))

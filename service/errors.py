@@ -106,7 +106,7 @@ class CaptureExists(LumilineError):
 
 
 class DeviceInUse(LumilineError):
-    """The change would orphan calibrations or reconstructions that belong to the device."""
+    """The change would orphan what belongs to the device: calibrations, captures, runs, ..."""
 
     code = "device-in-use"
 

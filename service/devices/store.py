@@ -118,7 +118,8 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
 
     Raises:
         UnknownDevice.
-        DeviceInUse: calibrations or reconstructions belong to it, and ``cascade`` is not asked.
+        DeviceInUse: calibrations, reconstructions, captures or runs belong to it, and ``cascade``
+            is not asked.
     """
     row = get_device(session, device_id, lock=True)
     if cascade:
@@ -133,28 +134,37 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
         ):
             session.execute(delete(table).where(table.device_id == device_id))
     else:
-        _refuse_if_used(session, device_id, "add ?cascade=true to delete them with it")
+        _refuse_if_used(
+            session,
+            device_id,
+            "add ?cascade=true to delete them with it",
+            captures=CaptureRow,
+            runs=RunRow,
+        )
     session.delete(row)
     session.flush()
 
 
-def _refuse_if_used(session: Session, device_id: str, why: str) -> None:
+def _refuse_if_used(
+    session: Session, device_id: str, why: str, **others: type[CaptureRow] | type[RunRow]
+) -> None:
+    """Raise DeviceInUse when calibrations, reconstructions or ``others`` belong to a device."""
+    kinds = {"calibrations": CalibrationRow, "reconstructions": ReconstructionRow, **others}
     counts = {
         name: session.scalar(
             select(func.count()).select_from(table).where(table.device_id == device_id)
         )
         or 0
-        for name, table in (
-            ("calibrations", CalibrationRow),
-            ("reconstructions", ReconstructionRow),
-        )
+        for name, table in kinds.items()
     }
     if any(counts.values()):
+        listed = [
+            f"{count} {name if count != 1 else name.removesuffix('s')}"
+            for name, count in counts.items()
+            if count
+        ]
         raise DeviceInUse(
-            f'device "{device_id}" has {counts["calibrations"]} calibrations and '
-            f"{counts['reconstructions']} reconstructions; {why}",
-            device=device_id,
-            **counts,
+            f'device "{device_id}" has {", ".join(listed)}; {why}', device=device_id, **counts
         )
 
 

@@ -13,6 +13,7 @@ from hardware.driver import DeviceDescription, SensorDescription
 from hardware.recording import RecordingWriter
 from hardware.simulated.driver import SimulatedDriver
 from service.devices.store import get_device
+from service.runs.store import add_run, cancel
 from service.settings import Settings
 
 EXTERNAL = {
@@ -127,6 +128,29 @@ def test_deleting_is_refused_while_calibrations_exist_and_cascades_on_request(
     assert live.calls[-1] == ("forget", "sim")
     assert client.get("/api/v1/devices/sim").status_code == 404
     assert client.get("/api/v1/calibrations").json()["total"] == 0
+
+
+def test_deleting_is_refused_while_captures_or_runs_exist(client: Any):
+    client.post("/api/v1/devices", json=EXTERNAL)
+    sensors = client.get("/api/v1/devices/bar").json()["sensors"]
+    capture = {"id": "held", "device": "bar", "targets": [{"name": "P", "position_mm": [0, 0, 0]}]}
+    assert client.post("/api/v1/captures", json=capture).status_code == 201
+    refused = client.delete("/api/v1/devices/bar")
+    assert (refused.status_code, refused.json()["type"]) == (409, "/problems/device-in-use")
+    assert 'device "bar" has 1 capture; add ?cascade=true' in refused.json()["detail"]
+    with client.app.state.database.write() as session:
+        for number in range(2):
+            add_run(session, "calibration", "bar", {"result_id": None}, 100, f"run-{number}")
+            session.flush()
+            cancel(session, f"run-{number}")
+    assert "1 capture, 2 runs" in client.delete("/api/v1/devices/bar").json()["detail"]
+    # Neither keeps the sensors from being changed.
+    source = EXTERNAL["source"] | {"sensors": [sensors[0] | {"pixels": 99}, *sensors[1:]]}
+    changed = client.patch("/api/v1/devices/bar", json={"source": source})
+    assert changed.status_code == 200, changed.text
+    assert client.delete("/api/v1/devices/bar?cascade=true").status_code == 204
+    assert client.get("/api/v1/captures").json()["total"] == 0
+    assert client.get("/api/v1/runs").json()["total"] == 0
 
 
 def test_a_device_without_calibrations_is_deleted(client: Any):

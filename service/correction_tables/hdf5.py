@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import zlib
 from datetime import datetime
 from typing import Any, Final, cast
@@ -299,8 +300,16 @@ def _object(name: str, text: str) -> dict[str, Any]:
     def refuse(constant: str) -> None:
         raise ValueError(f"{constant} is not JSON")
 
+    def finite(digits: str) -> float:
+        value = float(digits)
+        if not math.isfinite(value):
+            raise ValueError(f"{digits[:40]} is beyond the largest number")
+        return value
+
     try:
-        found = json.loads(text, parse_constant=refuse)
+        found = json.loads(text, parse_constant=refuse, parse_float=finite)
+        # An escaped half of a surrogate pair parses, but is no text that can be hashed or stored.
+        json.dumps(found, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
         raise InvalidTableFile(f"{name} is not JSON: {_first_line(error)}") from error
     if not isinstance(found, dict):

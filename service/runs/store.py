@@ -12,7 +12,13 @@ from sqlalchemy.orm import Session
 
 from service.database.engine import insert
 from service.database.models import RunRow
-from service.errors import Busy, RunExists, UnknownRun
+from service.errors import (
+    Busy,
+    CalibrationExists,
+    CorrectionTableExists,
+    RunExists,
+    UnknownRun,
+)
 
 Kind = Literal["calibration", "self-calibration", "mapping"]
 State = Literal["queued", "running", "succeeded", "failed", "cancelled", "interrupted"]
@@ -75,6 +81,8 @@ def add_run(
 
     Raises:
         RunExists: the id is taken.
+        CalibrationExists, CorrectionTableExists: another run that waits or runs is to make a
+            result of the same id.
         Busy: so many wait already.
     """
     waiting = session.scalar(
@@ -82,6 +90,7 @@ def add_run(
     )
     if (waiting or 0) >= most_waiting:
         raise Busy(f"{waiting} runs wait already, as many as may; send this one again later")
+    _check_unclaimed(session, kind, request.get("result_id"))
     identity = run_id or f"run-{secrets.token_hex(8)}"
     taken = RunExists(
         f'run "{identity}" exists already; choose another id, or leave it out', run=identity
@@ -106,6 +115,31 @@ def add_run(
     )
     insert(session, row, taken)
     return row
+
+
+def _check_unclaimed(session: Session, kind: Kind, result_id: str | None) -> None:
+    """Refuse an id under which a run that has not ended will store its result."""
+    if result_id is None:
+        return
+    maps = kind == "mapping"
+    run_id = session.scalars(
+        select(RunRow.id)
+        .where(
+            RunRow.state.in_(OPEN),
+            RunRow.kind == "mapping" if maps else RunRow.kind != "mapping",
+            RunRow.request["result_id"].as_string() == result_id,
+        )
+        .limit(1)
+    ).first()
+    if run_id is None:
+        return
+    what = "correction table" if maps else "calibration"
+    raise (CorrectionTableExists if maps else CalibrationExists)(
+        f'run "{run_id}" is to make {what} "{result_id}"; choose another result_id, leave it out, '
+        "or cancel that run",
+        run=run_id,
+        result=result_id,
+    )
 
 
 def claim(session: Session) -> RunRow | None:

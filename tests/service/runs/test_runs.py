@@ -12,6 +12,7 @@ from service.app import create_app
 from service.calibrations.examples import NEW_CALIBRATIONS, simulated_points
 from service.database.engine import Database
 from service.database.models import RunRow
+from service.errors import CalibrationExists, CorrectionTableExists
 from service.runs import store
 from service.runs.kinds import KINDS, RunKind
 from service.settings import Settings
@@ -82,6 +83,29 @@ def test_a_run_makes_the_calibration_that_a_request_makes(client: Any):
     listed = client.get("/api/v1/runs", params={"device": "sim", "kind": "calibration"}).json()
     assert [run["id"] for run in listed["items"]] == ["first"]
     assert client.get("/api/v1/runs", params={"state": "failed"}).json()["total"] == 0
+
+
+def test_an_id_that_another_run_is_to_store_under_is_taken(
+    client: Any, computing: Any, tmp_path: Path
+):
+    computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
+    for number, expected in enumerate((202, 409)):
+        posted = client.post(URL, json=body(id=f"run-{number}", result_id="made"))
+        assert posted.status_code == expected, posted.text
+    assert posted.json()["type"] == "/problems/calibration-exists"
+    assert 'run "run-0" is to make calibration "made"' in posted.json()["detail"]
+    # Of runs of another kind, or that have ended, it is free.
+    with client.app.state.database.write() as session:
+        store.add_run(session, "mapping", "sim", {"result_id": "made"}, 100, "map")
+        with pytest.raises(CorrectionTableExists, match='run "map" is to make correction table'):
+            store.add_run(session, "mapping", "sim", {"result_id": "made"}, 100)
+        with pytest.raises(CalibrationExists):
+            store.add_run(session, "self-calibration", "sim", {"result_id": "made"}, 100)
+        store.cancel(session, "map")
+    client.post("/api/v1/runs/run-0/cancel")
+    posted = client.post(URL, json=body(id="run-2", result_id="made"))
+    assert posted.status_code == 202, posted.text
+    client.post("/api/v1/runs/run-2/cancel")
 
 
 def test_many_points_are_left_out_in_blocks(sqlite_client: Any):

@@ -5,7 +5,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from compute.calibration.terms import Preset, preset_terms
+from compute.calibration.terms import Preset, check_order, preset_terms
 from compute.camera.field_distortion import Term, check_terms
 from compute.errors import InvalidParameter
 
@@ -59,6 +59,7 @@ class CalibrationSettings:
                 )
         if not isinstance(self.distortion, str):
             check_terms(self.distortion)
+            check_order(self.distortion)
         elif self.distortion not in ("none", "auto"):
             preset_terms(self.distortion)
         sigma = self.control_sigma_mm

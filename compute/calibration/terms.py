@@ -1,5 +1,6 @@
 """Named sets of distortion terms: the published polynomials and what a run chooses among."""
 
+from collections.abc import Sequence
 from typing import Final, Literal, get_args
 
 from compute.camera.field_distortion import (
@@ -55,6 +56,12 @@ PRESETS: Final[dict[Preset, tuple[Term, ...]]] = {
   fifth. Which nineteen the manufacturer takes is not published; these are ours.
 """
 
+MOST_ORDER: Final = 9
+"""Highest order i + j of a term to be fitted, two above the largest set's.
+
+Half the field of view is below 0.5 (a wide lens), and 0.5^9 = 0.002.
+"""
+
 AUTO_CANDIDATES: Final[tuple[Preset, ...]] = (
     "odd-powers",
     "symmetric-3",
@@ -81,6 +88,21 @@ def preset_terms(name: str) -> tuple[Term, ...]:
         f"{', '.join(get_args(Preset))}",
         distortion=name,
     )
+
+
+def check_order(terms: Sequence[Term]) -> None:
+    """Refuse a term that no data can determine: its values vanish over any field of view.
+
+    Raises:
+        InvalidParameter: a term of an order i + j above MOST_ORDER.
+    """
+    for term in terms:
+        if sum(term) > MOST_ORDER:
+            raise InvalidParameter(
+                f"distortion has u^{term[0]} v^{term[1]}, of the order {sum(term)}; the powers of "
+                f"a term may add up to {MOST_ORDER}",
+                terms=term,
+            )
 
 
 def has_slit_angle(terms: tuple[Term, ...]) -> bool:

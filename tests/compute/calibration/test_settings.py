@@ -13,6 +13,7 @@ from compute.calibration.terms import (
     AUTO_CANDIDATES,
     PRESETS,
     Preset,
+    check_order,
     free_parameters,
     preset_terms,
 )
@@ -25,6 +26,13 @@ from tests.compute.rig import control_points, geometry, project, rig
 def test_no_named_set_has_a_degenerate_term(name: Preset) -> None:
     check_terms(PRESETS[name])
     assert preset_terms(name) == PRESETS[name]
+
+
+def test_terms_up_to_the_highest_order_are_taken() -> None:
+    terms = ((9, 0), (0, 9), (5, 4))
+    assert CalibrationSettings(distortion=terms).distortion == terms
+    for name in get_args(Preset):
+        check_order(PRESETS[name])
 
 
 def test_the_factory_set_makes_nineteen_parameters() -> None:
@@ -47,6 +55,8 @@ def test_candidates_come_in_the_order_of_their_parameters() -> None:
         ({"labels": "guess"}, "repair"),
         ({"distortion": "brown"}, "symmetric-3"),
         ({"distortion": ((1, 1),)}, "tilt"),
+        ({"distortion": ((3, 0), (50, 50))}, r"u\^50 v\^50, of the order 100"),
+        ({"distortion": ((6, 4),)}, "may add up to 9"),
         ({"control_sigma_mm": 0.0}, "1e-06"),
         ({"control_sigma_mm": float("nan")}, "nan"),
         ({"method": "dlt-iterative", "distortion": "auto"}, "as published"),

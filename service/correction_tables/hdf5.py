@@ -87,7 +87,8 @@ def read_table(data: bytes) -> TableContent:
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             return _read(file)
-    except (OSError, RuntimeError, KeyError, EOFError) as error:
+    except (OSError, RuntimeError, KeyError, EOFError, ValueError, TypeError) as error:
+        # ValueError and TypeError: what h5py says of datatypes that make none of its own.
         raise InvalidTableFile(
             f"the file is HDF5 but is cut short or damaged: {_first_line(error)}"
         ) from error

@@ -137,7 +137,7 @@ def nominal_document() -> bytes:
     """The simulator's own cameras, as `lumiline calibrate` writes a calibration."""
     from compute.calibration.result import Calibration, SensorFit
     from hardware.simulated.bar import simulated_sensor_models
-    from service.cli.offline import DOCUMENT
+    from service.cli.calibration_file import DOCUMENT
 
     fits = tuple(
         SensorFit(model, 0, 0.0, 0.0, 1e-3, "given", None) for model in simulated_sensor_models()

@@ -18,7 +18,7 @@ from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import StillPoints
 from service.cli import app
-from service.cli.offline import DOCUMENT
+from service.cli.calibration_file import DOCUMENT
 from service.database.engine import Database
 from service.devices.profile_device import nominal_calibration
 from service.settings import Settings

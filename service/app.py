@@ -25,6 +25,7 @@ from service.openapi import install_openapi
 from service.planning.router import router as device_profiles
 from service.problem_handlers import install_problem_handlers, no_such_websocket
 from service.reconstructions.router import router as reconstructions
+from service.reports.kept import KeptReports
 from service.reports.router import router as reports
 from service.runs.manager import RunManager
 from service.runs.router import router as runs_router
@@ -96,6 +97,7 @@ def create_app(
         redirect_slashes=False,
     )
     app.state.settings = settings
+    app.state.reports = KeptReports()
     app.add_middleware(
         BodyLimit,
         limit_bytes=settings.body_limit_bytes,

@@ -1,4 +1,4 @@
-"""What endpoints get handed: database, operation of devices, runs, settings of this application."""
+"""What endpoints get handed: database, operation, runs, reports, settings of this application."""
 
 from typing import Annotated
 
@@ -8,6 +8,7 @@ from service.database.engine import Database
 from service.devices.operation import Operation
 from service.errors import NotReady
 from service.live.manager import LiveManager
+from service.reports.kept import KeptReports
 from service.runs.manager import RunManager
 from service.settings import Settings
 
@@ -34,6 +35,11 @@ def _runs(request: Request) -> RunManager:
     return runs
 
 
+def _reports(request: Request) -> KeptReports:
+    reports: KeptReports = request.app.state.reports
+    return reports
+
+
 def _settings(request: Request) -> Settings:
     settings: Settings = request.app.state.settings
     return settings
@@ -43,4 +49,5 @@ DatabaseDep = Annotated[Database, Depends(_database)]
 OperationDep = Annotated[Operation, Depends(_operation)]
 LiveDep = Annotated[LiveManager, Depends(_live)]
 RunsDep = Annotated[RunManager, Depends(_runs)]
+ReportsDep = Annotated[KeptReports, Depends(_reports)]
 SettingsDep = Annotated[Settings, Depends(_settings)]

@@ -36,12 +36,14 @@ border-bottom:1px solid #ccc}
 th,td{padding:.2rem .6rem;border-bottom:1px solid #ddd;text-align:right;vertical-align:top}
 th:first-child,td:first-child{text-align:left}
 td.w{text-align:left}table.words td{text-align:left;overflow-wrap:anywhere}
-figure{margin:1rem 0;break-inside:avoid}figure img{max-width:100%;height:auto}
+figure{margin:1rem 0;break-inside:avoid}
+figure img{display:block;width:100%;min-width:40rem;max-width:58rem;height:auto}
 figcaption{color:#444;font-size:.9rem}
 .facts{display:grid;grid-template-columns:repeat(auto-fit,minmax(9.5rem,1fr));gap:.5rem;padding:0;
 list-style:none}.facts li{border:1px solid #ccc;border-radius:.4rem;padding:.5rem}
 .facts b{display:block;font-size:1.2rem}.warn{border-left:4px solid #D55E00;padding-left:.7rem}
-@media print{body{max-width:none;font-size:10pt}h2{break-after:avoid}tr{break-inside:avoid}}
+@media print{body{max-width:none;font-size:10pt}figure img{min-width:0}.scroll{overflow:visible}
+h2{break-after:avoid}tr{break-inside:avoid}}
 """
 
 Cell = str | float | int | None
@@ -109,7 +111,8 @@ def _figure(name: str, content: ReportContent) -> str:
     data = base64.b64encode(drawn).decode()
     caption = escape(_CAPTIONS[name])
     return (
-        f'<figure><img alt="{caption}" src="data:image/svg+xml;base64,{data}">'
+        f'<figure><div class="scroll"><img alt="{caption}" '
+        f'src="data:image/svg+xml;base64,{data}"></div>'
         f"<figcaption>{caption}</figcaption></figure>"
     )
 

@@ -6,11 +6,11 @@ from typing import Annotated, Final, Literal
 from fastapi import APIRouter, Path, Query
 from starlette.responses import HTMLResponse, Response
 
-from service.dependencies import DatabaseDep
+from service.dependencies import DatabaseDep, ReportsDep
 from service.errors import Busy, CalibrationOfAnotherDevice, NoSuchFigure, UnknownCalibration
 from service.openapi import problems
 from service.reports.apart import figure_apart, page_apart
-from service.reports.stored import stored_report
+from service.reports.stored import report_key, stored_report
 from service.schema import SLUG_PATTERN, CalibrationPath
 
 router = APIRouter(prefix="/api/v1/calibrations", tags=["calibrations"])
@@ -59,13 +59,21 @@ PreviousQuery = Annotated[
     responses=problems(UnknownCalibration, CalibrationOfAnotherDevice, Busy) | {200: _HTML},
 )
 def get_report(
-    calibration_id: CalibrationPath, database: DatabaseDep, previous: PreviousQuery = None
+    calibration_id: CalibrationPath,
+    database: DatabaseDep,
+    kept: ReportsDep,
+    previous: PreviousQuery = None,
 ) -> HTMLResponse:
     """One HTML file that needs nothing else: to read, to print, to keep."""
-    with _Slot():
-        with database.read() as session:
-            content = stored_report(session, calibration_id, previous)
-        page = page_apart(content)
+    with database.read() as session:
+        key = report_key(session, calibration_id, previous)
+    page = kept.get(key)
+    if page is None:
+        with _Slot():
+            with database.read() as session:
+                content = stored_report(session, calibration_id, previous)
+            page = page_apart(content).encode()
+        kept.keep(key, page)
     return HTMLResponse(page)
 
 
@@ -84,13 +92,20 @@ def get_figure(
         Path(openapi_examples={"order": {"value": "residuals-order"}}, description="Its name."),
     ],
     database: DatabaseDep,
+    kept: ReportsDep,
     previous: PreviousQuery = None,
 ) -> Response:
     """The figure as PNG."""
-    with _Slot():
-        with database.read() as session:
-            content = stored_report(session, calibration_id, previous)
-        drawn = figure_apart(figure, content)
+    with database.read() as session:
+        key = f"{report_key(session, calibration_id, previous)}/{figure}"
+    drawn = kept.get(key)
+    if drawn is None:
+        with _Slot():
+            with database.read() as session:
+                content = stored_report(session, calibration_id, previous)
+            drawn = figure_apart(figure, content)
+        if drawn is not None:
+            kept.keep(key, drawn)
     if drawn is None:
         raise NoSuchFigure(
             f'the report of calibration "{calibration_id}" has no figure {figure}: there are no '

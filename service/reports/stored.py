@@ -1,5 +1,8 @@
 """The report of a stored calibration, beside the one before it."""
 
+import hashlib
+import json
+
 import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -17,6 +20,23 @@ from service.devices.store import get_device, sensors_of_row
 from service.errors import CalibrationOfAnotherDevice
 from service.reports.content import ReportContent
 from service.version import package_version
+
+
+def report_key(session: Session, calibration_id: str, previous_id: str | None = None) -> str:
+    """Return a hash of all that the report of a calibration is made of, without making it.
+
+    Takes and raises what ``stored_report`` does.
+    """
+    row = get_calibration(session, calibration_id)
+    device = get_device(session, row.device_id)
+    previous = _previous(session, row, previous_id)
+    parts = [
+        package_version(),
+        [row.id, row.content_hash, row.note, row.created_at.isoformat()],
+        [device.id, device.title, device.sensors],
+        [previous.id, previous.content_hash] if previous is not None else None,
+    ]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
 def stored_report(

@@ -19,8 +19,10 @@ from hardware.simulated.bar import WORKING_CENTRE_MM, simulated_sensor_models
 from service.calibrations.comparison import Controlled, compare
 from service.calibrations.examples import NEW_CALIBRATIONS
 from service.database.seed import nominal_calibration
+from service.reports import router
 from service.reports.content import ReportContent
 from service.reports.figures import FIGURES, draw
+from service.reports.kept import KeptReports
 from service.reports.page import pictures, report_page
 from service.reports.router import FigureName
 from service.reports.text import number
@@ -190,6 +192,70 @@ def test_many_points_do_not_make_a_large_page(content: ReportContent):
     drawn = draw("residuals-position", many, "svg")
     assert drawn is not None
     assert len(drawn) < 1_000_000
+
+
+def test_figures_keep_their_size_on_a_small_screen(page: str):
+    """Below the least width a figure is scrolled within its own box, not shrunk."""
+    assert page.count('<figure><div class="scroll"><img ') == len(FIGURES)
+    style = page.partition("<style>")[2].partition("</style>")[0]
+    screen, _, printed = style.partition("@media print")
+    assert re.search(r"figure img\{[^}]*min-width:40rem", screen)
+    assert re.search(r"\.scroll\{overflow-x:auto\}", screen)
+    assert re.search(r"figure img\{min-width:0\}", printed)
+
+
+def test_a_report_is_drawn_once(sqlite_client: Any, monkeypatch: pytest.MonkeyPatch):
+    drawn: list[str] = []
+
+    def page_of(content: ReportContent) -> str:
+        drawn.append(content.title)
+        return f"{content.title} {content.previous and content.previous[0]}"
+
+    def figure_of(name: str, content: ReportContent) -> bytes | None:
+        drawn.append(name)
+        return None if name == "coverage" else name.encode()
+
+    monkeypatch.setattr(router, "page_apart", page_of)
+    monkeypatch.setattr(router, "figure_apart", figure_of)
+    example = NEW_CALIBRATIONS["frame"]["value"]
+    sqlite_client.post("/api/v1/calibrations", json=example | {"id": "one"})
+    sqlite_client.post("/api/v1/calibrations", json=example | {"id": "two"})
+    url = "/api/v1/calibrations/one/report"
+
+    def times(path: str, **query: str) -> int:
+        drawn.clear()
+        answers = [sqlite_client.get(url + path, params=query) for _ in range(2)]
+        assert answers[0].content == answers[1].content
+        return len(drawn)
+
+    assert times(".html") == 1
+    assert times(".html", previous="two") == 1
+    assert times("/residuals-order.png") == 1
+    assert times("/residuals-pixels.png") == 1
+    assert times("/coverage.png") == 2  # a problem, which is not kept
+    assert times(".html") == 0
+    assert "sim-nominal" in sqlite_client.get(f"{url}.html").text
+    # What the page says has changed: which one is active, and the device's title.
+    sqlite_client.post("/api/v1/calibrations/two/activate")
+    assert times(".html", previous="two") == 0
+    assert "two" in sqlite_client.get(f"{url}.html").text
+    sqlite_client.patch("/api/v1/devices/sim", json={"title": "Another title"})
+    assert times(".html") == 1
+    assert "Another title" in sqlite_client.get(f"{url}.html").text
+
+
+def test_reports_are_kept_within_their_bound():
+    kept = KeptReports(100)
+    kept.keep("large", bytes(101))
+    assert kept.get("large") is None
+    for name in "abc":
+        kept.keep(name, name.encode() * 33)
+    assert kept.get("a") == b"a" * 33  # asked for: b is the oldest now
+    kept.keep("d", b"d" * 33)
+    assert [name for name in "abcd" if kept.get(name) is not None] == ["a", "c", "d"]
+    kept.keep("d", b"e" * 34)
+    assert [name for name in "acd" if kept.get(name) is not None] == ["a", "c", "d"]
+    assert kept.get("d") == b"e" * 34
 
 
 def test_the_route_names_the_figures_that_there_are():

@@ -154,8 +154,12 @@ def coverage(content: ReportContent) -> Figure | None:
             color=_style(number)[0],
         )  # fmt: skip
         pixels.set_ylabel(f"{model.name}\npoints")
-        _dots(field, u[seen, number], v[seen, number], number)
-        field.set_ylabel("v = y/z")
+        across, name = v[seen, number], "v = y/z"
+        if model.distortion is None and len(across):
+            # No reading depends on where along its slit the sensor is: v's zero is not known.
+            across, name = across - across.mean(), "v less its mean"
+        _dots(field, u[seen, number], across, number)
+        field.set_ylabel(name)
         z = content.points_mm[seen] @ model.rotation[2] + model.offset_z_mm
         depth.hist(z, 20, color=_style(number)[0])
     axes[-1, 0].set_xlabel("reading [px]")

@@ -1,14 +1,16 @@
 """Calibrate a two-dimensional camera: one rotation, one centre, both readings of every point."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.checks import check_observations
+from compute.calibration.figures import QUANTISATION_PX, UNEXPLAINED_PROBABILITY
 from compute.calibration.levenberg import ROUNDING
 from compute.calibration.metric import fit_metric
+from compute.calibration.sensor_fits import SIGMA_FLOOR_PX
 from compute.camera.model import SensorGeometry, SensorModel, vector3
 from compute.camera.planar import PlanarCamera
 from compute.camera.rotation import rotation_vector
@@ -21,7 +23,8 @@ Array = NDArray[np.float64]
 MAX_STEPS: Final = 200
 SETTLED: Final = 1e-9
 DETERMINED_RATIO: Final = 1e-7
-UNEXPLAINED_PROBABILITY: Final = 0.01
+
+SigmaSource = Literal["given", "residuals", "assumed"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +37,8 @@ class PlanarFit:
         sensor_covariance: of both sensors' parameters together, shape (P, P): it has the rank of
             ``covariance``, which is what the constraints [2.10] and [2.11] are.
         residuals_px: fitted minus measured, shape (N, 2); NaN where not seen.
+        sigma_source: whence the readings' deviation is: given, from the residuals, or, with at
+            most two readings more than parameters, assumed to be quantisation's at least.
         chi2_per_dof: with given deviations, about 1 where they are right; else None.
     """
 
@@ -41,6 +46,7 @@ class PlanarFit:
     covariance: Array
     sensor_covariance: Array
     residuals_px: Array
+    sigma_source: SigmaSource
     chi2_per_dof: float | None
 
     @property
@@ -111,15 +117,31 @@ def calibrate_planar(
         )
     inverse = np.linalg.inv(triangle) / scale[:, None]
     chi2 = float((residuals**2).sum())
-    factor, chi2_per_dof = chi2 / max(freedom - 2, 1), None
-    if sigma_px is not None:
-        chi2_per_dof = chi2 / freedom if freedom else None
-        unexplained = chi2 > chi2_limit(freedom, UNEXPLAINED_PROBABILITY)
-        factor = chi2 / freedom if unexplained else 1.0
+    factor, source = _factor(chi2, freedom, sigma_px is not None)
+    chi2_per_dof = chi2 / freedom if source == "given" and freedom else None
     covariance = inverse @ inverse.T * factor
     slopes = camera.sensor_slopes(square)
     misfit = np.where(seen, CameraStack.of(camera.sensors()).project(points) - readings, np.nan)
-    return PlanarFit(camera, covariance, slopes @ covariance @ slopes.T, misfit, chi2_per_dof)
+    return PlanarFit(
+        camera, covariance, slopes @ covariance @ slopes.T, misfit, source, chi2_per_dof
+    )
+
+
+def _factor(chi2: float, freedom: int, known: bool) -> tuple[float, SigmaSource]:
+    """Return the factor from the equations' inverse to the covariance, and whence it is.
+
+    Args:
+        chi2: residuals squared, over the deviations where these are known [px^2 where not].
+        freedom: readings less parameters.
+        known: whether deviations were given.
+    """
+    if known:
+        unexplained = chi2 > chi2_limit(freedom, UNEXPLAINED_PROBABILITY)
+        return (chi2 / freedom if unexplained else 1.0), "given"
+    if freedom > 2:
+        return max(chi2 / (freedom - 2), SIGMA_FLOOR_PX**2), "residuals"
+    # As of a linear sensor: one or two residuals more than parameters say too little.
+    return max(chi2 / max(freedom, 1), QUANTISATION_PX**2), "assumed"
 
 
 def _together(

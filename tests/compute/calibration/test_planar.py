@@ -14,7 +14,7 @@ from compute.calibration.run import calibrate
 from compute.camera.planar import PlanarCamera, dlt_constraints, dlt_eleven, normal_case
 from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
-from compute.errors import DegeneratePoints, InvalidParameter
+from compute.errors import DegeneratePoints, InvalidParameter, NoConvergence
 from compute.reconstruction.points import reconstruct
 from tests.compute.rig import control_points, geometry, project, rig
 
@@ -139,6 +139,35 @@ def test_the_covariance_is_honest_and_constraints_make_it_small() -> None:
     assert error < 0.12
     # Fourteen parameters against nine.
     assert np.mean(gains) > 1.2
+
+
+@pytest.mark.parametrize(
+    ("count", "radial", "source"), [(7, 2, "assumed"), (7, 3, "assumed"), (9, 2, "residuals")]
+)
+def test_little_redundancy_is_not_taken_for_certainty(count: int, radial: int, source: str) -> None:
+    """Readings to whole pixels, 1, 0 and 5 more than parameters, without their deviations."""
+    ratios = []
+    for seed in range(30):
+        points = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 3)) * [400, 300, 250]
+        points[:, 2] += 1500.0
+        exact = directly(CAMERA, points)
+        large = (4000, 4000)
+        try:
+            found = calibrate_planar(
+                points, np.round(exact) + 1000.0, "cam", large, radial=radial, decentring=True
+            )
+        except (NoConvergence, DegeneratePoints, InvalidParameter):
+            continue  # so few points may leave no camera to start from
+        assert found.sigma_source == source
+        stack = CameraStack.of(found.models)
+        slopes = stack.parameter_jacobian(points)
+        blocks = stack.spread_covariance(found.sensor_covariance)
+        variance = np.einsum("nsp,spsq,nsq->ns", slopes, blocks, slopes)
+        ratios.append(((stack.project(points) - exact - 1000.0) ** 2 / variance).mean())
+    assert len(ratios) > 8
+    # Taken from one residual, the variance was millions of times too small in the worst of them.
+    assert 0.5 < np.median(ratios) < 1.5
+    assert np.max(ratios) < (2.0 if source == "assumed" else 20.0)
 
 
 def test_a_rig_may_mix_both_kinds() -> None:

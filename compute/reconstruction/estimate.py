@@ -20,7 +20,8 @@ class PointFlag(IntFlag):
     DEGENERATE = 2
     """The planes meet in a line, not in a point: no position."""
     NO_CONVERGENCE = 4
-    """The iteration left the cameras' field or did not settle: no position."""
+    """No position: the iteration left the cameras' field, did not settle, or rests at a place
+    that three sensors' readings, which always could, do not meet in."""
     NO_REDUNDANCY = 8
     """Exactly three sensors: the residual is zero and says nothing."""
     INCONSISTENT = 16

@@ -28,6 +28,8 @@ ROUNDING = 1.0 + 1e-10
 _DIAGONAL = np.arange(3)
 INCONSISTENT_PROBABILITY = 1e-4
 """Chance that a good point is flagged as inconsistent."""
+MET_CHI2 = 1e-6
+"""Of a point that three sensors' readings meet in: far above rounding, far below any noise."""
 UNINFORMATIVE_RATIO = 1e3
 """A reading this many times less certain than the third best is not used."""
 DEGENERATE_RATIO = 1e-14
@@ -90,6 +92,9 @@ def reconstruct(
     whitening = _whitening(cameras, place, variance, used, parameter_covariance)
     position, gram, converged = _refine(equations, whitening, place)
     normal, chi2 = gram[:, :3, :3], gram[:, 3, 3]
+    # Three readings have a point that fits exactly, unless a table bends them past one another:
+    # then the search rests where they come nearest, and that is no point.
+    converged &= (count > 3) | (chi2 <= MET_CHI2)
 
     flags = np.zeros(len(readings), dtype=np.int32)
     flags[count < 3] = PointFlag.TOO_FEW_SENSORS

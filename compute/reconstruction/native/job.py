@@ -12,6 +12,7 @@ from compute.reconstruction.points import (
     FIRST_STEPS,
     MAX_DAMPING,
     MAX_ITERATIONS,
+    MET_CHI2,
     ROUNDING,
     SETTLED_MM,
     UNINFORMATIVE_RATIO,
@@ -80,7 +81,7 @@ JOB_SOURCE: Final = f"""
     const int first_steps = {FIRST_STEPS}, max_iterations = {MAX_ITERATIONS};
     const double first_damping = {FIRST_DAMPING!r}, max_damping = {MAX_DAMPING!r};
     const double settled = {SETTLED_MM!r}, uninformative = {UNINFORMATIVE_RATIO!r};
-    const double rounding = {ROUNDING!r};
+    const double rounding = {ROUNDING!r}, met_chi2 = {MET_CHI2!r};
     const double condition_limit = {CONDITION_LIMIT!r}, degenerate_ratio = {DEGENERATE_RATIO!r};
     const Job& job = *(const Job*)job_address;
 """

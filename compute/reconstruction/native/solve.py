@@ -227,7 +227,7 @@ _POINT: Final = """
     } else {
         for (int s = 0; s < R; ++s) inverse[s] = 1.0 / sqrt(variance[s]);
     }
-    if (!refine(max_iterations)) {
+    if (!refine(max_iterations) || (count == 3 && !(gram[9] <= met_chi2))) {
         give_up(no_convergence);
         return;
     }

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -18,6 +18,7 @@ from tests.compute.rig import control_points, geometry, project, rig
 Array = NDArray[np.float64]
 
 
+@settings(deadline=None)
 @given(
     st.integers(3, 8),
     st.lists(st.tuples(*[st.floats(-200.0, 200.0)] * 3), min_size=1, max_size=6),

@@ -123,6 +123,24 @@ def test_wild_readings_are_refused_alike() -> None:
     assert np.isfinite(found.position_mm[~refused]).all()
 
 
+def test_three_readings_that_meet_nowhere_near_are_no_point() -> None:
+    """A steep and ragged table holds the search where residuals are least and not zero."""
+    cameras, points = CameraStack.of(rig(3)), field_points(4000, 1)
+    smooth = table(1, 3)
+    ragged = np.random.default_rng(3).uniform(-100.0, 100.0, smooth.coefficients_px.shape)
+    corrections = replace(smooth, coefficients_px=ragged)
+    readings = cameras.project(points) - corrections.at(points).value_px
+    sigma = np.full(3, 0.05)
+    expected = reconstruct(cameras, readings, sigma, corrections=corrections)
+    found = PointSolver(cameras, None, corrections, "cpu").solve(readings, sigma)
+    np.testing.assert_array_equal(found.flags, expected.flags)
+    for batch in (found, expected):
+        there = np.isfinite(batch.chi2)
+        assert 0.2 < there.mean() < 0.95
+        assert batch.chi2[there].max() < 1e-12
+        assert (batch.flags[~there] == PointFlag.NO_CONVERGENCE).all()
+
+
 def test_a_cubic_term() -> None:
     made = scene(4, distorted=True, degree=3, calibrated=True, seed=9)
     cameras = CameraStack.of([replace(model, cubic_per_px2=3e-8) for model in distorted_rig()])

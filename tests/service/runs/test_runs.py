@@ -85,6 +85,20 @@ def test_a_run_makes_the_calibration_that_a_request_makes(client: Any):
     assert client.get("/api/v1/runs", params={"state": "failed"}).json()["total"] == 0
 
 
+@pytest.mark.parametrize("method", ["dlt-iterative", "bundle-11"])
+def test_published_methods_run_with_the_defaults(sqlite_client: Any, method: str):
+    posted = sqlite_client.post(URL, json=body(id="published", method=method))
+    assert posted.status_code == 202, posted.text
+    found = wait(sqlite_client, "published")
+    assert found["state"] == "succeeded", found
+    made = sqlite_client.get(found["result"]).json()["result"]
+    assert made["method"] == method
+    assert (made["settings"]["distortion"], made["settings"]["labels"]) == ("none", "report")
+    given = sqlite_client.post(URL, json=body(method=method, distortion="auto"))
+    assert given.status_code == 422
+    assert "as published" in given.json()["detail"]
+
+
 def test_an_id_that_another_run_is_to_store_under_is_taken(
     client: Any, computing: Any, tmp_path: Path
 ):

@@ -1,6 +1,7 @@
 """The README's five-minute tour, run as it is written."""
 
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -86,3 +87,18 @@ def test_linked_files_exist() -> None:
     assert links
     for link in links:
         assert (ROOT / link).exists(), link
+
+
+def test_the_calibration_as_it_is_written(tmp_path: Path) -> None:
+    command = next(line for line in README.splitlines() if "frame-at-1-m.csv" in line)
+    words = [
+        str(ROOT / word) if word.startswith("docs/") else word for word in shlex.split(command)
+    ]
+    assert words[0] == "lumiline"
+    run = subprocess.run(
+        [sys.executable, "-m", "service.cli", *words[1:]],
+        cwd=tmp_path, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert "the reading of point 17 is wrong" in " ".join(run.stdout.split())
+    assert {path.name for path in tmp_path.iterdir()} == {"report.html", "camera.json"}

@@ -1,7 +1,7 @@
 """The penalised fit of one sensor's corrections, with the calibration's own error in it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,11 @@ UNEXPLAINED_PROBABILITY = 0.01
 """Chance that right deviations are taken for too small."""
 BLOCKS_TESTED = 2000
 """Blocks that are left out in turn, at most; of more, these are spread evenly over all."""
+MOST_TURNS = 8
+"""Of fitting and of taking the samples' variances anew."""
+SETTLED_FACTOR = 0.05
+VARIANCE_FLOOR_PX2 = 1e-12
+"""Exact measurements still leave rounding."""
 _CHUNK = 4096
 
 
@@ -64,14 +69,21 @@ class FittedCorrection:
         turn: makes of the camera's parameters the functions fitted beside, shape (P, Q).
         slopes: as in SensorData.
         chosen: the penalty and the fit.
-        factor: by what the variances are multiplied.
+        taken: by what the samples' variances were multiplied before the fit.
+        factor: by what they are to be multiplied, as the fit shows.
     """
 
     functions: SmoothBasis
     turn: Array
     slopes: Callable[[Array], Array]
     chosen: Smoothness
+    taken: float
     factor: float
+
+    @property
+    def rest(self) -> float:
+        """Factor that the fit's own variances lack."""
+        return self.factor / self.taken
 
     @property
     def coefficients_px(self) -> Array:
@@ -90,7 +102,7 @@ class FittedCorrection:
             points = points_mm[start : start + _CHUNK]
             rows = _rows(self.functions, self.slopes(points) @ self.turn, points)
             parts.append(self.chosen.fit.variance(rows))
-        return self.factor * np.concatenate(parts)
+        return self.rest * np.concatenate(parts)
 
 
 def fit_sensor(
@@ -110,12 +122,34 @@ def fit_sensor(
         TooFewPoints, DegeneratePoints: the measurements cannot tell the calibration's error.
     """
     turn, precision = _drift(data)
-    problem = _problem(data, functions, turn, precision)
-    if smoothness is None:
-        chosen = choose_smoothness(problem, functions, told)
-    else:
-        chosen = fit_with(problem, functions, smoothness, np.ones(3))
-    return FittedCorrection(functions, turn, data.slopes, chosen, _factor(data, chosen))
+    told_apart = data.parameter_covariance is not None
+    taken = _first_variance(data, turn) if told_apart and not data.known_variance else 1.0
+    for _ in range(MOST_TURNS):
+        counted = taken
+        scaled = replace(data, variance_px2=data.variance_px2 * counted)
+        problem = _problem(scaled, functions, turn, precision)
+        if smoothness is None:
+            chosen = choose_smoothness(problem, functions, told)
+        else:
+            # Where the variances are not known, the weight is in units of theirs.
+            weight = smoothness if data.known_variance else smoothness / counted
+            chosen = fit_with(problem, functions, weight, np.ones(3))
+        ratio = _factor(scaled, chosen, doubted=counted != 1.0)
+        taken = max(counted * ratio, VARIANCE_FLOOR_PX2)
+        # The samples' variances have a factor, the calibration's own have none: they are weighed
+        # anew. Where the measurements alone tell both, the factor is all's.
+        if not told_apart or abs(taken / counted - 1.0) < SETTLED_FACTOR:
+            break
+    return FittedCorrection(functions, turn, data.slopes, chosen, counted, counted * ratio)
+
+
+def _first_variance(data: SensorData, turn: Array) -> float:
+    """Return what a camera of its kind leaves of the samples at most, by their count [px^2]."""
+    slopes = data.slopes(data.points_mm) @ turn
+    rest = data.samples_px - slopes @ np.linalg.lstsq(slopes, data.samples_px)[0]
+    freedom = max(len(rest) - slopes.shape[1], 1)
+    left = float(rest @ rest) / float(freedom)
+    return left if left > VARIANCE_FLOOR_PX2 else VARIANCE_FLOOR_PX2
 
 
 def describe(data: SensorData, fitted: FittedCorrection, valid_share: float) -> SensorMapping:
@@ -123,8 +157,8 @@ def describe(data: SensorData, fitted: FittedCorrection, valid_share: float) -> 
     fit = fitted.chosen.fit
     left_out = fit.left_out()
     order, _ = _tested(data.block)
-    sigmas = np.abs(left_out.error) / (left_out.deviation * np.sqrt(fitted.factor))
-    errors = left_out.error * np.sqrt(data.variance_px2[order])
+    sigmas = np.abs(left_out.error) / (left_out.deviation * np.sqrt(fitted.rest))
+    errors = left_out.error * np.sqrt(data.variance_px2[order] * fitted.taken)
     worst = np.argsort(-sigmas, kind="stable")[: int((sigmas > GROSS).sum())]
     suspects = tuple(
         Suspect(int(data.numbers[order[one]]), float(errors[one]), float(sigmas[one]))
@@ -139,9 +173,9 @@ def describe(data: SensorData, fitted: FittedCorrection, valid_share: float) -> 
         _rms(data.samples_px),
         _rms(residual),
         _rms(errors),
-        float((left_out.unit**2).mean()) / factor,
+        float((left_out.unit**2).mean()) / fitted.rest,
         fit.effective_parameters,
-        float(fitted.chosen.weight),
+        float(fitted.chosen.weight * (1.0 if data.known_variance else fitted.taken)),
         (x, y, z),
         float(np.sqrt(gcv_score(fit) / (left_out.error**2).mean())),
         float(np.sqrt(data.variance_px2.mean() * (1.0 if data.known_variance else factor))),
@@ -245,12 +279,16 @@ def _residuals(data: SensorData, fitted: FittedCorrection) -> Array:
     return rest
 
 
-def _factor(data: SensorData, chosen: Smoothness) -> float:
-    """Return by what the variances are too small, from the residuals."""
+def _factor(data: SensorData, chosen: Smoothness, *, doubted: bool) -> float:
+    """Return by what the variances are too small, from the residuals.
+
+    Known ones are held for right as long as the residuals do not contradict them; ``doubted``:
+    they have.
+    """
     fit = chosen.fit
     freedom = max(len(data.samples_px) - fit.effective_parameters, 1.0)
     ratio = fit.residual_square / freedom
-    if not data.known_variance:
+    if not data.known_variance or doubted:
         return ratio
     return ratio if fit.residual_square > chdtri(freedom, UNEXPLAINED_PROBABILITY) else 1.0
 

@@ -107,6 +107,27 @@ def test_other_measurements_than_the_calibrations_correct_its_error():
     assert 0.3 < ((found.value_px - right) ** 2 / found.variance_px2).mean() < 2.0
 
 
+def test_a_calibrations_error_is_weighed_alike_without_the_measurements_deviations():
+    """A rough calibration and fine measurements: the deviation that they show is the weight."""
+    calibration = calibrated(measured(places(12, 1), sigma=0.5, strength=0.0))
+    fine, new = measured(places(60, 4), seed=8, sigma=0.02, strength=0.0), places(300, 6, 0.8)
+    covariance = np.array(calibration.covariance)
+    right = CameraStack.of(calibration.models).project(new) - exact(truth(0.0), new)
+    errors, squares = [], []
+    for sigma in (fine.sigma_px, None):
+        what = MappingMeasurements(fine.points_mm, fine.readings_px, sigma)
+        table = build_table(calibration.models, "h", what, covariance).table
+        found = table.at(new)
+        error = (found.value_px - right)[found.inside.all(axis=1)]
+        errors.append(np.sqrt((error**2).mean()))
+        squares.append((error**2 / found.variance_px2[found.inside.all(axis=1)]).mean())
+    assert errors[0] < 0.02
+    assert errors[1] < 1.3 * errors[0]
+    # Of three sensors with seven errors each: 21 squares, a deviation of 0.3.
+    assert min(squares) > 0.3
+    assert max(squares) < 2.0
+
+
 def test_validation_says_what_new_points_show(built, calibration):
     points = places(500, 2, share=0.95)
     errors, _, inside = correction_errors(built, calibration.models, points)

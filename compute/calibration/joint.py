@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.adjustment.poses import PoseSet
 from compute.calibration.adjustment.prior import SensorPrior
+from compute.calibration.adjustment.snooping import redundancy
 from compute.calibration.adjustment.solve import adjust
 from compute.calibration.design import fitted_columns
 from compute.calibration.sensor_fits import Observed, SensorFits
@@ -16,6 +18,9 @@ from compute.camera.stack import CameraStack
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
+
+LEAST_REDUNDANCY: Final = 4.0
+"""Readings of a sensor that must check others before their residuals tell its deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +32,16 @@ class JointFit:
         covariance: joint, shape (P, P), for the deviations as given; 0 for what is not fitted.
         residuals_px: fitted minus measured, with the points where they are now, shape (N, S).
         shifts_mm: fitted minus given points, shape (N, 3).
+        sigma_ratio: each sensor's deviation, as its residuals show it, over the one given, (S,).
+        redundancy: readings of each sensor that check others, their number in all, (S,).
     """
 
     models: tuple[SensorModel, ...]
     covariance: Array
     residuals_px: Array
     shifts_mm: Array
+    sigma_ratio: Array
+    redundancy: Array
 
 
 def adjust_with_points(
@@ -72,7 +81,17 @@ def adjust_with_points(
     found = adjust(fits.models, [poses], prior=_prior(fits), free=free, progress=progress)
     adjusted = found.pose_sets[0].translation_mm
     residuals = CameraStack.of(found.models).project(adjusted) - observed.readings_px
-    return JointFit(found.models, found.sensor_covariance, residuals, adjusted - points)
+    share = redundancy(found)[:, 0]
+    squares = np.nansum(found.residuals[0][:, 0] ** 2, axis=0)
+    checked = share.sum(axis=0)
+    return JointFit(
+        found.models,
+        found.sensor_covariance,
+        residuals,
+        adjusted - points,
+        np.sqrt(squares / np.maximum(checked, LEAST_REDUNDANCY)),
+        checked,
+    )
 
 
 def point_spread(models: tuple[SensorModel, ...], points_mm: Array, sigma_mm: float) -> Array:

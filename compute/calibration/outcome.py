@@ -2,22 +2,31 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.design import equation_groups
 from compute.calibration.figures import QUANTISATION_PX, Residuals, sensor_fit
-from compute.calibration.joint import JointFit, adjust_with_points, point_spread
+from compute.calibration.joint import (
+    LEAST_REDUNDANCY,
+    JointFit,
+    adjust_with_points,
+    point_spread,
+)
 from compute.calibration.result import Calibration, SensorFit
 from compute.calibration.robust import EFFICIENCY_LOSS
-from compute.calibration.sensor_fits import Observed, SensorFits
+from compute.calibration.sensor_fits import SIGMA_FLOOR_PX, Observed, SensorFits
 from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import vector3
 from compute.camera.stack import CameraStack
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
+
+NOISE_TURNS: Final = 12
+SETTLED_NOISE: Final = 0.02
 
 
 def with_exact_points(
@@ -68,17 +77,11 @@ def with_uncertain_points(
         NoConvergence, UndeterminedParameters: see ``adjust_with_points``.
     """
     spread = point_spread(fits.models, observed.points_mm, control_sigma_mm)
-    sigma = observed.sigma_px
-    if not observed.sigma_known:
-        sigma = np.broadcast_to(_noise_beside(observed, fits, spread), spread.shape)
-        fits = replace(fits, slits=fits.slits.scaled(1.0 / sigma[0]))
-    joint = adjust_with_points(
-        observed,
-        fits,
-        sigma,
-        control_sigma_mm,
-        progress,
-    )
+    if observed.sigma_known:
+        sigma = observed.sigma_px
+        joint = adjust_with_points(observed, fits, sigma, control_sigma_mm, progress)
+    else:
+        joint, sigma = _with_noise(observed, fits, spread, control_sigma_mm, progress)
     given = CameraStack.of(joint.models).project(observed.points_mm) - observed.readings_px
     found, factors = [], []
     for column, model in enumerate(joint.models):
@@ -97,6 +100,36 @@ def with_uncertain_points(
         factors += [factor**0.5] * model.parameter_count
     covariance = joint.covariance * np.outer(factors, factors)
     return _joint_result(observed, fits, settings, joint, covariance, found)
+
+
+def _with_noise(
+    observed: Observed,
+    fits: SensorFits,
+    spread_px: Array,
+    control_sigma_mm: float,
+    progress: Progress | None,
+) -> tuple[JointFit, Array]:
+    """Return the adjustment with the sensors' deviations that it shows itself, and these (N, S).
+
+    By variance components (Helmert's): a sensor's squared residuals over its redundancy, again
+    and again. Where nothing checks a sensor, what its residuals have beyond the points' spread.
+    """
+    first = _noise_beside(observed, fits, spread_px)
+    sigma = first
+    for _ in range(NOISE_TURNS):
+        scaled = replace(fits, slits=fits.slits.scaled(1.0 / sigma))
+        wide = np.broadcast_to(sigma, spread_px.shape)
+        joint = adjust_with_points(observed, scaled, wide, control_sigma_mm, progress)
+        tells = joint.redundancy > LEAST_REDUNDANCY
+        # As n - 9 for n - 7 of a single sensor: the estimate's own uncertainty included.
+        wider = np.sqrt(joint.redundancy / np.maximum(joint.redundancy - 2.0, 1.0))
+        shown = np.maximum(sigma * joint.sigma_ratio * wider, SIGMA_FLOOR_PX)
+        new = np.where(tells, shown, first)
+        settled = np.abs(new / sigma - 1.0).max() < SETTLED_NOISE
+        sigma = new
+        if settled:
+            break
+    return joint, wide
 
 
 def _joint_result(

@@ -80,3 +80,17 @@ def test_without_deviations_of_readings_the_rest_of_the_residuals_is_theirs() ->
         assert fit.sigma_source == "residuals"
         # Standard error of a deviation from 53 of freedom: 10 %.
         assert fit.rms_px == pytest.approx(0.5, rel=0.4)
+
+
+def test_noise_far_below_the_points_uncertainty_is_told_by_the_sensors_agreement() -> None:
+    """Points wrong by 1 px, readings by 0.05: what four sensors agree on is the points' error."""
+    models, points = rig(), control_points(120)
+    rng = np.random.default_rng(4)
+    readings = project(models, points) + 0.05 * rng.standard_normal((120, 4))
+    given = points + 0.5 * rng.standard_normal(points.shape)
+    settings = CalibrationSettings(control_sigma_mm=0.5)
+    found = calibrate(given, readings, geometry(models), None, settings)
+    sigma = np.array([fit.sigma_px for fit in found.sensors])
+    # 92 readings more than unknowns tell all: 23 of each sensor, a deviation to 15 % at best.
+    assert np.sqrt((sigma**2).mean()) == pytest.approx(0.05, rel=0.35)
+    assert sigma.max() < 0.12

@@ -41,8 +41,8 @@ Calibrates linear (1D) optical sensors and reconstructs 3D points from their rea
 Lengths are in mm, angles in rad, times in UTC; positions on a sensor in pixels, with the centre
 of the first pixel at 0. Errors are problem documents (RFC 9457); `GET /problems` lists their
 types. Every example below works as it stands on a new server, which has the simulated device
-`sim`, but for those of the correction table `sim-map`: post the mapping run first, with that
-`result_id`.
+`sim`, but for those of the correction tables `sim-map` and `sim-map-spare`: post the mapping run
+first, with that `result_id`.
 """
 
 

@@ -213,6 +213,24 @@ class TargetMoved(LumilineError):
     code = "target-moved"
 
 
+class MarkerNotMoved(LumilineError):
+    """A target reads as another one does: the marker is still there, or was named for both."""
+
+    code = "marker-not-moved"
+
+
+class RunNotEnded(LumilineError):
+    """A run that waits or runs is not deleted; cancel it first."""
+
+    code = "run-not-ended"
+
+
+class CorrectionTableInUse(LumilineError):
+    """A table that was ever active or used is part of a history, and is not deleted."""
+
+    code = "correction-table-in-use"
+
+
 class WorkerEnded(LumilineError):
     """The process that computed ended without a result, or was ended by its limits."""
 

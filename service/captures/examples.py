@@ -11,15 +11,18 @@ _PLACES: Final = (np.asarray(WORKING_CENTRE_MM) + frame_shape_mm()).round(3).tol
 
 NEW_CAPTURES: Final[dict[str, Any]] = {
     "frame": {
-        "summary": "The calibration frame's markers, lit one after the other",
+        "summary": "The calibration frame's markers, lit one after the other, each by its number",
+        "description": "The markers of `sim` are on a bar that turns, which no capture takes for "
+        "resting. Put `bench` in its place, after the examples that make it and start it: then "
+        "19 times `capture`, and a calibration run of the session.",
         "value": {
             "id": "sim-capture",
             "device": "sim",
             "targets": [
-                {"name": f"P{number + 1}", "position_mm": place}
+                {"name": f"P{number + 1}", "position_mm": place, "marker": number}
                 for number, place in enumerate(_PLACES)
             ],
-            "settings": {"frames": 20, "marker": 0},
+            "settings": {"frames": 20},
         },
     },
 }

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Body, Path, Query, Response
-from starlette.status import HTTP_201_CREATED
+from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from compute.errors import DuplicatePoint
 from service.captures import store
@@ -29,6 +29,7 @@ from service.errors import (
     CaptureExists,
     CaptureOfAnotherDevice,
     DeviceNotRunning,
+    MarkerNotMoved,
     NothingSeen,
     TargetMoved,
     UnknownCapture,
@@ -98,6 +99,19 @@ def get_capture(capture_id: CapturePath, database: DatabaseDep) -> Capture:
         return store.document(store.get_capture(session, capture_id))
 
 
+@router.delete(
+    "/{capture_id}",
+    operation_id="delete-capture",
+    summary="Delete a capture session",
+    status_code=HTTP_204_NO_CONTENT,
+    responses=problems(UnknownCapture),
+)
+def delete_capture(capture_id: CapturePath, database: DatabaseDep) -> None:
+    """Delete a session; runs that were posted with it keep its measurements."""
+    with database.write() as session:
+        session.delete(store.get_capture(session, capture_id, lock=True))
+
+
 @router.post(
     "/{capture_id}/capture",
     operation_id="capture-target",
@@ -110,6 +124,7 @@ def get_capture(capture_id: CapturePath, database: DatabaseDep) -> Capture:
         CaptureComplete,
         NothingSeen,
         TargetMoved,
+        MarkerNotMoved,
         Busy,
     ),
 )
@@ -130,18 +145,20 @@ def capture_target(
     """Average the readings of the marker over the next frames of the running device.
 
     The marker must rest: readings that spread or drift by more than their noise explains are
-    refused, and nothing is stored.
+    refused, and nothing is stored. So are readings that equal another target's within their noise:
+    the marker is still there, or a strobed one is named for both.
     """
     with database.read() as session:
         row = store.get_capture(session, capture_id)
         store.check_sensors_now(session, row)
         wanted = store.target_to_capture(row, target)
         settings = CaptureSettings.model_validate(row.settings)
+        marker = wanted.marker if wanted.marker is not None else settings.marker
         device, names = row.device_id, [sensor["name"] for sensor in row.sensors]
     with _alone(device):
-        position, sigma = live.collect(device, settings.frames, settings.marker, settings.timeout_s)
+        position, sigma = live.collect(device, settings.frames, marker, settings.timeout_s)
     if len(position) < settings.frames:
-        which = "all markers lit" if settings.marker is None else f"marker {settings.marker} lit"
+        which = "all markers lit" if marker is None else f"marker {marker} lit"
         raise NothingSeen(
             f"{len(position)} of {settings.frames} frames with {which} came within "
             f"{settings.timeout_s:g} s; choose the marker that the device strobes, or fewer frames",

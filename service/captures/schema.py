@@ -9,11 +9,18 @@ from service.schema import Document, Given, Moment, Name, Note, Position, Slug
 MAX_TARGETS = 2_000
 
 
+Marker = Annotated[int, Field(ge=0, le=65535)]
+
+
 class Target(Given):
-    """A named place at which a marker will be held."""
+    """A named place at which a marker will be held, or has its own."""
 
     name: Name
     position_mm: Position = Field(description="X, Y, Z in the world frame [mm].")
+    marker: Marker | None = Field(
+        default=None,
+        description="Strobed marker at this target, of a frame with many; null: the settings'.",
+    )
 
 
 class CaptureSettings(Given):
@@ -22,9 +29,10 @@ class CaptureSettings(Given):
     frames: Annotated[int, Field(ge=3, le=10_000)] = Field(
         default=50, description="Frames that are averaged."
     )
-    marker: Annotated[int, Field(ge=0, le=65535)] | None = Field(
+    marker: Marker | None = Field(
         default=None,
-        description="Strobed marker to take; null: frames in which each sensor sees one peak.",
+        description="Strobed marker to take at targets that name none; null: frames in which "
+        "each sensor sees one peak.",
     )
     seen_share: Annotated[float, Field(ge=0.1, le=1)] = Field(
         default=0.8, description="Share of the frames in which a sensor must see the marker."

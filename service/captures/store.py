@@ -3,6 +3,7 @@
 import secrets
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from math import dist
 from typing import Any
 
 from sqlalchemy import func, select
@@ -10,6 +11,7 @@ from sqlalchemy.orm import Session
 
 from compute.errors import DuplicatePoint
 from service.calibrations.schema import ControlPoint, Reading
+from service.captures.moved import SAME_PLACE_MM, check_moved
 from service.captures.schema import Capture, CapturedTarget, CaptureSettings, NewCapture, Target
 from service.database.engine import insert
 from service.database.models import CaptureRow, DeviceRow
@@ -58,16 +60,24 @@ def add_capture(session: Session, request: NewCapture, device: DeviceRow) -> Cap
 
     Raises:
         CaptureExists: the id is taken.
-        DuplicatePoint: two targets have one name.
+        DuplicatePoint: two targets have one name, or one position.
     """
     names: set[str] = set()
+    places: dict[tuple[float, float, float], str] = {}
     for target in request.targets:
+        other = places.setdefault(target.position_mm, target.name)
         if target.name in names:
             raise DuplicatePoint(
                 f'two targets are called "{target.name}"; give each a name of its own',
                 point=target.name,
             )
         names.add(target.name)
+        if other != target.name:
+            raise DuplicatePoint(
+                f'targets "{other}" and "{target.name}" have the same position '
+                f"{target.position_mm} mm; give each once: a target can be captured again by name",
+                point=target.name,
+            )
     identity = request.id or f"capture-{secrets.token_hex(8)}"
     taken = CaptureExists(
         f'capture session "{identity}" exists already; choose another id, or leave it out',
@@ -132,8 +142,20 @@ def check_sensors_now(session: Session, row: CaptureRow) -> None:
 
 
 def keep(session: Session, capture_id: str, found: CapturedTarget) -> CaptureRow:
-    """Store what was read of a target, in place of what was before."""
+    """Store what was read of a target, in place of what was before.
+
+    Raises:
+        UnknownCapture: there is none.
+        MarkerNotMoved: another target was read the same.
+    """
     row = get_capture(session, capture_id, lock=True)
+    places = {target["name"]: target["position_mm"] for target in row.targets}
+    others = [
+        CapturedTarget.model_validate(row.captured[name])
+        for name, place in places.items()
+        if name in row.captured and dist(place, places[found.target]) > SAME_PLACE_MM
+    ]
+    check_moved(found, others)
     row.captured = {**row.captured, found.target: found.model_dump(mode="json")}
     row.updated_at = datetime.now(UTC)
     session.flush()

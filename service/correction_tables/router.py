@@ -5,7 +5,7 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Path, Query, Request
 from fastapi.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
-from starlette.status import HTTP_201_CREATED
+from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from compute.errors import InvalidParameter, NonFiniteValue
 from service.correction_tables import store
@@ -17,6 +17,7 @@ from service.dependencies import DatabaseDep, OperationDep
 from service.errors import (
     Busy,
     CorrectionTableExists,
+    CorrectionTableInUse,
     ForeignTable,
     InvalidTableFile,
     NoActiveCalibration,
@@ -41,6 +42,14 @@ TablePath = Annotated[
         pattern=SLUG_PATTERN,
         description="The table's id.",
         openapi_examples={"map": {"summary": "one that was mapped", "value": "sim-map"}},
+    ),
+]
+SparePath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The table's id.",
+        openapi_examples={"spare": {"summary": "one never used", "value": "sim-map-spare"}},
     ),
 ]
 
@@ -129,6 +138,19 @@ def get_table(table_id: TablePath, database: DatabaseDep) -> CorrectionTableDocu
     """One table: its grid, provenance and figures."""
     with database.read() as session:
         return store.document(session, store.get_table(session, table_id))
+
+
+@router.delete(
+    "/{table_id}",
+    operation_id="delete-correction-table",
+    summary="Delete a correction table",
+    status_code=HTTP_204_NO_CONTENT,
+    responses=problems(UnknownCorrectionTable, CorrectionTableInUse),
+)
+def delete_table(table_id: SparePath, database: DatabaseDep) -> None:
+    """Delete a table that was never active and that no reconstruction names."""
+    with database.write() as session:
+        store.delete_table(session, table_id)
 
 
 @router.get(

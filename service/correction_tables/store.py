@@ -15,9 +15,16 @@ from service.calibrations.store import get_calibration
 from service.correction_tables.content import TableContent, check_table
 from service.correction_tables.schema import CorrectionTableDocument
 from service.database.engine import insert
-from service.database.models import ActiveCalibrationRow, CalibrationRow, CorrectionTableRow
+from service.database.models import (
+    ActivationRow,
+    ActiveCalibrationRow,
+    CalibrationRow,
+    CorrectionTableRow,
+    ReconstructionRow,
+)
 from service.errors import (
     CorrectionTableExists,
+    CorrectionTableInUse,
     ForeignTable,
     NoActiveCalibration,
     UnknownCorrectionTable,
@@ -228,6 +235,34 @@ def deactivate_table(
     if pointer is not None and pointer.table_id == row.id:
         move(session, row.device_id, Target(pointer.calibration_id), actor)
     return row
+
+
+def delete_table(session: Session, table_id: str) -> None:
+    """Delete a table that was never used.
+
+    Raises:
+        UnknownCorrectionTable.
+        CorrectionTableInUse: it was active once, or is, or reconstructions name it.
+    """
+    row = get_table(session, table_id)
+    lock_device(session, row.device_id)
+    uses = {
+        name: session.scalar(
+            select(func.count()).select_from(table).where(table.table_id == row.id)
+        )
+        or 0
+        for name, table in (("activations", ActivationRow), ("reconstructions", ReconstructionRow))
+    }
+    if any(uses.values()):
+        listed = " and ".join(f"{count} {name}" for name, count in uses.items())
+        raise CorrectionTableInUse(
+            f'correction table "{table_id}" is named by {listed}, which would lose what they say; '
+            "only tables that were never used can be deleted",
+            table=table_id,
+            **uses,
+        )
+    session.delete(row)
+    session.flush()
 
 
 def document(session: Session, row: CorrectionTableRow) -> CorrectionTableDocument:

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Body, Path, Query, Response
 from sqlalchemy.orm import Session
-from starlette.status import HTTP_202_ACCEPTED
+from starlette.status import HTTP_202_ACCEPTED, HTTP_204_NO_CONTENT
 
 from compute.errors import (
     DegeneratePoints,
@@ -31,6 +31,7 @@ from service.errors import (
     CorrectionTableExists,
     NoActiveCalibration,
     RunExists,
+    RunNotEnded,
     SensorsChanged,
     UnknownCalibration,
     UnknownCapture,
@@ -306,6 +307,19 @@ def get_run(run_id: RunPath, database: DatabaseDep) -> Run:
     """State, progress, and what came of it."""
     with database.read() as session:
         return run_document(store.get_run(session, run_id))
+
+
+@router.delete(
+    "/runs/{run_id}",
+    operation_id="delete-run",
+    summary="Delete a run",
+    status_code=HTTP_204_NO_CONTENT,
+    responses=problems(UnknownRun, RunNotEnded),
+)
+def delete_run(run_id: RunPath, database: DatabaseDep) -> None:
+    """Delete a run that has ended, with the measurements posted for it; what it made stays."""
+    with database.write() as session:
+        store.delete_run(session, run_id)
 
 
 @router.post(

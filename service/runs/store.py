@@ -17,6 +17,7 @@ from service.errors import (
     CalibrationExists,
     CorrectionTableExists,
     RunExists,
+    RunNotEnded,
     UnknownRun,
 )
 
@@ -201,6 +202,22 @@ def cancel(session: Session, run_id: str) -> RunRow:
         finish(row, "cancelled", "cancelled on request")
         session.flush()
     return row
+
+
+def delete_run(session: Session, run_id: str) -> None:
+    """Delete a run that has ended; what it made stays.
+
+    Raises:
+        UnknownRun.
+        RunNotEnded: it waits or runs.
+    """
+    row = session.get(RunRow, run_id, with_for_update=True) or get_run(session, run_id)
+    if row.state in OPEN:
+        raise RunNotEnded(
+            f'run "{run_id}" is {row.state}; cancel it first, or wait for its end', run=run_id
+        )
+    session.delete(row)
+    session.flush()
 
 
 def interrupt_lost(session: Session, *, starting: bool = False) -> list[str]:

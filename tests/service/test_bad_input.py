@@ -5,6 +5,7 @@ import json
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -438,6 +439,7 @@ builds("coplanar points for a run")(lambda: post_run(points=flat(calibration()["
 builds("distortion of a published method")(
     lambda: post_run(method="dlt-iterative", distortion="all-3")
 )
+builds("distortion of too high an order")(lambda: post_run(distortion=[[3, 0], [50, 50]]))
 builds("unknown distortion")(lambda: post_run(distortion="everything"))
 builds("result id of a run taken")(lambda: post_run(result_id="sim-nominal"))
 builds("capture of nothing for a run")(lambda: post_run(points=None, capture="nothing"))
@@ -511,6 +513,8 @@ builds("unknown table activated")(
     lambda: Sent("POST", "/api/v1/correction-tables/nothing/activate")
 )
 builds("unknown table")(lambda: Sent("GET", "/api/v1/correction-tables/nothing"))
+for kind, path in (("table", "correction-tables"), ("run", "runs"), ("capture", "captures")):
+    builds(f"unknown {kind} deleted")(partial(Sent, "DELETE", f"/api/v1/{path}/nothing"))
 builds("nothing to roll back to")(lambda: Sent("POST", "/api/v1/devices/bar/roll-back"))
 builds("calibrations of two devices compared")(
     lambda: Sent("GET", "/api/v1/calibrations/sim-nominal/compare/of-bar")
@@ -532,6 +536,11 @@ def post_capture(**changes: Any) -> Sent:
 
 builds("capture of targets with one name")(
     lambda: post_capture(id="twice", targets=[{"name": "P1", "position_mm": [0, 0, 1500]}] * 2)
+)
+builds("capture of targets at one place")(
+    lambda: post_capture(
+        id="same", targets=[{"name": name, "position_mm": [0, 0, 1500]} for name in ("P1", "Q")]
+    )
 )
 builds("capture without targets")(lambda: post_capture(id="none", targets=[]))
 builds("capture id taken")(post_capture)

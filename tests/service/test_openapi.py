@@ -64,14 +64,15 @@ def examples(found: dict[str, Any]) -> list[Example]:
 
 
 def prepare(client: Any) -> None:
-    """Upload the table that examples of paths name: on a server it comes from a mapping run."""
+    """Upload the tables that examples of paths name: on a server they come from mapping runs."""
     nominal = client.get("/api/v1/calibrations/sim-nominal").json()
-    sent = client.post(
-        "/api/v1/correction-tables?id=sim-map",
-        content=write_table(content_of_table(nominal["content_hash"])),
-        headers={"content-type": MEDIA_TYPE},
-    )
-    assert sent.status_code == 201, sent.text
+    for name in ("sim-map", "sim-map-spare"):
+        sent = client.post(
+            f"/api/v1/correction-tables?id={name}",
+            content=write_table(content_of_table(nominal["content_hash"])),
+            headers={"content-type": MEDIA_TYPE},
+        )
+        assert sent.status_code == 201, sent.text
 
 
 def test_every_example_works_on_a_new_server(settings: Settings):

@@ -63,9 +63,56 @@ def test_a_session_is_captured_target_by_target_and_calibrates(settings: Setting
         reading = made_from["points"][0]["readings"]["vertical"]
         # Twenty frames of 0.05 px.
         assert reading["sigma_px"] == pytest.approx(0.05 / np.sqrt(20), rel=0.6)
-        assert next(call[:4] for call in second.calls if call[0] == "collect") == (
-            "collect", "sim", 20, 0,
-        )  # fmt: skip
+        markers = [call[1:4] for call in second.calls if call[0] == "collect"]
+        assert markers == [("sim", 20, number) for number in (2, 2, *range(9, 19))]
+
+
+def test_a_marker_that_was_not_moved_is_told(sqlite_client: Any, live: RecordedLive):
+    """Also against an earlier target than the last, and when a target is captured again."""
+    targets = [
+        {"name": name, "position_mm": [10.0 * number, 0.0, 1500.0]}
+        for number, name in enumerate("ABC")
+    ]
+    targets.append({"name": "beside A", "position_mm": [0.05, 0.0, 1500.0]})
+    body = {"id": "steps", "device": "sim", "targets": targets, "settings": {"frames": 20}}
+    assert sqlite_client.post(URL, json=body).status_code == 201
+
+    def capture(at: int, **query: str) -> Any:
+        place(live, targets[at])
+        return sqlite_client.post(f"{URL}/steps/capture", params=query).json()
+
+    assert capture(0)["left"] == 3
+    refused = capture(0)
+    assert refused["type"] == "/problems/marker-not-moved"
+    assert 'target "B" reads as target "A" does' in refused["detail"]
+    assert capture(1)["left"] == 2
+    assert 'still at "A"?' in capture(0)["detail"]
+    assert capture(2)["left"] == 1
+    assert 'still at "B"?' in capture(1, target="A")["detail"]
+    assert capture(0, target="A")["left"] == 1
+    # A target beside it may read the same.
+    assert capture(0)["left"] == 0
+
+
+def test_a_session_is_deleted(client: Any):
+    client.post(URL, json=BODY)
+    assert client.delete(f"{URL}/sim-capture").status_code == 204
+    assert client.get(URL).json()["total"] == 0
+    assert client.delete(f"{URL}/sim-capture").json()["type"] == "/problems/unknown-capture"
+
+
+def test_a_target_names_its_marker_or_takes_the_settings(sqlite_client: Any, live: RecordedLive):
+    targets = [
+        {"name": f"P{number}", "position_mm": [30.0 * number, 0.0, 1500.0]} for number in range(3)
+    ]
+    targets[1]["marker"] = 7
+    body = {"id": "own", "device": "sim", "targets": targets, "settings": {"marker": 2}}
+    made = sqlite_client.post(URL, json=body).json()
+    assert [target["marker"] for target in made["targets"]] == [None, 7, None]
+    for target in targets:
+        place(live, target)
+        assert sqlite_client.post(f"{URL}/own/capture").status_code == 200
+    assert [call[3] for call in live.calls if call[0] == "collect"] == [2, 7, 2]
 
 
 def test_what_cannot_be_captured_is_told_and_nothing_is_stored(
@@ -93,5 +140,9 @@ def test_what_cannot_be_captured_is_told_and_nothing_is_stored(
     assert refused() == "/problems/device-not-running"
     twice = BODY | {"id": "twice", "targets": [BODY["targets"][0]] * 2}
     assert sqlite_client.post(URL, json=twice).json()["type"] == "/problems/duplicate-point"
+    same = {"id": "same", "targets": [BODY["targets"][0], BODY["targets"][0] | {"name": "Q"}]}
+    answer = sqlite_client.post(URL, json=BODY | same).json()
+    assert answer["type"] == "/problems/duplicate-point"
+    assert 'targets "P1" and "Q" have the same position' in answer["detail"]
     assert sqlite_client.post(URL, json=BODY).json()["type"] == "/problems/capture-exists"
     assert sqlite_client.get(URL).json()["total"] == 1

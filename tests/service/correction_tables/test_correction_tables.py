@@ -171,6 +171,20 @@ def test_a_device_starts_with_its_table(sqlite_client: Any, live: RecordedLive, 
     assert live.in_force["sim"].table_id == "map"
 
 
+def test_only_a_table_that_was_never_used_is_deleted(client: Any, quickly: None):
+    for name in ("used", "spare"):
+        send(client, content(nominal_hash(client)), id=name)
+    client.post(f"{URL}/used/activate")
+    for _ in range(2):
+        refused = client.delete(f"{URL}/used")
+        assert refused.json()["type"] == "/problems/correction-table-in-use"
+        assert "1 activations and 0 reconstructions" in refused.json()["detail"]
+        client.post(f"{URL}/used/deactivate")
+    assert client.delete(f"{URL}/spare").status_code == 204
+    assert client.get(f"{URL}/spare").status_code == 404
+    assert [item["id"] for item in client.get(URL).json()["items"]] == ["used"]
+
+
 def test_a_deleted_device_takes_its_tables_along(client: Any, quickly: None):
     send(client, content(nominal_hash(client)), id="map")
     client.post(f"{URL}/map/activate")

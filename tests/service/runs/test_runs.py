@@ -99,6 +99,18 @@ def test_published_methods_run_with_the_defaults(sqlite_client: Any, method: str
     assert "as published" in given.json()["detail"]
 
 
+def test_a_run_that_has_ended_is_deleted(client: Any, computing: Any, tmp_path: Path):
+    computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
+    client.post(URL, json=body(id="old"))
+    refused = client.delete("/api/v1/runs/old")
+    assert refused.status_code == 409
+    assert refused.json()["type"] == "/problems/run-not-ended"
+    assert "cancel it first" in refused.json()["detail"]
+    client.post("/api/v1/runs/old/cancel")
+    assert client.delete("/api/v1/runs/old").status_code == 204
+    assert client.get("/api/v1/runs/old").status_code == 404
+
+
 def test_an_id_that_another_run_is_to_store_under_is_taken(
     client: Any, computing: Any, tmp_path: Path
 ):

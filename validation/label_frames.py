@@ -1,13 +1,14 @@
 """Frames of control points with label errors put in, seen by random devices."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.labels.finding import LabelFinding
+from compute.camera.field_distortion import FieldDistortion
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
 from compute.optics.placement import place_sensor
@@ -22,6 +23,13 @@ SIGMA_PX: Final = 1.0
 LEAST_SIGMAS: Final = 10.0
 MOST_SIGMAS: Final = 300.0
 
+WIDE_PIXELS: Final = 5000
+WIDE_PITCH_UM: Final = 7.0
+WIDE_BAR_MM: Final = 600.0
+WIDE_MIDDLE_MM: Final = (0.0, 0.0, 1700.0)
+WIDE_HALF_MM: Final = (600.0, 600.0, 200.0)
+WIDE_SIGMA_PX: Final = (0.02, 1.0)
+
 Frame = Literal["thesis", "random"]
 Errors = Literal["none", "exchanged", "wrong", "points"]
 
@@ -35,12 +43,14 @@ class LabelFrame:
         readings_px: shape (N, 4).
         sensors: the four sensors.
         errors: kind, sensor (None: all) and points, counted from 1.
+        sigma_px: standard deviation of the noise.
     """
 
     points_mm: Array
     readings_px: Array
     sensors: tuple[SensorGeometry, ...]
     errors: frozenset[tuple[str, str | None, tuple[int, ...]]]
+    sigma_px: float = SIGMA_PX
 
     def found_exactly(self, findings: tuple[LabelFinding, ...]) -> bool:
         """Return whether the findings are these errors, no fewer and no more."""
@@ -85,8 +95,46 @@ def random_frames(
         yield LabelFrame(points, readings, sensors, put)
 
 
+def wide_frames(
+    rng: np.random.Generator, count: int, points: int, errors: Errors, number: int = 0
+) -> Iterator[LabelFrame]:
+    """Yield frames that fill the field of lenses with distortion, with ``number`` errors each.
+
+    Four sensors on a bar of 600 mm look at points within 600 x 600 x 200 mm to each side, 1.7 m
+    away. Each lens has a distortion of the third and, in half of the frames, of the fifth order:
+    up to 0.25 and 0.3 of the tangent's power, tens to a hundred pixels at the field's edge. The
+    noise is 0.02 to 1 px, evenly in the logarithm. Points outside a sensor's row are not seen.
+
+    Args:
+        rng: draws everything.
+        count: frames wanted.
+        points: control points.
+        errors, number: see ``random_frames``.
+    """
+    made = 0
+    while made < count:
+        placed = np.array(WIDE_MIDDLE_MM) + rng.uniform(-1.0, 1.0, (points, 3)) * WIDE_HALF_MM
+        models = _wide_device(rng)
+        sigma = float(np.exp(rng.uniform(*np.log(WIDE_SIGMA_PX))))
+        readings = CameraStack.of(models).project(placed)
+        readings = readings + sigma * rng.standard_normal(readings.shape)
+        readings[(readings < 0.0) | (readings > WIDE_PIXELS - 1.0)] = np.nan
+        put = _put(rng, readings, errors, number, MOST_SIGMAS, sigma, WIDE_PIXELS)
+        if put is None:
+            continue
+        made += 1
+        sensors = tuple(SensorGeometry(one.name, one.pixels, WIDE_PITCH_UM) for one in models)
+        yield LabelFrame(placed, readings, sensors, put, sigma)
+
+
 def _put(
-    rng: np.random.Generator, readings: Array, errors: Errors, number: int, most: float
+    rng: np.random.Generator,
+    readings: Array,
+    errors: Errors,
+    number: int,
+    most: float,
+    sigma: float = SIGMA_PX,
+    pixels: int = PIXELS,
 ) -> frozenset[tuple[str, str | None, tuple[int, ...]]] | None:
     """Put errors into the readings; None where this frame has no room for them."""
     made: set[tuple[str, str | None, tuple[int, ...]]] = set()
@@ -94,12 +142,13 @@ def _put(
     used: set[tuple[int, int]] = set()
     for _ in range(number if errors != "none" else 0):
         column = int(rng.integers(SENSORS)) if common is None else common
-        free = [k for k in range(len(readings)) if (k, column) not in used]
+        seen = np.isfinite(readings[:, column])
+        free = [k for k in range(len(readings)) if seen[k] and (k, column) not in used]
         if errors == "wrong":
             point = int(rng.choice(free))
-            size = np.exp(rng.uniform(np.log(LEAST_SIGMAS), np.log(most))) * SIGMA_PX
+            size = np.exp(rng.uniform(np.log(LEAST_SIGMAS), np.log(most))) * sigma
             moved = readings[point, column] + size * rng.choice([-1.0, 1.0])
-            if not 0.0 <= moved <= PIXELS - 1.0:
+            if not 0.0 <= moved <= pixels - 1.0:
                 return None
             readings[point, column] = moved
             used.add((point, column))
@@ -108,7 +157,7 @@ def _put(
         first, second = sorted(map(int, rng.choice(free, 2, replace=False)))
         columns = list(range(SENSORS)) if errors == "points" else [column]
         apart = np.abs(readings[first, columns] - readings[second, columns])
-        if apart.min() < LEAST_SIGMAS * SIGMA_PX:
+        if not apart.min() >= LEAST_SIGMAS * sigma:
             return None
         readings[np.ix_([first, second], columns)] = readings[np.ix_([second, first], columns)]
         for one in columns if errors == "exchanged" else range(SENSORS):
@@ -160,3 +209,38 @@ def _device(rng: np.random.Generator, points_mm: Array) -> tuple[SensorModel, ..
             ).model
         )
     return tuple(models)
+
+
+def _wide_device(rng: np.random.Generator) -> tuple[SensorModel, ...]:
+    """Return four sensors on a bar, rows turned by turns, their lenses' distortions at random."""
+    fifth = rng.random() < 0.5
+    models = []
+    for index, along in enumerate(np.linspace(-0.5, 0.5, SENSORS)):
+        turn = np.pi * (0.25 * index + rng.uniform(-0.05, 0.05))
+        ax, ay, az = (np.array(WIDE_MIDDLE_MM) + rng.uniform(-50.0, 50.0, 3)).tolist()
+        distance_px = rng.uniform(2000.0, 3000.0)
+        model = place_sensor(
+            f"s{index + 1}",
+            lens_position_mm=(float(WIDE_BAR_MM * along), 0.0, 0.0),
+            aim_mm=(ax, ay, az),
+            measured_direction=(float(np.cos(turn)), float(np.sin(turn)), 0.0),
+            principal_distance_mm=distance_px * WIDE_PITCH_UM * 1e-3,
+            pixels=WIDE_PIXELS,
+            pitch_um=WIDE_PITCH_UM,
+        ).model
+        terms = ((1, 2), (3, 0), *(((1, 4), (3, 2), (5, 0)) if fifth else ()))
+        sizes = [0.25 if i + j == 3 else 0.3 for i, j in terms]
+        lens = FieldDistortion(
+            terms,
+            tuple((np.array(sizes) * rng.uniform(-1.0, 1.0, len(terms))).tolist()),
+            offset_y_mm=_offset_y_mm(model, index),
+            row_behind_mm=distance_px * WIDE_PITCH_UM * 1e-3,
+        )
+        models.append(replace(model, distortion=lens))
+    return tuple(models)
+
+
+def _offset_y_mm(model: SensorModel, index: int) -> float:
+    """Return y of the world's origin in the frame of the sensor at its place on the bar."""
+    along = float(np.linspace(-0.5, 0.5, SENSORS)[index])
+    return -float((model.rotation @ np.array([WIDE_BAR_MM * along, 0.0, 0.0]))[1])

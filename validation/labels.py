@@ -132,7 +132,7 @@ def _likelier(frame: LabelFrame) -> bool:
                 truth = truth.with_cycle(point - 1 for point in points)
         sigma = np.full(len(frame.points_mm), SIGMA_PX)
         readings = frame.readings_px[:, column]
-        data = SensorReadings(frame.points_mm, readings, sigma, sensor.pixels, KNOWN)
+        data = SensorReadings(frame.points_mm, readings, sigma, sensor, KNOWN)
         best = search_labels(data).best
         if best.hypothesis != truth:
             judged = judge(data, [truth], best.theta)

@@ -34,7 +34,8 @@ UNKNOWN_FACTOR: Final = ScalePrior(1.0, 3.0)
 ALIKE: Final = 6.0
 """Readings' worth of what the other sensors of a device say about one's deviations."""
 DISBELIEVED: Final = log(1e-4)
-"""Chance, before looking, that stated deviations are wrong by a common factor."""
+"""Chance, before looking, that stated deviations are wrong by a common factor, or that a lens has
+a distortion that does not contradict them everywhere."""
 SUSPICIOUS: Final = 1e-4
 """Chance of squares so large, under the best explanation, that this is looked into."""
 
@@ -64,8 +65,8 @@ def find_label_errors(
         sensors: the device's sensors in order.
         sigma_px: standard deviations of the readings, shape (N, S) [px]. None: one for each
             sensor, not known but alike. Where given ones are contradicted by most of the
-            readings, a lens with distortion is thought of (36 readings at least), and if that
-            does not do, a common factor of the deviations.
+            readings, a lens with distortion is thought of (two readings a parameter at least), and
+            if that does not do, a common factor of the deviations.
         progress: told the share done and what is done; what it raises passes through.
 
     Raises:
@@ -82,7 +83,7 @@ def find_label_errors(
             points,
             readings[:, column],
             sigma[:, column],
-            sensor.pixels,
+            sensor,
             UNKNOWN if given is None else KNOWN,
         )
         for column, sensor in enumerate(sensors)
@@ -93,47 +94,67 @@ def find_label_errors(
     for column, one in enumerate(data):
         if progress is not None:
             progress(column / len(data), f"labels of {names[column]}")
-        if given is not None and contradicted(one):
-            one = data[column] = _freed(one)
-        found.append(search_labels(one))
+        data[column], labels = _searched(one)
+        found.append(labels)
     if given is None:
-        chosen = [_bent(one, labels) for one, labels in zip(data, found, strict=True)]
+        chosen = list(zip(data, found, strict=True))
         usual = ScalePrior(ALIKE, median(labels.factor for _, labels in chosen))
         data = [replace(one, scale=usual) for one, _ in chosen]
         found = [search_labels(one) for one in data]
-    else:
-        doubted = [_doubted(one, labels) for one, labels in zip(data, found, strict=True)]
-        data, found = [one for one, _ in doubted], [labels for _, labels in doubted]
     return _report(search_device(data, found), readings, names)
 
 
-def _doubted(data: SensorReadings, known: SensorLabels) -> tuple[SensorReadings, SensorLabels]:
-    """Take a lens's distortion, or other deviations, where they explain the readings better.
+def _searched(data: SensorReadings) -> tuple[SensorReadings, SensorLabels]:
+    """Search one sensor's labels with the camera that explains its readings best.
 
-    Where a distortion is many deviations no number of wrong readings is a good explanation.
+    A camera without distortion where that leaves nothing to explain. Otherwise one with a lens
+    is thought of, and where neither agrees with the stated deviations, a common factor of these:
+    where a distortion is many deviations no number of wrong readings is a good explanation.
     """
-    best = known.best
-    if data.scale is not KNOWN or data.extra is not None:
-        return data, known
-    ordinary = best.chi2 <= chi2_distribution.isf(SUSPICIOUS, max(best.kept - data.camera.width, 1))
-    if ordinary and best.hypothesis.size < 2:
-        return data, known
-    free = _freed(data)
-    labels = search_labels(free)
-    cost = 0.0 if free.scale is KNOWN else DISBELIEVED
-    return (
-        (free, labels) if _schwarz(free, labels) + cost > _schwarz(data, known) else (data, known)
-    )
+    stated = data.scale is KNOWN
+    misfit = stated and contradicted(data)
+    plain: tuple[SensorReadings, SensorLabels] | None = None
+    if not misfit:
+        plain = data, search_labels(data)
+        if stated and not _doubtful(*plain):
+            return plain
+    bent = _bent(data)
+    if plain is None:
+        if bent is not None and not contradicted(bent[0]):
+            return bent
+        free = replace(data if bent is None else bent[0], scale=UNKNOWN_FACTOR)
+        return free, search_labels(free)
+    ranked = [(_schwarz(*plain), plain)]
+    if bent is not None:
+        ranked.append((_schwarz(*bent) + DISBELIEVED, bent))
+    if stated:
+        free = replace(data, scale=UNKNOWN_FACTOR)
+        labels = search_labels(free)
+        ranked.append((_schwarz(free, labels) + DISBELIEVED, (free, labels)))
+    return max(ranked, key=lambda entry: entry[0])[1]
 
 
-def _bent(data: SensorReadings, labels: SensorLabels) -> tuple[SensorReadings, SensorLabels]:
-    """Take a lens with distortion where it explains the readings better."""
+def _doubtful(data: SensorReadings, labels: SensorLabels) -> bool:
+    """Return whether the best explanation has errors, or squares too large."""
+    best = labels.best
+    limit = chi2_distribution.isf(SUSPICIOUS, max(best.kept - data.camera.width, 1))
+    return best.hypothesis.size > 0 or bool(best.chi2 > limit)
+
+
+def _bent(data: SensorReadings) -> tuple[SensorReadings, SensorLabels] | None:
+    """Search with a lens; once more with the lens of the mended readings."""
     bent = with_lens(data)
     if bent is None:
-        return data, labels
-    other = search_labels(bent)
-    better = _schwarz(bent, other) > _schwarz(data, labels)
-    return (bent, other) if better else (data, labels)
+        return None
+    if data.scale is KNOWN and contradicted(bent):
+        bent = replace(bent, scale=UNKNOWN_FACTOR)
+    labels = search_labels(bent)
+    if labels.best.hypothesis.size > 0:
+        again = with_lens(data, labels.best.hypothesis)
+        if again is not None:
+            again = replace(again, scale=bent.scale)
+            return again, search_labels(again)
+    return bent, labels
 
 
 def _schwarz(data: SensorReadings, labels: SensorLabels) -> float:
@@ -158,14 +179,6 @@ def _covariance(data: SensorReadings, labels: SensorLabels) -> Array:
     kept = np.isfinite(mended)
     weighted = slopes[0, kept] / sigma[kept, None]
     return np.asarray(np.linalg.inv(weighted.T @ weighted))
-
-
-def _freed(data: SensorReadings) -> SensorReadings:
-    """Return readings that may have distortion, and, if that does not do, any deviation."""
-    bent = with_lens(data)
-    if bent is None:
-        return replace(data, scale=UNKNOWN_FACTOR)
-    return replace(bent, scale=UNKNOWN_FACTOR) if contradicted(bent) else bent
 
 
 def _report(found: DeviceLabels, readings_px: Array, names: Sequence[str]) -> LabelReport:

@@ -1,47 +1,118 @@
-"""Columns that a lens's distortion may add to a sensor's readings, for the search of labels."""
+"""A sensor's lens, fitted robustly, for the search of labels: what it adds to the readings."""
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.distorted import Slits
+from compute.calibration.labels.hypothesis import Hypothesis
 from compute.calibration.labels.projective import WIDTH
-from compute.calibration.labels.robust import robust_starts
 from compute.calibration.labels.sensor_search import SensorReadings
+from compute.calibration.robust import LIMIT, scale_of
+from compute.calibration.sensor_fits import Observed, fit_distorted, fit_undistorted
+from compute.calibration.terms import Preset, preset_terms
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+from compute.errors import DegeneratePoints, LumilineError, NoConvergence, TooFewPoints
 
 Array = NDArray[np.float64]
 
-TERMS: Final = ((3, 0), (1, 2), (0, 2), (2, 1), (0, 3))
-"""Powers of u and v: what a camera does not make up for, to the third order."""
-READINGS_EACH: Final = 3
+CANDIDATES: Final[tuple[Preset, ...]] = ("symmetric-3", "all-3", "symmetric-5", "all-5")
+"""Lenses thought of, in the order of their terms."""
+READINGS_EACH: Final = 2
 """Readings for each parameter, that a lens is thought of at all."""
+NOT_FITTED: Final[tuple[type[LumilineError], ...]] = (
+    DegeneratePoints,
+    NoConvergence,
+    TooFewPoints,
+)
 
 
-def with_lens(data: SensorReadings) -> SensorReadings | None:
-    """Return readings whose camera has a distortion of the third order; None for too few readings.
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A robust fit of one camera: its residuals in stated deviations (n,) and parameters."""
 
-    The field angles u, v are those of a robust camera without distortion, from its view of the
-    points' middle: close enough for the span of these columns, whose coefficients are fitted.
+    model: SensorModel
+    off: Array
+    parameters: int
+
+
+def with_lens(data: SensorReadings, found: Hypothesis | None = None) -> SensorReadings | None:
+    """Return readings whose camera has the lens that a robust fit of them gives it.
+
+    Of the lenses with ``READINGS_EACH`` readings a parameter the one with the lowest bounded
+    squares is taken, each parameter costing the logarithm of the readings (Schwarz's criterion,
+    doi:10.1214/aos/1176344136). The field angles u, v are the fit's; the coefficients stay free
+    in the search, by which a reading that bends the lens towards itself is seen to do so.
+
+    Args:
+        data: one sensor's readings.
+        found: label errors to mend before the fit.
+
+    Returns:
+        The same readings with ``offset_px`` and ``extra``; None where no lens can be fitted, or
+        none is better than no distortion.
     """
-    if len(data.seen) < READINGS_EACH * (WIDTH + len(TERMS)):
+    mended, sigma = (found or Hypothesis()).mended(data.readings_px, data.sigma_px)
+    observed = Observed(
+        data.points_mm,
+        mended[:, None],
+        np.where(np.isfinite(mended), sigma, 1.0)[:, None],
+        np.isinf(data.scale.freedom),
+        (data.sensor,),
+    )
+    fits = list(_fits(observed))
+    if len(fits) < 2:
         return None
-    camera = data.camera
-    theta = robust_starts(camera, data.readings_px, data.sigma_px, 1)[0]
-    points, slope = camera.points, theta[4:WIDTH]
-    depth = 1.0 + points @ slope
-    steep = float(np.linalg.norm(slope))
-    along = theta[:3]
-    if steep > 0.0:
-        along = along - (along @ slope) * slope / steep**2
-    across = np.cross(slope, along)
-    length = float(np.linalg.norm(across))
-    if length == 0.0:
+    count = len(fits[0].off)
+    used = np.ones((count, 1), dtype=bool)
+    # The noise as the richest lens leaves it: no less than it is stated to be.
+    deviation = float(scale_of(np.abs(fits[-1].off)[:, None], used, fits[-1].parameters)[0])
+    if observed.sigma_known:
+        deviation = max(deviation, 1.0)
+    cost = [
+        float(np.minimum((fit.off / max(deviation, 1e-12)) ** 2, LIMIT**2).sum())
+        + fit.parameters * np.log(count)
+        for fit in fits
+    ]
+    model = fits[int(np.argmin(cost))].model
+    if model.distortion is None:
         return None
-    u = _scaled(points @ along / depth)
-    v = _scaled(points @ (across / length) / depth)
-    return replace(data, extra=np.column_stack([u**i * v**j for i, j in TERMS]))
+    width = model.parameter_count
+    columns = CameraStack.of([model]).parameter_jacobian(data.points_mm)[:, 0, WIDTH + 1 : width]
+    columns = columns / np.maximum(np.abs(columns[data.seen]).max(axis=0), 1e-12)
+    plain = CameraStack.of([replace(model, distortion=None)]).project(data.points_mm)[:, 0]
+    offset = CameraStack.of([model]).project(data.points_mm)[:, 0] - plain
+    if not (np.isfinite(offset).all() and np.isfinite(columns).all()):
+        return None
+    return replace(data, offset_px=offset, extra=columns)
 
 
-def _scaled(angle: Array) -> Array:
-    return np.asarray(angle / max(float(angle.std()), 1e-12))
+def _fits(observed: Observed) -> Iterator[_Fit]:
+    """Yield the camera without distortion, and those with each lens that can be fitted."""
+    rows = observed.seen[:, 0]
+    try:
+        plain, weights = fit_undistorted(observed, "robust")
+    except NOT_FITTED:
+        return
+    yield _fit(observed, plain[0], WIDTH)
+    slits = Slits.of(plain, observed.pitch_um, observed.points_mm, observed.seen)
+    for name in CANDIDATES:
+        terms = preset_terms(name)
+        # The offset along the slit has a prior: it is not counted.
+        if rows.sum() < READINGS_EACH * (WIDTH + len(terms)):
+            continue
+        try:
+            fitted = fit_distorted(observed, plain, [terms], slits, "robust", weights)
+        except NOT_FITTED:
+            continue
+        yield _fit(observed, fitted.models[0], WIDTH + len(terms))
+
+
+def _fit(observed: Observed, model: SensorModel, parameters: int) -> _Fit:
+    off = (CameraStack.of([model]).project(observed.points_mm) - observed.readings_px)[:, 0]
+    off = (off / observed.sigma_px[:, 0])[observed.seen[:, 0]]
+    return _Fit(model, np.nan_to_num(off, nan=np.inf), parameters)

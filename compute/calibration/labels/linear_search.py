@@ -23,6 +23,10 @@ SHRUNK: Final = 6
 """Explanations of a level, the best ones, that are also tried with fewer errors."""
 PATIENCE: Final = 2
 """Levels without a better explanation before the search ends: two errors may hide each other."""
+PAIRS: Final = 200
+"""Pairs of an explanation's wrong readings that are tried as exchanged."""
+TOGETHER: Final = 200
+"""Explanations worked out at a time: bounds the memory."""
 TIED: Final = 1e-9
 """Redundancy 1 - h of a reading that the others say nothing about."""
 
@@ -48,12 +52,16 @@ class LinearCamera:
 
 @dataclass(frozen=True, eq=False)
 class _States:
-    """Explanations worked out: their residuals, redundancy matrices, squares, determinants."""
+    """Explanations worked out: their residuals, squares, determinants.
+
+    ``basis`` is of what is kept, (B, n, width), and ``spread`` @ its transpose the hat matrix.
+    """
 
     explained: Sequence[Hypothesis]
     residual: Array
-    redundancy: Array
-    free: NDArray[np.bool_]
+    basis: Array
+    spread: Array
+    used: NDArray[np.bool_]
     chi2: Array
     kept: Array
     log_determinant: Array
@@ -117,23 +125,19 @@ def _work_out(camera: LinearCamera, explained: Sequence[Hypothesis]) -> _States:
     readings = np.array([one for one, _ in mended]).reshape(-1, n)
     sigma = np.array([one for _, one in mended]).reshape(-1, n)
     kept = np.isfinite(readings)
-    free = np.ones(kept.shape, dtype=bool)
-    for row, hypothesis in enumerate(explained):
-        free[row, list(hypothesis.touched)] = False
     # The basis holds J over the deviation at its first place; one that moved keeps its reading's.
     misfit = np.where(kept, np.where(kept, readings, 0.0) - camera.fitted, 0.0) / camera.sigma
     basis = camera.basis * kept[..., None]
     normal = basis.swapaxes(1, 2) @ basis
-    hat = basis @ np.linalg.solve(
-        normal + 1e-12 * np.eye(camera.evidence.parameters), basis.swapaxes(1, 2)
-    )
-    redundancy = np.eye(n) * kept[:, None, :] - hat
-    residual = (redundancy @ misfit[..., None])[..., 0]
+    inverse = np.linalg.inv(normal + 1e-12 * np.eye(camera.evidence.parameters))
+    spread = basis @ inverse
+    residual = misfit - (spread @ (basis.swapaxes(1, 2) @ misfit[..., None]))[..., 0]
     return _States(
         explained,
         residual,
-        redundancy,
-        free,
+        basis,
+        spread,
+        kept,
         (residual**2).sum(axis=1),
         kept.sum(axis=1),
         np.linalg.slogdet(normal)[1],
@@ -160,10 +164,14 @@ def _score(camera: LinearCamera, states: _States) -> Array:
 def _more(camera: LinearCamera, states: _States, count: int) -> list[tuple[float, Hypothesis]]:
     """Return the best explanations with one wrong reading, or one exchanged pair, more."""
     n = len(camera.readings)
-    own = np.einsum("bii->bi", states.redundancy)
+    redundancy = np.eye(n) * states.used[:, None] - states.spread @ states.basis.swapaxes(1, 2)
+    own = np.einsum("bii->bi", redundancy)
+    free = np.ones(own.shape, dtype=bool)
+    for row, hypothesis in enumerate(states.explained):
+        free[row, list(hypothesis.touched)] = False
     wrong = np.array([len(h.wrong) for h in states.explained])[:, None]
     prior = _prior(camera, states.explained)[:, None]
-    usable = states.free & (own > TIED) & (states.kept[:, None] - 1 > camera.evidence.parameters)
+    usable = free & (own > TIED) & (states.kept[:, None] - 1 > camera.evidence.parameters)
     safe = np.where(usable, own, 1.0)
     left_out = camera.evidence.log_likelihood(
         np.maximum(states.chi2[:, None] - states.residual**2 / safe, 0.0),
@@ -182,7 +190,7 @@ def _more(camera: LinearCamera, states: _States, count: int) -> list[tuple[float
         + 2.0 * (at_first * states.residual[:, first] + at_second * states.residual[:, second])
         + at_first**2 * own[:, first]
         + at_second**2 * own[:, second]
-        + 2.0 * at_first * at_second * states.redundancy[:, first, second]
+        + 2.0 * at_first * at_second * redundancy[:, first, second]
     )
     exchanged = camera.evidence.log_likelihood(
         np.maximum(squares, 0.0),
@@ -191,7 +199,7 @@ def _more(camera: LinearCamera, states: _States, count: int) -> list[tuple[float
         states.log_sigma[:, None],
         wrong,
     )
-    both = states.free[:, first] & states.free[:, second]
+    both = free[:, first] & free[:, second]
     exchanged = np.where(both, exchanged + prior + log_exchange(n), -np.inf)
 
     scores = np.concatenate([left_out, exchanged], axis=1)
@@ -217,9 +225,24 @@ def _fewer(camera: LinearCamera, states: _States) -> list[tuple[float, Hypothesi
             made.setdefault(hypothesis.without(point))
         for cycle in sorted(hypothesis.cycles):
             made.setdefault(hypothesis.without(cycle))
-        for pair in combinations(sorted(hypothesis.wrong), 2):
+        for pair in _likely_pairs(camera, sorted(hypothesis.wrong)):
             made.setdefault(hypothesis.with_cycle(pair))
-    if not made:
-        return []
-    worked = _work_out(camera, list(made))
-    return list(zip(_score(camera, worked).tolist(), worked.explained, strict=True))
+    scored: list[tuple[float, Hypothesis]] = []
+    every = list(made)
+    for first in range(0, len(every), TOGETHER):
+        worked = _work_out(camera, every[first : first + TOGETHER])
+        scored += zip(_score(camera, worked).tolist(), worked.explained, strict=True)
+    return scored
+
+
+def _likely_pairs(camera: LinearCamera, wrong: list[int]) -> list[tuple[int, int]]:
+    """Return the pairs of wrong readings that lie nearest where the other's should."""
+    pairs = list(combinations(wrong, 2))
+    if len(pairs) <= PAIRS:
+        return pairs
+    first, second = np.array(pairs).T
+    off = np.maximum(
+        np.abs(camera.readings[first] - camera.fitted[second]),
+        np.abs(camera.readings[second] - camera.fitted[first]),
+    )
+    return [pairs[k] for k in np.argsort(off, kind="stable")[:PAIRS].tolist()]

@@ -28,12 +28,15 @@ class ProjectiveCamera:
         scale_px: readings are divided by it.
         extra: columns that readings may have linearly besides (a lens's distortion), in units of
             ``scale_px``, shape (N, K); None: none. theta has their K coefficients at its end.
+        offset_px: what is added to the reading at each point whatever theta is, shape (N,) [px];
+            None: nothing.
     """
 
     points: Array
     middle_px: float
     scale_px: float
     extra: Array | None = None
+    offset_px: Array | None = None
 
     @property
     def width(self) -> int:
@@ -48,13 +51,18 @@ class ProjectiveCamera:
         points = points_mm @ transform[:3, :3].T + transform[:3, 3]
         return cls(points, float(readings_px[seen].mean()), float(readings_px[seen].std()) or 1.0)
 
+    @property
+    def zero_px(self) -> Array | float:
+        """What a reading is counted from: ``middle_px`` and the offset, (N,) or one number."""
+        return self.middle_px if self.offset_px is None else self.middle_px + self.offset_px
+
     def project(self, theta: Array) -> Array:
         """Return the readings of cameras (K, width), shape (K, N) [px]."""
         numerator = theta[:, :3] @ self.points.T + theta[:, 3:4]
         readings: Array = numerator / (1.0 + theta[:, 4:WIDTH] @ self.points.T)
         if self.extra is not None:
             readings += theta[:, WIDTH:] @ self.extra.T
-        return readings * self.scale_px + self.middle_px
+        return np.asarray(readings * self.scale_px + self.zero_px)
 
     def linearised(self, theta: Array) -> tuple[Array, Array]:
         """Return readings (K, N) [px] and their slopes by theta, shape (K, N, width)."""
@@ -68,11 +76,12 @@ class ProjectiveCamera:
             slopes[..., WIDTH:] = self.extra
             readings = readings + theta[:, WIDTH:] @ self.extra.T
         slopes *= self.scale_px
-        return readings * self.scale_px + self.middle_px, slopes
+        return readings * self.scale_px + self.zero_px, slopes
 
     def algebraic(self, readings_px: Array, weights: Array) -> Array:
         """Solve [5.5] for readings (K, N) with weights (K, N), 0 for none; theta (K, width)."""
-        q = (np.where(weights > 0.0, readings_px, self.middle_px) - self.middle_px) / self.scale_px
+        zero = self.zero_px
+        q = (np.where(weights > 0.0, readings_px, zero) - zero) / self.scale_px
         design = np.empty((*q.shape, WIDTH))
         design[..., :3] = self.points
         design[..., 3] = 1.0

@@ -15,6 +15,7 @@ from compute.calibration.labels.hypothesis import Hypothesis
 from compute.calibration.labels.linear_search import BEAM, LinearCamera, explore
 from compute.calibration.labels.projective import ProjectiveCamera
 from compute.calibration.labels.robust import robust_starts
+from compute.camera.model import SensorGeometry
 
 Array = NDArray[np.float64]
 
@@ -33,6 +34,9 @@ START_SIGMAS: Final = 5.0
 """Residuals of a robust start beyond this many of its deviations are its wrong readings."""
 CONTRADICTION: Final = 3.0
 """Stated deviations are not believed where those of the nearer half are this many times larger."""
+MANY: Final = 8
+MANY_SHARE: Final = 0.2
+"""More readings than this, and this share of them, far off: no few labels."""
 PROPOSALS: Final = 200
 
 
@@ -44,17 +48,18 @@ class SensorReadings:
         points_mm: all control points, shape (N, 3).
         readings_px: shape (N,); NaN where not seen.
         sigma_px: deviations, shape (N,); of any value where not seen.
-        pixels: the sensor's pixels.
+        sensor: its geometry.
         scale: what is known of a common factor of the deviations.
-        extra: columns of the camera besides, see ``ProjectiveCamera``.
+        extra, offset_px: what a lens adds to the camera, see ``ProjectiveCamera``.
     """
 
     points_mm: Array
     readings_px: Array
     sigma_px: Array
-    pixels: int
+    sensor: SensorGeometry
     scale: ScalePrior
     extra: Array | None = None
+    offset_px: Array | None = None
 
     @cached_property
     def seen(self) -> NDArray[np.intp]:
@@ -64,12 +69,13 @@ class SensorReadings:
     @cached_property
     def camera(self) -> ProjectiveCamera:
         """The camera's form for these points."""
-        return replace(ProjectiveCamera.of(self.points_mm, self.readings_px), extra=self.extra)
+        plain = ProjectiveCamera.of(self.points_mm, self.readings_px)
+        return replace(plain, extra=self.extra, offset_px=self.offset_px)
 
     @cached_property
     def evidence(self) -> Evidence:
         """Marginal likelihoods of explanations."""
-        return Evidence(self.pixels, self.scale, self.camera.width)
+        return Evidence(self.sensor.pixels, self.scale, self.camera.width)
 
     def exchanged(self, first: int, second: int) -> "SensorReadings":
         """Return them with the readings of two points exchanged."""
@@ -187,12 +193,15 @@ def search_labels(data: SensorReadings) -> SensorLabels:
 def contradicted(data: SensorReadings) -> bool:
     """Return whether even the camera that fits the nearer half of the readings contradicts sigma.
 
-    Then it is the deviations or the camera's form that is wrong, not a few labels.
+    Or agrees with it there, and leaves many readings far off. Then it is the deviations or the
+    camera's form that is wrong, not a few labels.
     """
     if _ordinary(_plain(data)):
         return False
     starts = robust_starts(data.camera, data.readings_px, data.sigma_px, 1)
-    return _off(data, starts[0])[1] > CONTRADICTION * data.scale.factor
+    off, deviation = _off(data, starts[0])
+    far = int((off > START_SIGMAS * max(deviation, data.scale.factor)).sum())
+    return deviation > CONTRADICTION * data.scale.factor or far > max(MANY, MANY_SHARE * len(off))
 
 
 def _plain(data: SensorReadings) -> _Pool:

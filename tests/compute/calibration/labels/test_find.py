@@ -14,7 +14,7 @@ from compute.camera.field_distortion import FieldDistortion
 from compute.camera.stack import CameraStack
 from compute.errors import DuplicatePoint, InvalidParameter, TooFewPoints
 from tests.compute.rig import control_points, geometry, project, rig
-from validation.label_frames import LabelFrame, random_frames
+from validation.label_frames import Errors, LabelFrame, random_frames, wide_frames
 from validation.labels import ASKED, BESIDE, CLEAN, ask, findings_of
 from validation.thesis_data import DFW_V500, load_test
 
@@ -208,3 +208,16 @@ def test_a_lens_with_distortion_is_no_label_error() -> None:
     (finding,) = find_label_errors(points, readings, SENSORS[:2], sigma).findings
     assert (finding.kind, finding.sensor) == ("exchanged", "s2")
     assert finding.points == (first + 1, second + 1)
+
+
+@pytest.mark.parametrize(("kind", "number"), [("none", 0), ("exchanged", 1), ("wrong", 1)])
+def test_a_wide_field_of_strong_lenses(kind: Errors, number: int) -> None:
+    """A distortion of tens of pixels at 0.02 to 1 px of noise: a lens of five fixed columns fails.
+
+    Without a fitted lens every frame has findings in it.
+    """
+    (frame,) = wide_frames(np.random.default_rng(7000), 1, 40, kind, number)
+    sigma = np.full(frame.readings_px.shape, frame.sigma_px)
+    report = find_label_errors(frame.points_mm, frame.readings_px, frame.sensors, sigma)
+    assert frame.found_exactly(report.findings), report.findings
+    assert report.sigma_px == pytest.approx((frame.sigma_px,) * 4, rel=0.5)

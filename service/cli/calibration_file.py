@@ -1,6 +1,5 @@
 """A calibration in a JSON file: as `lumiline calibrate` writes it, or as the service sends it."""
 
-import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from compute.calibration.result import Calibration
 from compute.errors import InvalidParameter
+from service.calibrations.run import content_hash
 
 DOCUMENT: Final = TypeAdapter(Calibration)
 
@@ -61,10 +61,4 @@ def read_calibration(path: Path) -> CalibrationFile:
 
 def result_hash(calibration: Calibration) -> str:
     """Return the SHA-256 of a calibration's canonical JSON: sorted keys, no spaces, UTF-8."""
-    text = json.dumps(
-        DOCUMENT.dump_python(calibration, mode="json"),
-        sort_keys=True,
-        separators=(",", ":"),
-        ensure_ascii=False,
-    )
-    return hashlib.sha256(text.encode()).hexdigest()
+    return content_hash(DOCUMENT.dump_python(calibration, mode="json"))

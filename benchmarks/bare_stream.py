@@ -2,12 +2,11 @@
 
 import asyncio
 import socket
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from typing import Any
+
+from benchmarks.own_process import given_listener, running_peer
 
 RATE_HZ = 1000.0
 
@@ -57,24 +56,10 @@ async def _serve(listener: socket.socket) -> None:
         await asyncio.get_running_loop().create_future()
 
 
-@contextmanager
-def running_bare_stream() -> Iterator[str]:
-    """Run it in a process of its own and yield its URL."""
-    listener = socket.socket()
-    listener.bind(("127.0.0.1", 0))
-    listener.listen()
-    port = listener.getsockname()[1]
-    process = subprocess.Popen(  # noqa: S603 - this module
-        [sys.executable, "-m", "benchmarks.bare_stream", str(listener.fileno())],
-        pass_fds=[listener.fileno()],
-    )
-    listener.close()
-    try:
-        yield f"ws://127.0.0.1:{port}/"
-    finally:
-        process.terminate()
-        process.wait()
+def running_bare_stream() -> AbstractContextManager[str]:
+    """Run it in a process of its own; the context is its URL."""
+    return running_peer("benchmarks.bare_stream")
 
 
 if __name__ == "__main__":
-    asyncio.run(_serve(socket.socket(fileno=int(sys.argv[1]))))
+    asyncio.run(_serve(given_listener()))

@@ -1,12 +1,19 @@
 """Calibration beside SciPy and pyceres: ``python -m benchmarks.calibration [--json]``.
 
-19 control points and four sensors, readings with 1 px of noise. Ours is `calibrate` as it stands:
-no starting values, seven parameters, the covariance with it. The peers minimise the same
-residuals over the eleven coefficients of the thesis ([5.18], [5.19]), as section 5.6 did, with
-NumPy arrays of all 19 points, one sensor after the other, with analytic slopes (SciPy once without
-too); they check nothing and give no covariance. Our search alone, over the seven parameters that
-the eleven hold, stands beside them from the same starts.
-Their starts: every coefficient 1 % wrong, and as far off as Table 5.11 is from Table 5.10.
+19 control points and four sensors, readings with 1 px of noise, three jobs, each by all:
+
+* the minimum, from the same start: every coefficient 1 % wrong, or as far off as Table 5.11 is from
+  Table 5.10. Ours is the search over the seven metric parameters, of all sensors at once.
+* the minimum from there, and the covariance of the parameters.
+* all from nothing: ours is `calibrate` as it stands, which checks what it is given, searches from
+  seven starts a sensor and refuses frames that leave a camera open. The peers start from the
+  linear solution ([5.5], normalised), minimise and work out the covariance; they check nothing.
+
+The peers minimise the same residuals over the eleven coefficients of the thesis ([5.18], [5.19]),
+as section 5.6 did, with NumPy arrays of all 19 points, one sensor after the other, with analytic
+slopes (SciPy once without too). Four of the eleven are gauge: their covariance leaves these out.
+The methods of one job take turns, and the least time of each counts: what else a machine does
+only adds to it.
 
 pyceres calls its cost function back in Python, once a step for all points of a sensor: its C++
 solver is not what takes its time with 19 points.
@@ -14,42 +21,51 @@ solver is not what takes its time with 19 points.
 
 import argparse
 import json
-import statistics
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
+from benchmarks.calibration_peers import (
+    Bundle,
+    Solver,
+    by_scipy,
+    by_scipy_numerical,
+    pyceres_solver,
+    variance,
+)
 from benchmarks.points import rig
+from compute.calibration.design import equation_groups
 from compute.calibration.levenberg import minimise
 from compute.calibration.run import calibrate
-from compute.calibration.thesis_bundle import StepGrid, flat, generated, unflat
+from compute.calibration.thesis_bundle import StepGrid, flat, unflat
 from compute.camera.dlt import collinearity_parameters_of, model_from_collinearity
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
 
 Array = NDArray[np.float64]
 Row = dict[str, str | int | float | None]
-Solver = Callable[["Bundle", Array], Array]
+Method = Callable[["Frame", list[Array], list[SensorModel]], list[float]]
+"""Does a job of all four sensors, from the start in the form that it takes: eleven coefficients or
+metric cameras; returns the squares that it ends with."""
 
 POINTS: Final = 19
 SIGMA_PX: Final = 1.0
 FRAMES: Final = 10
 """Frames of other points and noise: 40 sensors to count minima in."""
 STARTS: Final = ("1 % wrong", "Table 5.11")
+MINIMUM: Final = "minimum"
+COVARIANCE: Final = "and covariance"
+ALL: Final = "all, from nothing"
 NEAR: Final = 0.01
 REACHED: Final = 1e-6
 """A minimum is reached where the squares are above the lowest by no more than this part."""
-MOST_EVALUATIONS: Final = 2000
-OURS: Final = "lumiline calibrate, from nothing"
-SEARCH: Final = "lumiline minimise, seven"
+OURS: Final = "lumiline, seven parameters"
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,37 +80,6 @@ class Frame:
     def sensors(self) -> list[SensorGeometry]:
         """What is known of the sensors."""
         return [SensorGeometry(model.name, model.pixels) for model in self.models]
-
-
-@dataclass(frozen=True, eq=False)
-class Bundle:
-    """Residuals of one sensor over the eleven coefficients, in the order of ``NAMES``."""
-
-    points_mm: Array
-    readings_px: Array
-
-    def values(self, x: Array) -> Array:
-        """Return generated minus measured readings, shape (19,) [px]."""
-        return np.asarray(generated(x, self.points_mm) - self.readings_px)
-
-    def slopes(self, x: Array) -> Array:
-        """Return d values / d coefficients, shape (19, 11)."""
-        relative = self.points_mm - x[2:5]
-        along, depth = relative @ x[5:8], relative @ x[8:11]
-        q = along / depth
-        gain = (-x[0] / depth)[:, None]
-        jacobian = np.empty((len(relative), 11))
-        jacobian[:, 0] = -q
-        jacobian[:, 1] = 1.0
-        jacobian[:, 2:5] = -gain * (x[5:8] - q[:, None] * x[8:11])
-        jacobian[:, 5:8] = gain * relative
-        jacobian[:, 8:11] = -gain * q[:, None] * relative
-        return jacobian
-
-    def squares(self, x: Array) -> float:
-        """Return the sum of squares [px^2]."""
-        values = self.values(x)
-        return float(values @ values)
 
 
 def frames() -> list[Frame]:
@@ -131,109 +116,45 @@ def thesis_start(model: SensorModel) -> Array:
     return StepGrid.about(collinearity_parameters_of(model), sensor).first
 
 
-def by_scipy(bundle: Bundle, start: Array) -> Array:
-    """Minimise by MINPACK's Levenberg-Marquardt."""
-    found = least_squares(
-        bundle.values, start, jac=bundle.slopes, method="lm", x_scale="jac",
-        max_nfev=MOST_EVALUATIONS,
-    )  # fmt: skip
-    return np.asarray(found.x)
-
-
-def by_scipy_numerical(bundle: Bundle, start: Array) -> Array:
-    """Minimise likewise with slopes by differences, which is what one writes first."""
-    found = least_squares(
-        bundle.values, start, method="lm", x_scale="jac", max_nfev=12 * MOST_EVALUATIONS
-    )
-    return np.asarray(found.x)
-
-
-def pyceres_solver() -> Solver:
-    """Return a solver by pyceres.
-
-    Raises:
-        ImportError: it is not installed.
-    """
-    # Its annotations are not complete: to the type checker it is anything.
-    pyceres: Any = import_module("pyceres")
-
-    class Cost(pyceres.CostFunction):  # type: ignore[misc]
-        """The residuals of one sensor."""
-
-        def __init__(self, bundle: Bundle) -> None:
-            pyceres.CostFunction.__init__(self)
-            self.bundle = bundle
-            self.set_num_residuals(len(bundle.readings_px))
-            self.set_parameter_block_sizes([11])
-
-        def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:  # noqa: N802
-            x = np.asarray(parameters[0])
-            values = self.bundle.values(x)
-            if not np.isfinite(values).all():
-                return False
-            residuals[:] = values
-            if jacobians is not None and jacobians[0] is not None:
-                jacobians[0][:] = self.bundle.slopes(x).ravel()
-            return True
-
-    options = pyceres.SolverOptions()
-    options.linear_solver_type = pyceres.LinearSolverType.DENSE_QR
-    options.max_num_iterations = MOST_EVALUATIONS
-    options.function_tolerance = 1e-12
-    options.gradient_tolerance = 1e-12
-    options.parameter_tolerance = 1e-12
-    options.minimizer_progress_to_stdout = False
-    options.logging_type = pyceres.LoggingType.SILENT
-    options.num_threads = 1
-
-    def solve(bundle: Bundle, start: Array) -> Array:
-        x = start.copy()
-        problem = pyceres.Problem()
-        cost = Cost(bundle)
-        problem.add_residual_block(cost, None, [x])
-        pyceres.solve(options, problem, pyceres.SolverSummary())
-        return x
-
-    return solve
-
-
 def run(seconds: float = 0.3) -> list[Row]:
-    """Measure all, in one run; the peers' times are beside ours."""
+    """Measure all, in one run; ``times_ours`` is beside our time for the same job and start."""
     sets = frames()
-    peers: dict[str, Solver | str] = {
+    solvers: dict[str, Solver | str] = {
         "scipy least_squares, lm": by_scipy,
         "scipy, slopes by differences": by_scipy_numerical,
     }
     try:
-        peers["pyceres, dense QR"] = pyceres_solver()
+        solvers["pyceres, dense QR"] = pyceres_solver()
     except ImportError:
-        peers["pyceres, dense QR"] = "not installed: pip install pyceres"
+        solvers["pyceres, dense QR"] = "not installed: pip install pyceres"
     least = [_least(frame) for frame in sets]
-    first = sets[0]
-    ours = _time(partial(calibrate, first.points_mm, first.readings_px, first.sensors), seconds)
-    reached = sum(_reached(_ours(f), lowest) for f, lowest in zip(sets, least, strict=True))
-    rows = [_row(OURS, "none", 7, ours, ours, reached)]
-    for label in STARTS:
-        models = [_as_models(f, _starts(f, label, k)) for k, f in enumerate(sets)]
-        count = sum(
-            _reached(_search(frame, start), lowest)
-            for frame, start, lowest in zip(sets, models, least, strict=True)
-        )
-        spent = _time(partial(_search, first, models[0]), seconds)
-        rows.append(_row(SEARCH, label, 7, spent, ours, count))
-    for name, solver in peers.items():
-        for label in STARTS:
+    rows = []
+    for job, label in (
+        *((MINIMUM, label) for label in STARTS),
+        *((COVARIANCE, label) for label in STARTS),
+        (ALL, "none"),
+    ):
+        starts = [_starts(frame, label, k) for k, frame in enumerate(sets)]
+        methods: dict[str, Method] = {OURS: _OURS[job]}
+        notes: dict[str, str] = {}
+        for name, solver in solvers.items():
             if isinstance(solver, str):
-                rows.append(_row(name, label, 11, None, ours, None, solver))
-                continue
-            starts = [_starts(frame, label, k) for k, frame in enumerate(sets)]
-            squares = [
-                [b.squares(solver(b, x)) for b, x in zip(_bundles(frame), start, strict=True)]
-                for frame, start in zip(sets, starts, strict=True)
-            ]
-            count = sum(_reached(s, lowest) for s, lowest in zip(squares, least, strict=True))
-            spent = _time(partial(_all, solver, first, starts[0]), seconds)
-            rows.append(_row(name, label, 11, spent, ours, count))
+                notes[name] = solver
+            elif job == MINIMUM or solver is not by_scipy_numerical:
+                methods[name] = partial(_by_peer, solver, job)
+        models = [_as_models(*each) for each in zip(sets, starts, strict=True)]
+        reached = {
+            name: sum(
+                _reached(method(frame, start, own), lowest)
+                for frame, start, own, lowest in zip(sets, starts, models, least, strict=True)
+            )
+            for name, method in methods.items()
+        }
+        first = sets[0], starts[0], models[0]
+        times = _times([partial(method, *first) for method in methods.values()], seconds)
+        for name, spent in zip(methods, times, strict=True):
+            rows.append(_row(job, name, label, spent, times[0], reached[name]))
+        rows += [_row(job, name, label, None, times[0], None, note) for name, note in notes.items()]
     return rows
 
 
@@ -246,20 +167,57 @@ def _as_models(frame: Frame, starts: Sequence[Array]) -> list[SensorModel]:
     ]
 
 
-def _search(frame: Frame, starts: Sequence[SensorModel]) -> list[float]:
-    """Minimise over the seven parameters of all sensors at once; return the squares."""
+def _minimum(frame: Frame, _starts: list[Array], models: list[SensorModel]) -> list[float]:
+    """Minimise over the seven parameters of all sensors at once."""
+    return our_minimum(frame, models, covariance=False)[0]
+
+
+def _minimum_and_covariance(
+    frame: Frame, _starts: list[Array], models: list[SensorModel]
+) -> list[float]:
+    return our_minimum(frame, models, covariance=True)[0]
+
+
+def our_minimum(
+    frame: Frame, models: Sequence[SensorModel], *, covariance: bool
+) -> tuple[list[float], CameraStack, Array | None]:
+    """Return squares, cameras and, if asked for, covariances (4, 7, 7) of our search."""
     weights = np.ones(frame.readings_px.shape)
-    cameras = CameraStack.of(starts)
-    ended = minimise(cameras, frame.points_mm, frame.readings_px, weights)
-    return [float(squares) for squares in ended.squares]
+    ended = minimise(CameraStack.of(models), frame.points_mm, frame.readings_px, weights)
+    squares = [float(one) for one in ended.squares]
+    if not covariance:
+        return squares, ended.cameras, None
+    (group,) = equation_groups(models, frame.points_mm, weights, stack=ended.cameras)
+    scale = [variance(bundle, one) for bundle, one in zip(bundles(frame), squares, strict=True)]
+    return squares, ended.cameras, group.cofactors * np.array(scale)[:, None, None]
 
 
-def _all(solver: Solver, frame: Frame, starts: list[Array]) -> None:
-    for bundle, start in zip(_bundles(frame), starts, strict=True):
-        solver(bundle, start)
+def _calibrated(
+    frame: Frame, _starts: Sequence[Array] = (), _models: Sequence[SensorModel] = ()
+) -> list[float]:
+    found = calibrate(frame.points_mm, frame.readings_px, frame.sensors)
+    return [fit.rms_px**2 * fit.points for fit in found.sensors]
 
 
-def _bundles(frame: Frame) -> list[Bundle]:
+_OURS: Final[dict[str, Method]] = {
+    MINIMUM: _minimum,
+    COVARIANCE: _minimum_and_covariance,
+    ALL: _calibrated,
+}
+
+
+def _by_peer(
+    solver: Solver, job: str, frame: Frame, starts: list[Array], _models: list[SensorModel]
+) -> list[float]:
+    squares = []
+    for bundle, sensor, start in zip(bundles(frame), frame.sensors, starts, strict=True):
+        first = bundle.linear_start(sensor.name) if job == ALL else start
+        squares.append(bundle.squares(solver(bundle, first, covariance=job != MINIMUM).x))
+    return squares
+
+
+def bundles(frame: Frame) -> list[Bundle]:
+    """Return the sensors' residuals."""
     return [Bundle(frame.points_mm, frame.readings_px[:, k]) for k in range(len(frame.models))]
 
 
@@ -270,18 +228,12 @@ def _starts(frame: Frame, label: str, seed: int) -> list[Array]:
     return [near_start(model, rng) for model in frame.models]
 
 
-def _ours(frame: Frame) -> list[float]:
-    found = calibrate(frame.points_mm, frame.readings_px, frame.sensors)
-    return [fit.rms_px**2 * fit.points for fit in found.sensors]
-
-
 def _least(frame: Frame) -> list[float]:
     """Return the least squares of each sensor: from the true coefficients, or ours if lower."""
-    bundles, ours = _bundles(frame), _ours(frame)
     true = [flat(collinearity_parameters_of(model)) for model in frame.models]
     return [
-        min(bundle.squares(by_scipy(bundle, x)), other)
-        for bundle, x, other in zip(bundles, true, ours, strict=True)
+        min(bundle.squares(by_scipy(bundle, x).x), other)
+        for bundle, x, other in zip(bundles(frame), true, _calibrated(frame), strict=True)
     ]
 
 
@@ -290,18 +242,19 @@ def _reached(squares: Sequence[float], least: Sequence[float]) -> int:
 
 
 def _row(
+    job: str,
     method: str,
     start: str,
-    parameters: int,
     spent: float | None,
     ours: float,
     reached: int | None,
     note: str | None = None,
 ) -> Row:
     return {
+        "job": job,
         "method": method,
         "start": start,
-        "parameters": parameters,
+        "parameters": 7 if method == OURS else 11,
         "time_ms": None if spent is None else spent * 1e3,
         "times_ours": None if spent is None else spent / ours,
         "minimum_reached": reached,
@@ -310,15 +263,16 @@ def _row(
     }
 
 
-def _time(call: Callable[[], object], seconds: float) -> float:
-    """Return the median time of a call [s], of five at least (of one where no time is given)."""
-    times: list[float] = []
-    end = time.perf_counter() + seconds
-    while len(times) < (5 if seconds > 0.0 else 1) or time.perf_counter() < end:
-        begin = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - begin)
-    return statistics.median(times)
+def _times(calls: Sequence[Callable[[], object]], seconds: float) -> list[float]:
+    """Return the least time of each call [s], of five turns at least (of one without time)."""
+    times: list[list[float]] = [[] for _ in calls]
+    end = time.perf_counter() + seconds * len(calls)
+    while len(times[0]) < (5 if seconds > 0.0 else 1) or time.perf_counter() < end:
+        for call, spent in zip(calls, times, strict=True):
+            begin = time.perf_counter()
+            call()
+            spent.append(time.perf_counter() - begin)
+    return [min(spent) for spent in times]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -333,14 +287,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         print()
         return 0
     print(f"{POINTS} points x 4 sensors, {SIGMA_PX:g} px noise; the thesis: 2 to 4 hours")
-    print(f"{'method':34} {'start':12} {'unknowns':>8} {'ms':>9} {'x ours':>8} {'minimum':>9}")
+    print(f"{'job':18} {'start':11} {'method':29} {'ms':>8} {'x ours':>7} {'minimum':>9}")
     for row in rows:
+        print(f"{row['job']:18} {row['start']:11} {row['method']:29} ", end="")
         if row["note"] is not None:
-            print(f"{row['method']:34} {row['start']:12} {row['note']}")
+            print(row["note"])
             continue
         print(
-            f"{row['method']:34} {row['start']:12} {row['parameters']:>8} {row['time_ms']:9.2f} "
-            f"{row['times_ours']:8.2f} {row['minimum_reached']:>4} of {row['of']}"
+            f"{row['time_ms']:8.2f} {row['times_ours']:7.2f} "
+            f"{row['minimum_reached']:>3} of {row['of']}"
         )
     return 0
 

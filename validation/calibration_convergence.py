@@ -17,6 +17,7 @@ from compute.camera.field_distortion import FieldDistortion, symmetric_terms
 from compute.camera.model import SensorGeometry, SensorModel, vector3
 from compute.camera.stack import CameraStack
 from compute.errors import LumilineError
+from validation.progress import tell
 from validation.tables import Cell, ResultTable, TablesCase
 
 Array = NDArray[np.float64]
@@ -185,7 +186,8 @@ def tally(runs: int, seed: int = SEED) -> Tally:
     """Calibrate random devices and count what reached the lowest minimum."""
     rng = np.random.default_rng(seed)
     without = beside = alone = below = 0
-    for _ in range(runs):
+    for run in range(runs):
+        tell(0.85 * run / runs, f"device {run + 1} of {runs}")
         device = random_device(rng)
         best = lowest(device, rng)
         ours = _calibrated(device, None)
@@ -213,7 +215,8 @@ def distorted_tally(runs: int, seed: int = SEED) -> tuple[int, int]:
     rng = np.random.default_rng(seed)
     settings = CalibrationSettings(distortion=symmetric_terms(3))
     counts = [0, 0]
-    for _ in range(runs):
+    for run in range(runs):
+        tell(0.85 + 0.15 * run / runs, f"device with distortion {run + 1} of {runs}")
         device = random_device(rng, distorted=True)
         seen = np.isfinite(device.readings_px)
         weights = np.where(seen, 1.0 / device.sigma_px, 0.0)

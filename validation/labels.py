@@ -1,6 +1,6 @@
 """Label errors in simulated and measured control data: how many are found, and which."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,7 +13,16 @@ from compute.calibration.labels.hypothesis import Hypothesis
 from compute.calibration.labels.mend import repair
 from compute.calibration.labels.sensor_search import SensorReadings, judge, search_labels
 from compute.calibration.run import calibrate
-from validation.label_frames import SIGMA_PX, Errors, Frame, LabelFrame, random_frames
+from validation.label_frames import (
+    SIGMA_PX,
+    WIDE_SIGMA_PX,
+    Errors,
+    Frame,
+    LabelFrame,
+    random_frames,
+    wide_frames,
+)
+from validation.progress import tell
 from validation.tables import Cell, ResultTable, TablesCase
 from validation.thesis_data import DFW_V500, load_test
 
@@ -22,6 +31,8 @@ SHARE: Final = 100
 """Frames of each of the ten kinds asked for."""
 BESIDE_SHARE: Final = 25
 CLEAN_SHARE: Final = 200
+WIDE_SHARES: Final = ((40, 12), (100, 8), (300, 4))
+"""Control points of a frame with a wide field, and frames of each kind with so many."""
 
 
 @dataclass(frozen=True)
@@ -29,18 +40,29 @@ class Question:
     """Frames of one kind.
 
     Args:
-        frame: which points.
+        frame: which points; a number: of those of a wide field before lenses with distortion.
         errors: which errors.
         number: how many a frame.
         least_only: whether gross errors are ten standard deviations, no more.
         sigma_given: whether the noise is told to the search.
     """
 
-    frame: Frame
+    frame: Frame | int
     errors: Errors
     number: int = 0
     least_only: bool = False
     sigma_given: bool = True
+
+    @property
+    def wide(self) -> bool:
+        """Whether lenses have distortion, and the noise is the frame's own."""
+        return isinstance(self.frame, int)
+
+    def frames(self, rng: np.random.Generator, count: int) -> Iterator[LabelFrame]:
+        """Yield so many of them."""
+        if isinstance(self.frame, int):
+            return wide_frames(rng, count, self.frame, self.errors, self.number)
+        return random_frames(rng, count, self.frame, self.errors, self.number, self.least_only)
 
     @property
     def name(self) -> str:
@@ -99,25 +121,31 @@ BESIDE: Final = (
 """What else is worth knowing."""
 
 
+WIDE: Final = tuple(
+    (Question(points, errors, number), share)
+    for points, share in WIDE_SHARES
+    for errors, number in (("none", 0), *(kind for kind in _KINDS if kind[1] < 3))
+)
+"""Wide fields, and how many frames."""
+
+
 def ask(question: Question, frames: int, seed: int) -> Outcome:
     """Search ``frames`` simulated frames."""
     rng = np.random.default_rng(seed)
     exact = surplus = likelier = 0
-    for frame in random_frames(
-        rng, frames, question.frame, question.errors, question.number, question.least_only
-    ):
+    for frame in question.frames(rng, frames):
         findings = findings_of(frame, question.sigma_given)
         surplus += any((f.kind, f.sensor, f.points) not in frame.errors for f in findings)
         if frame.found_exactly(findings):
             exact += 1
-        elif question.sigma_given and question.errors != "points":
+        elif question.sigma_given and question.errors != "points" and not question.wide:
             likelier += _likelier(frame)
     return Outcome(frames, exact, surplus, likelier)
 
 
 def findings_of(frame: LabelFrame, sigma_given: bool = True) -> tuple[LabelFinding, ...]:
     """Return what the search finds in a frame."""
-    sigma = np.full(frame.readings_px.shape, SIGMA_PX) if sigma_given else None
+    sigma = np.full(frame.readings_px.shape, frame.sigma_px) if sigma_given else None
     return find_label_errors(frame.points_mm, frame.readings_px, frame.sensors, sigma).findings
 
 
@@ -142,24 +170,38 @@ def _likelier(frame: LabelFrame) -> bool:
 
 
 def work_out(
-    share: int = SHARE, clean_share: int = CLEAN_SHARE, beside_share: int = BESIDE_SHARE
+    share: int = SHARE,
+    clean_share: int = CLEAN_SHARE,
+    beside_share: int = BESIDE_SHARE,
+    wide: Sequence[tuple[Question, int]] = WIDE,
 ) -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     """Ask everything, with so many frames of each kind."""
-    asked = [(one, ask(one, share, SEED + k)) for k, one in enumerate(ASKED)]
-    clean = [(one, ask(one, clean_share, SEED + 100 + k)) for k, one in enumerate(CLEAN)]
-    beside = [(one, ask(one, beside_share, SEED + 200 + k)) for k, one in enumerate(BESIDE)]
-    frames, exact = (sum(getattr(o, name) for _, o in asked) for name in ("frames", "exact"))
-    clean_frames, alarms = (sum(getattr(o, n) for _, o in clean) for n in ("frames", "surplus"))
+    asked = _answers([(one, share) for one in ASKED], SEED, (0.0, 0.4))
+    clean = _answers([(one, clean_share) for one in CLEAN], SEED + 100, (0.4, 0.55))
+    beside = _answers([(one, beside_share) for one in BESIDE], SEED + 200, (0.55, 0.65))
+    fields = _answers(wide, SEED + 300, (0.65, 1.0))
+    frames, exact = _sum(asked, "frames"), _sum(asked, "exact")
+    clean_frames, alarms = _sum(clean, "frames"), _sum(clean, "surplus")
+    wrong = [(question, outcome) for question, outcome in fields if question.number > 0]
+    right = [(question, outcome) for question, outcome in fields if question.number == 0]
+    low, high = WIDE_SIGMA_PX
     tables = (
         _table("errors that must be found, noise 1 px, known", asked),
         _table("clean frames, noise 1 px", clean),
         _table("beside them, noise 1 px", beside),
+        _table(f"wide fields of lenses with distortion, noise {low:g} to {high:g} px", fields),
         _measured_table(),
     )
     return tables, (
         (
             f"Found exactly: {exact} of {frames} frames ({100.0 * exact / frames:.1f} %). "
             f"Clean frames with a finding: {alarms} of {clean_frames}."
+        ),
+        (
+            f"Wide fields, seen through distortions of tens to a hundred pixels: "
+            f"{_sum(wrong, 'exact')} of {_sum(wrong, 'frames')} frames with errors are found "
+            f"exactly, and {_sum(right, 'surplus')} of {_sum(right, 'frames')} clean ones have a "
+            "finding."
         ),
         (
             "Gross errors are 10 to 300 standard deviations, evenly in the logarithm; exchanged "
@@ -176,6 +218,22 @@ def work_out(
     )
 
 
+def _answers(
+    questions: Sequence[tuple[Question, int]], seed: int, part: tuple[float, float]
+) -> list[tuple[Question, Outcome]]:
+    """Ask questions with so many frames each, the share ``part`` of the case's work."""
+    found = []
+    for k, (question, frames) in enumerate(questions):
+        done = part[0] + (part[1] - part[0]) * k / len(questions)
+        tell(done, f"{question.name}, {question.frame} points")
+        found.append((question, ask(question, frames, seed + k)))
+    return found
+
+
+def _sum(outcomes: Sequence[tuple[Question, Outcome]], name: str) -> int:
+    return sum(getattr(outcome, name) for _, outcome in outcomes)
+
+
 def _table(title: str, outcomes: Sequence[tuple[Question, Outcome]]) -> ResultTable:
     rows: list[tuple[Cell, ...]] = [
         (
@@ -185,7 +243,9 @@ def _table(title: str, outcomes: Sequence[tuple[Question, Outcome]]) -> ResultTa
             outcome.frames,
             outcome.exact,
             outcome.surplus,
-            outcome.likelier if question.sigma_given and question.errors != "points" else None,
+            outcome.likelier
+            if question.sigma_given and question.errors != "points" and not question.wide
+            else None,
         )
         for question, outcome in outcomes
     ]

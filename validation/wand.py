@@ -14,6 +14,7 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import LumilineError
 from compute.reconstruction.points import reconstruct
+from validation.progress import tell
 from validation.tables import Cell, ResultTable, TablesCase
 from validation.wand_scene import (
     NOISE_PX,
@@ -128,8 +129,12 @@ def _work_out() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     rows: list[tuple[Cell, ...]] = [_row("cameras known exactly", known)]
     frames = {count: [frame_errors(count, seed) for seed in range(REPEATS)] for count in FRAMES}
     rows += [_row(f"frame of {count} known points", errors) for count, errors in frames.items()]
-    wands = {count: [wand_errors(count, seed) for seed in range(REPEATS)] for count in POSES}
+    wands = {}
+    for place, count in enumerate(POSES):
+        tell(0.5 * place / len(POSES), f"wand, {count} poses")
+        wands[count] = [wand_errors(count, seed) for seed in range(REPEATS)]
     rows += [_row(f"wand, {count} poses", errors) for count, errors in wands.items()]
+    tell(0.5, "the stated covariance")
     honest = [wand_errors(200, seed, None) for seed in range(REPEATS)]
     table = ResultTable(
         f"errors of {INDEPENDENT} independent points after rigid alignment, 3D RMS in mm over "
@@ -150,7 +155,10 @@ def _work_out() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
             for count, errors in frames.items()
         ),
     )
-    counts = [sum(reaches(share, seed) for seed in range(STARTS)) for share in SHARES]
+    counts = []
+    for place, share in enumerate(SHARES):
+        tell(0.6 + 0.4 * place / len(SHARES), f"starts wrong by up to {100 * share:.0f} %")
+        counts.append(sum(reaches(share, seed) for seed in range(STARTS)))
     starts = ResultTable(
         f"starts that lead to the solution, of {STARTS}, {START_POSES} poses",
         ("wrong by up to", "reach it"),

@@ -107,6 +107,7 @@ def equation_groups(
     weights: Array,
     offset_sigma_mm: Array | None = None,
     middle_mm: Array | None = None,
+    stack: CameraStack | None = None,
 ) -> list[EquationGroup]:
     """Return the equations of S cameras from points (N, 3) with weights (N, S), 0: not read.
 
@@ -116,8 +117,10 @@ def equation_groups(
         weights: 1 / standard deviation [1/px].
         offset_sigma_mm: of the priors of the offsets along the slits, shape (S,).
         middle_mm: the origin, shape (3,); None: the world's.
+        stack: the same cameras gathered, where they are; None: they are gathered here.
     """
-    stack = CameraStack.of(models)
+    if stack is None:
+        stack = CameraStack.of(models)
     if middle_mm is not None:
         moved = stack.offset_mm + stack.rotation @ middle_mm
         stack, points_mm = replace(stack, offset_mm=moved), points_mm - middle_mm
@@ -140,7 +143,7 @@ def equation_groups(
             prior = np.zeros((len(sensors), 1, len(own)))
             prior[:, 0, key.index(PARAMETER_COUNT)] = 1.0 / offset_sigma_mm[sensors]
             matrix = np.concatenate([matrix, prior], axis=1)
-        scale = np.linalg.norm(matrix, axis=1)
+        scale = np.sqrt((matrix**2).sum(axis=1))
         scale = np.where(scale > 0.0, scale, 1.0)
         scaled = matrix / scale[:, None, :]
         triangles = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=np.float64)
@@ -153,6 +156,7 @@ def check_determined(
     points_mm: Array,
     weights: Array,
     offset_sigma_mm: Array | None = None,
+    stack: CameraStack | None = None,
 ) -> None:
     """Refuse readings (N, S) that leave a combination of a sensor's parameters open.
 
@@ -160,7 +164,7 @@ def check_determined(
         DegeneratePoints: the first such sensor.
     """
     middle = points_mm.mean(axis=0)
-    for group in equation_groups(models, points_mm, weights, offset_sigma_mm, middle):
+    for group in equation_groups(models, points_mm, weights, offset_sigma_mm, middle, stack):
         for sensor, ratio in zip(group.sensors, group.ratios.tolist(), strict=True):
             model = models[sensor]
             plain = model.distortion is None

@@ -57,17 +57,17 @@ class Slits:
             points_mm: control points, shape (N, 3).
             seen: which were read, shape (N, S).
         """
+        middle_mm = (seen.T @ points_mm) / seen.sum(axis=0)[:, None]
         behind, mean, sigma = [], [], []
-        for model, pitch, rows in zip(models, pitch_um, seen.T, strict=True):
-            middle = model.rotation @ points_mm[rows].mean(axis=0)
-            depth = float(middle[2]) + model.offset_z_mm
+        for model, pitch, middle in zip(models, pitch_um, middle_mm, strict=True):
+            _, y, z = (model.rotation @ middle).tolist()
             distortion = model.distortion
             if distortion is not None:
                 behind.append(distortion.row_behind_mm)
             else:
                 behind.append(0.0 if pitch is None else 1e-3 * pitch * model.principal_distance_px)
-            mean.append(-float(middle[1]))
-            sigma.append(OFFSET_SIGMA_V * (depth + behind[-1]))
+            mean.append(-y)
+            sigma.append(OFFSET_SIGMA_V * (z + model.offset_z_mm + behind[-1]))
         return cls(np.array(behind), OffsetPrior(np.array(mean), np.array(sigma)))
 
     def at(self, models: Sequence[SensorModel], pitch_um: Sequence[float | None]) -> "Slits":

@@ -88,16 +88,23 @@ def minimise(
     for _ in range(iterations):
         if len(index) == 0:
             break
-        step, promised = equations.rows(index).steps(damping[index])
-        here = prior.rows(index) if prior is not None else None
-        trial = state.rows(index).moved(step)
-        new = _Equations.of(
-            trial, points_mm, readings[:, index], weights[:, index], used[:, index], here
-        )
-        old = equations.squares[index]
+        every = len(index) == count  # Then there is nothing to pick.
+        going = equations if every else equations.rows(index)
+        step, promised = going.steps(damping[index])
+        trial = (state if every else state.rows(index)).moved(step)
+        if every:
+            new = _Equations.of(trial, points_mm, readings, weights, used, prior)
+        else:
+            here = prior.rows(index) if prior is not None else None
+            part = readings[:, index], weights[:, index], used[:, index]
+            new = _Equations.of(trial, points_mm, *part, here)
+        old = going.squares.copy()
         better = new.squares <= old
-        equations.put(index[better], new.rows(np.flatnonzero(better)))
-        state = _put(state, index[better], trial.rows(np.flatnonzero(better)))
+        if every and better.all():
+            equations, state = new, trial
+        else:
+            equations.put(index[better], new.rows(np.flatnonzero(better)))
+            state = _put(state, index[better], trial.rows(np.flatnonzero(better)))
         # Under little damping a step that promises nothing has arrived, better or not.
         hidden = rounding[index] * (2.0 * np.sqrt(old) + rounding[index])
         done = (promised <= worth[index] * old + hidden) & (damping[index] <= 1e-3)

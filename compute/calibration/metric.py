@@ -12,10 +12,10 @@ from compute.calibration.labels.projective import ProjectiveCamera
 from compute.calibration.levenberg import minimise
 from compute.calibration.linear import normalisation
 from compute.calibration.starts import starting_cameras
-from compute.camera.dlt import matrix_of, model_from_matrix
-from compute.camera.model import SensorGeometry, SensorModel
+from compute.camera.dlt import matrix_of
+from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
-from compute.errors import DegeneratePoints, InvalidParameter, NoConvergence
+from compute.errors import DegeneratePoints, NoConvergence
 
 Array = NDArray[np.float64]
 
@@ -48,27 +48,26 @@ def fit_metric(
     """
     seen = np.isfinite(readings_px)
     weights = np.where(seen, 1.0 / np.where(seen, sigma_px, 1.0), 0.0)
-    models: list[SensorModel | None] = [None] * len(sensors)
+    matrices, middle_mm = np.empty((len(sensors), 2, 4)), np.empty((len(sensors), 3))
     patterns: dict[bytes, list[int]] = {}
     for column in range(len(sensors)):
         patterns.setdefault(seen[:, column].tobytes(), []).append(column)
     for alike in patterns.values():
         columns = np.array(alike)
         rows = seen[:, columns[0]]
-        found = _search(
-            points_mm[rows],
+        points = points_mm[rows]
+        matrices[columns] = _search(
+            points,
             readings_px[np.ix_(rows, columns)],
             weights[np.ix_(rows, columns)],
-            [sensors[column] for column in columns],
             None if near is None else [near[column] for column in columns],
         )
-        for column, model in zip(columns, found, strict=True):
-            models[column] = model
-    starts = [model for model in models if model is not None]
-    ended = minimise(CameraStack.of(starts), points_mm, readings_px, weights)
-    fitted = ended.cameras.models(starts)
+        middle_mm[columns] = points.mean(axis=0)
+    starts = _cameras(matrices, sensors, middle_mm)
+    ended = minimise(starts, points_mm, readings_px, weights)
+    fitted = ended.cameras.models([_blank(sensor) for sensor in sensors])
     # First whether there is one camera: a search for none does not come to rest.
-    check_determined(fitted, points_mm, weights)
+    check_determined(fitted, points_mm, weights, stack=ended.cameras)
     for column, model in enumerate(fitted):
         if not ended.settled[column]:
             raise NoConvergence(
@@ -83,10 +82,9 @@ def _search(
     points_mm: Array,
     readings_px: Array,
     weights: Array,
-    sensors: Sequence[SensorGeometry],
     near: Sequence[SensorModel] | None,
-) -> list[SensorModel]:
-    """Return the best camera of each sensor; all see all the points (N, 3)."""
+) -> Array:
+    """Return the best matrix of each sensor, (S, 2, 4); all see all the points (N, 3)."""
     transform = normalisation(points_mm)
     points = points_mm @ transform[:3, :3].T + transform[:3, 3]
     camera = ProjectiveCamera(points, 0.0, 1.0)
@@ -108,12 +106,8 @@ def _search(
     theta = camera.fit(rows, row_weights, starts.reshape(-1, 7), SEARCH_STEPS)
     squares = (((camera.project(theta) - rows) * row_weights) ** 2).sum(axis=1)
     best = np.argmin(squares.reshape(-1, count), axis=1)
-    chosen = theta.reshape(-1, count, 7)[np.arange(len(sensors)), best]
-    middle_mm = points_mm.mean(axis=0)
-    return [
-        model_of_projective(values, transform, m, s, sensor, middle_mm)
-        for values, sensor, m, s in zip(chosen, sensors, middle, scale, strict=True)
-    ]
+    chosen = theta.reshape(-1, count, 7)[np.arange(len(best)), best]
+    return _matrices(chosen, transform, middle, scale)
 
 
 def model_of_projective(
@@ -129,16 +123,67 @@ def model_of_projective(
     Raises:
         DegeneratePoints: it reads the same of all points.
     """
-    second = np.array([*theta[4:], 1.0])
-    matrix = np.array([scale_px * theta[:4] + middle_px * second, second]) @ transform
-    try:
-        return model_from_matrix(matrix, sensor, seen_mm)
-    except InvalidParameter as error:
-        raise DegeneratePoints(
-            f"sensor {sensor.name} reads the same of all its control points, as far as a "
-            f"camera can tell ({error.detail})",
-            sensor=sensor.name,
-        ) from None
+    matrix = _matrices(theta[None], transform, np.array([middle_px]), np.array([scale_px]))
+    return _cameras(matrix, [sensor], seen_mm[None]).models([_blank(sensor)])[0]
+
+
+def _matrices(theta: Array, transform: Array, middle_px: Array, scale_px: Array) -> Array:
+    """Return the 2x4 matrices of (a, b, g) in a normalised frame (S, 7), shape (S, 2, 4)."""
+    second = np.ones((len(theta), 4))
+    second[:, :3] = theta[:, 4:]
+    first = scale_px[:, None] * theta[:, :4] + middle_px[:, None] * second
+    matrices: Array = np.stack([first, second], axis=1) @ transform
+    return matrices
+
+
+def _cameras(matrices: Array, sensors: Sequence[SensorGeometry], seen_mm: Array) -> CameraStack:
+    """Return the metric cameras of 2x4 matrices (S, 2, 4), as ``model_from_matrix`` has them.
+
+    Args:
+        matrices: whatever their scale and sign.
+        sensors: for the error.
+        seen_mm: a point in front of each lens, shape (S, 3).
+
+    Raises:
+        DegeneratePoints: one reads the same of all points.
+    """
+    first, second = matrices[:, 0], matrices[:, 1]
+    norm = np.sqrt((second[:, :3] ** 2).sum(axis=1))
+    facing = (second[:, :3] * seen_mm).sum(axis=1) + second[:, 3]
+    norm = np.where(facing < 0.0, -norm, norm)[:, None]
+    first, second = first / norm, second / norm
+    point = (first[:, :3] * second[:, :3]).sum(axis=1)
+    along = first - point[:, None] * second
+    distance = np.sqrt((along[:, :3] ** 2).sum(axis=1))
+    for sensor, blind in zip(
+        sensors, ~(distance > 1e-12 * np.maximum(1.0, np.abs(point))), strict=True
+    ):
+        if blind:
+            raise DegeneratePoints(
+                f"sensor {sensor.name} reads the same of all its control points, as far as a "
+                "camera can tell; spread them across the sensor",
+                sensor=sensor.name,
+            )
+    along /= distance[:, None]
+    x, z = along[:, :3], second[:, :3]
+    y = z[:, [1, 2, 0]] * x[:, [2, 0, 1]] - z[:, [2, 0, 1]] * x[:, [1, 2, 0]]
+    count, none = len(matrices), np.zeros(len(matrices))
+    return CameraStack(
+        principal_distance_px=distance,
+        principal_point_px=point,
+        rotation=np.stack([x, y, z], axis=1),
+        offset_mm=np.stack([along[:, 3], none, second[:, 3]], axis=1),
+        cubic_per_px2=none,
+        terms=(),
+        coefficients=np.zeros((count, 0)),
+        row_behind_mm=none,
+        places=np.arange(count * PARAMETER_COUNT).reshape(count, PARAMETER_COUNT),
+    )
+
+
+def _blank(sensor: SensorGeometry) -> SensorModel:
+    """Return a camera with a sensor's name and pixels, to be filled in."""
+    return SensorModel(sensor.name, sensor.pixels, 1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
 
 
 def _projective(matrix: Array, middle_px: float, scale_px: float) -> Array:

@@ -33,12 +33,15 @@ def with_exact_points(
     observed: Observed, fits: SensorFits, settings: CalibrationSettings
 ) -> Calibration:
     """Return the calibration of sensors fitted one by one to points taken as exact."""
-    residuals = CameraStack.of(fits.models).project(observed.points_mm) - observed.readings_px
+    stack = CameraStack.of(fits.models)
+    residuals = stack.project(observed.points_mm) - observed.readings_px
     counts = [model.parameter_count for model in fits.models]
     first = np.cumsum([0, *counts])
     covariance = np.zeros((first[-1], first[-1]))
     used = np.where(fits.weights > 0.0, observed.weights, 0.0)
-    groups = equation_groups(fits.models, observed.points_mm, used, fits.slits.prior.sigma_mm)
+    groups = equation_groups(
+        fits.models, observed.points_mm, used, fits.slits.prior.sigma_mm, stack=stack
+    )
     factors = []
     found = []
     for column, model in enumerate(fits.models):
@@ -172,6 +175,8 @@ def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
 
 def _readings(values: Array, seen: NDArray[np.bool_]) -> tuple[tuple[float | None, ...], ...]:
     """Return values (N, S) with None where there was no reading."""
+    if seen.all():
+        return _rows(values)
     return tuple(
         tuple(value if here else None for value, here in zip(row, there, strict=True))
         for row, there in zip(values.tolist(), seen.tolist(), strict=True)

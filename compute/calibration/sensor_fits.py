@@ -136,7 +136,7 @@ def fit_distorted(
     scaled = slits if observed.sigma_known else slits.scaled(np.full(len(models), FIRST_SIGMA_PX))
     for turn in range(2):
         if loss == "robust":
-            models, weights = _reweighted(observed, models, scaled)
+            models, weights = _reweighted(observed, models, scaled, near=turn > 0)
         else:
             models = _minimised(observed, models, scaled, observed.weights, near=turn > 0)
         if turn == 1:
@@ -201,18 +201,21 @@ def _minimised(
 
 
 def _reweighted(
-    observed: Observed, starts: Sequence[SensorModel], slits: Slits | None
+    observed: Observed,
+    starts: Sequence[SensorModel],
+    slits: Slits | None,
+    near: bool = False,
 ) -> tuple[tuple[SensorModel, ...], Array]:
     """Iterate between cameras and the readings' biweights until these stay.
 
-    With distortion the start is undistorted, and misfits all over: the first turns take Huber's
-    weights, which leave none out.
+    With distortion the start is undistorted, unless it is near, and misfits all over: the first
+    turns take Huber's weights, which leave none out.
     """
     stack = CameraStack.of(starts)
     weights = np.zeros(observed.readings_px.shape)
     free = max(model.parameter_count for model in starts)
     prior = slits.prior if slits is not None and stack.distorted else None
-    gentle = 0 if prior is None else GENTLE_TURNS
+    gentle = 0 if prior is None or near else GENTLE_TURNS
     for turn in range(REWEIGHTINGS):
         misfit = stack.project(observed.points_mm) - observed.readings_px
         used = observed.seen & np.isfinite(misfit)
@@ -224,7 +227,7 @@ def _reweighted(
         change = float(np.abs(new - weights).max())
         weights = new
         given = observed.points_mm, observed.readings_px, observed.weights * np.sqrt(weights)
-        if turn == 0 and prior is not None:
+        if turn == 0 and prior is not None and not near:
             stack = minimise_distorted(stack, *given, prior).cameras
         else:
             stack = minimise(stack, *given, prior, STEPS_A_TURN).cameras

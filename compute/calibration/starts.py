@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 KEPT_STARTS: Final = 6
 """Nodes of the grid from which each sensor is searched, besides its linear solution."""
+ALIKE: Final = 1e-12
+"""Relative weights of sensors that differ by less are the same: one matrix serves all."""
 
 
 def starting_cameras(camera: ProjectiveCamera, readings: Array, weights: Array) -> Array:
@@ -29,26 +31,49 @@ def starting_cameras(camera: ProjectiveCamera, readings: Array, weights: Array) 
         weights: 1 / standard deviation of the readings, shape (S, N).
     """
     points = camera.points
-    homogeneous = np.column_stack([points, np.ones(len(points))])
     slopes = _grid()
     # Scale each direction so that the nearest point keeps a positive depth.
     reach = (slopes @ points.T).min(axis=1)
     slopes = slopes / np.maximum(-reach, 1.0)[:, None] * 0.999
     inverse = 1.0 / (1.0 + slopes @ points.T)
-    products = (homogeneous[:, :, None] * homogeneous[:, None, :]).reshape(len(points), 16)
-    squared, right = inverse**2, weights**2 * readings
-    starts = []
-    for weight, value, reading in zip(weights, right, readings, strict=True):
-        normal = (squared @ (products * weight[:, None] ** 2)).reshape(-1, 4, 4)
-        # A thousandth of a millionth more of the diagonal: flat frames are refused elsewhere.
-        normal[:, range(4), range(4)] *= 1.0 + 1e-9
-        moment = inverse @ (homogeneous * value[:, None])
-        numerator = np.linalg.solve(normal, moment[..., None])[..., 0]
-        cost = value @ reading - (numerator * moment).sum(axis=1)
-        best = np.argsort(cost, kind="stable")[:KEPT_STARTS]
-        starts.append(np.hstack([numerator[best], slopes[best]]))
-    linear = camera.algebraic(readings, weights)
-    return np.concatenate([linear[:, None], np.array(starts)], axis=1)
+    relative = weights / weights.max(axis=1, keepdims=True)
+    if np.ptp(relative, axis=0).max() <= ALIKE:
+        numerators, costs = _numerators(points, inverse, relative[0], readings)
+    else:
+        each = [
+            _numerators(points, inverse, weight, reading[None])
+            for weight, reading in zip(relative, readings, strict=True)
+        ]
+        numerators, costs = (np.concatenate(parts) for parts in zip(*each, strict=True))
+    best = np.argpartition(costs, KEPT_STARTS, axis=1)[:, :KEPT_STARTS]
+    chosen = numerators[np.arange(len(readings))[:, None], best]
+    nodes = np.concatenate([chosen, slopes[best]], axis=2)
+    return np.concatenate([camera.algebraic(readings, weights)[:, None], nodes], axis=1)
+
+
+def _numerators(
+    points: Array, inverse: Array, weight: Array, readings: Array
+) -> tuple[Array, Array]:
+    """Return the best numerators (S, G, 4) of S sensors, and their sums of squares (S, G).
+
+    Args:
+        points: shape (N, 3).
+        inverse: 1 / denominator at the points, of each of G nodes, shape (G, N).
+        weight: of the readings of all these sensors, shape (N,).
+        readings: shape (S, N).
+    """
+    homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    weighted = homogeneous * weight[:, None] ** 2
+    products = (homogeneous[:, :, None] * weighted[:, None, :]).reshape(len(points), 16)
+    normal = (inverse**2 @ products).reshape(-1, 4, 4)
+    # A thousandth of a millionth more of the diagonal: flat frames are refused elsewhere.
+    normal *= 1.0 + 1e-9 * np.eye(4)
+    right = (weighted[:, :, None] * readings.T[:, None, :]).reshape(len(points), -1)
+    moment = (inverse @ right).reshape(len(inverse), 4, -1)
+    numerator = np.asarray(np.linalg.solve(normal, moment), dtype=np.float64)
+    squares = (readings**2) @ weight**2
+    cost: Array = squares[:, None] - (numerator * moment).sum(axis=1).T
+    return numerator.transpose(2, 0, 1), cost
 
 
 @cache

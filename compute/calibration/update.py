@@ -56,6 +56,7 @@ def update_calibration(
         InvalidParameter: no parameter of this name, or a deviation that is not positive.
         TooFewPoints, NonFiniteValue: as ``check_drift``.
     """
+    check_update(calibration, sensors=sensors, allowance=allowance)
     compared = compare(calibration, still)
     changes = _changes(calibration, sensors, ALLOWANCE if allowance is None else allowance)
     models = calibration.models
@@ -95,6 +96,26 @@ def update_calibration(
         tuple(tuple(None if np.isnan(x) else x for x in row) for row in residuals.tolist()),
         settings=calibration.settings,
     )
+
+
+def check_update(
+    calibration: Calibration,
+    *,
+    sensors: Sequence[str] | None = None,
+    allowance: dict[str, float] | None = None,
+) -> None:
+    """Check what ``update_calibration`` is asked to change, without readings.
+
+    Raises:
+        UnknownSensor, InvalidParameter: as ``update_calibration``.
+    """
+    for model in calibration.models:
+        if model.cubic_per_px2 != 0.0:
+            raise InvalidParameter(
+                f"sensor {model.name} has the cubic term {model.cubic_per_px2:g} of the published "
+                f"method {calibration.method}; only metric cameras are updated: calibrate again"
+            )
+    _changes(calibration, sensors, ALLOWANCE if allowance is None else allowance)
 
 
 def _changes(

@@ -5,16 +5,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
-from compute.camera.model import SensorModel, vector3
+from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
+from compute.mapping.corners import corner_values
+from compute.mapping.extent import grid_over, spacing_of
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.lattice import Lattice, nearest_filled
 from compute.mapping.measurements import MappingMeasurements, check_measurements
 from compute.mapping.result import MappingResult, MappingValidation, SensorMapping
-from compute.mapping.sensor_fit import SensorData, describe, fit_sensor
+from compute.mapping.sensor_data import SensorData
+from compute.mapping.sensor_fit import describe, fit_sensor
 from compute.mapping.settings import MappingSettings
 from compute.mapping.smooth_basis import SmoothBasis
 from compute.mapping.support import cell_corners, check_no_holes, supported_cells
@@ -23,9 +25,6 @@ from compute.mapping.table import CorrectionTable
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-MOST_CELLS = 200_000
-MOST_ALONG = 256
-"""Cells of a grid, and of one of its axes."""
 MOST_FUNCTIONS = 1200
 """Smooth functions that are fitted, at most; about ten along each axis of a cube."""
 FEWEST_FUNCTIONS = 120
@@ -56,7 +55,7 @@ def build_table(
     Thesis, end of section 5.6. By default a tensor B-spline is fitted whose roughness is
     penalised (see ``SmoothBasis``), with the calibration's own error beside it (see
     ``fit_sensor``), the penalty chosen by cross-validation over blocks (see
-    ``choose_smoothness``).
+    ``weigh_penalties``).
 
     The table's variances are those of the whole expected reading: of the map and of the
     calibration that it corrects. Points that are reconstructed with the table take the
@@ -90,9 +89,9 @@ def build_table(
             point=row + 1,
             sensor=models[column].name,
         )
-    spacing = _spacing(measured)
+    spacing = spacing_of(measured)
     if settings.method == "b-spline":
-        grid = _grid(measured, spacing, settings)
+        grid = grid_over(measured, spacing, settings)
         parts = _splines(
             models, cameras, measured, samples, parameter_covariance, settings, grid, progress
         )
@@ -127,9 +126,8 @@ def _splines(
     progress: Progress,
 ) -> list[_Part]:
     """Fit penalised splines, sensor by sensor."""
-    corners = cell_corners(grid)
-    _check_in_front(cameras, models, corners)
-    spacing = _spacing(measured)
+    _check_in_front(cameras, models, cell_corners(grid))
+    spacing = spacing_of(measured)
     most = int(np.clip(FUNCTIONS_BY_POINT * len(samples), FEWEST_FUNCTIONS, MOST_FUNCTIONS))
     functions = SmoothBasis.of(grid, most)
     variance = measured.variance_px2(cameras)
@@ -164,7 +162,7 @@ def _splines(
         parts.append(
             _Part(
                 fitted.coefficients_px,
-                fitted.variance_px2(corners).reshape([cells + 1 for cells in grid.cells]),
+                corner_values(grid, fitted.variance_px2),
                 valid,
                 describe(data, fitted, float(valid.mean())),
             )
@@ -221,34 +219,6 @@ class _Teller:
         self._trials += 1
         share = 1.0 - float(np.exp(-2.0 * self._trials / _TRIALS))
         self._progress((self._sensor + share) / self._sensors, f"smoothness of {self._name}")
-
-
-def _spacing(measured: MappingMeasurements) -> float:
-    """Return the distance between neighbours, were the points spread evenly [mm]."""
-    volume = float(ConvexHull(measured.points_mm).volume)
-    return float(np.cbrt(volume / len(measured.points_mm)))
-
-
-def _grid(measured: MappingMeasurements, spacing: float, settings: MappingSettings) -> VoxelGrid:
-    """Return the grid over the box of the points."""
-    low, high = measured.points_mm.min(axis=0), measured.points_mm.max(axis=0)
-    given = settings.pitch_mm
-    wanted = np.full(3, spacing) if given is None else np.asarray(given)
-    counts = np.maximum((high - low) / wanted, 1.0)
-    counts = np.rint(counts) if given is None else np.ceil(counts - 1e-9)
-    if given is None:
-        # Points very near to one another in few places: no more cells than can be held.
-        counts = np.minimum(counts, MOST_ALONG)
-    if counts.max() > MOST_ALONG or counts.prod() > MOST_CELLS:
-        raise InvalidParameter(
-            f"pitch_mm {given} makes {'x'.join(f'{count:.0f}' for count in counts)} cells of the "
-            f"measured volume of {'x'.join(f'{side:.4g}' for side in high - low)} mm; at most "
-            f"{MOST_CELLS} and {MOST_ALONG} along an axis are held, take a larger one"
-        )
-    pitch = (high - low) / counts if given is None else wanted
-    origin = 0.5 * (low + high) - 0.5 * pitch * counts
-    x, y, z = (int(count) for count in counts)
-    return VoxelGrid(vector3(origin), vector3(pitch), (x, y, z))
 
 
 def _blocks(points_mm: Array, spacing: float) -> NDArray[np.intp]:

@@ -85,6 +85,12 @@ class PenalisedFit:
         squares: Array = (self.spread(functions) ** 2).sum(axis=1)
         return squares
 
+    def covariance(self) -> Array:
+        """Return the posterior covariance of the amounts, shape (R + Q, R + Q)."""
+        half = solve_triangular(self.triangle, np.eye(len(self.amounts)), lower=True)
+        covariance: Array = half.T @ half
+        return covariance
+
     @property
     def effective_parameters(self) -> float:
         """Trace of the hat matrix."""
@@ -120,7 +126,7 @@ class PenalisedFit:
             error[rows] = np.einsum("bji,bj->bi", inverse, here)
             deviation[rows] = np.sqrt((inverse**2).sum(axis=1))
             spread[rows] = 2.0 * np.log(np.diagonal(inverse, axis1=1, axis2=2))
-        return LeftOut(error, deviation, unit, spread)
+        return LeftOut(error, deviation, unit, spread, problem.sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,26 +139,37 @@ class LeftOut:
         unit: the errors of each block made independent and of unit variance, if the model is
             right, shape (T,).
         log_variance: logarithms of the variances from which they were made so, shape (T,).
+        sizes: of the blocks, shape (B,).
     """
 
     error: Array
     deviation: Array
     unit: Array
     log_variance: Array
+    sizes: NDArray[np.intp]
 
-    def surprise(self, *, known_variance: bool) -> float:
-        """Return minus twice the mean log density of the blocks that were left out.
+    def surprises(self, *, known_variance: bool) -> Array:
+        """Return minus twice the log densities of the blocks, shape (B,), but for a constant.
 
-        But for a constant. Without known variances all have one factor, the likeliest. No sample
-        counts for more than one GROSS deviations off: a single wrong measurement would have the
-        whole field taken for rough.
+        Without known variances all have one factor, the likeliest. No sample counts for more than
+        one GROSS deviations off, or as many of most of the errors: a single wrong measurement
+        would have the whole field taken for rough.
         """
-        spread = float(self.log_variance.mean())
-        unit = self.unit if known_variance else self.unit / _scale(self.unit)
-        square = float(np.minimum(unit**2, GROSS**2).mean())
-        if known_variance:
-            return square + spread
-        return float(np.log(square * _scale(self.unit) ** 2)) + spread
+        usual = _scale(self.unit)
+        most = GROSS * (max(usual, 1.0) if known_variance else usual)
+        square = np.minimum(self.unit**2, most**2)
+        if not known_variance:
+            square = square / square.mean() + np.log(square.mean())
+        each = square + self.log_variance
+        first = np.cumsum(self.sizes) - self.sizes
+        blocks: Array = np.add.reduceat(each, first)
+        return blocks
+
+    @property
+    def scale(self) -> float:
+        """Factor of all standard deviations that makes the blocks likeliest."""
+        most = GROSS * _scale(self.unit)
+        return float(np.sqrt(np.minimum(self.unit**2, most**2).mean()))
 
 
 def _scale(unit: Array) -> float:

@@ -8,11 +8,20 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from compute.errors import DegeneratePoints, TooFewPoints
+from compute.mapping.averaged import AveragedFit, average
 from compute.mapping.nodes import of_function
-from compute.mapping.penalised import GROSS, PenalisedProblem
+from compute.mapping.penalised import GROSS, PenalisedFit, PenalisedProblem
 from compute.mapping.result import SensorMapping, Suspect
+from compute.mapping.sensor_data import CHUNK, SensorData, blocks_tested, gather, rows_of
 from compute.mapping.smooth_basis import SmoothBasis
-from compute.mapping.smoothness import Smoothness, choose_smoothness, fit_with, gcv_score
+from compute.mapping.smoothness import (
+    Penalties,
+    Smoothness,
+    fit_with,
+    gcv_score,
+    single_penalty,
+    weigh_penalties,
+)
 
 Array = NDArray[np.float64]
 
@@ -22,42 +31,14 @@ OPEN_RATIO = 1e-9
 """Ratio of singular values below which the measurements leave the calibration open."""
 UNEXPLAINED_PROBABILITY = 0.01
 """Chance that right deviations are taken for too small."""
-BLOCKS_TESTED = 2000
-"""Blocks that are left out in turn, at most; of more, these are spread evenly over all."""
+CONTRADICTED_PROBABILITY = 1e-4
+"""Of the same by what left-out blocks say, which a field that is rough in places can say, too;
+deviations that are half of the right ones go far beyond."""
 MOST_TURNS = 8
 """Of fitting and of taking the samples' variances anew."""
 SETTLED_FACTOR = 0.05
 VARIANCE_FLOOR_PX2 = 1e-12
 """Exact measurements still leave rounding."""
-_CHUNK = 4096
-
-
-@dataclass(frozen=True, eq=False)
-class SensorData:
-    """What is fitted of one sensor.
-
-    Args:
-        name: of the sensor.
-        points_mm: measurements that it saw, shape (N, 3) [mm].
-        numbers: theirs among all measurements, shape (N,).
-        samples_px: projection less measurement, shape (N,) [px].
-        variance_px2: of the measurements, shape (N,) [px^2]; ones where not known.
-        known_variance: whether they are known.
-        block: number of each measurement's block, shape (N,).
-        slopes: d reading / d parameters of the sensor at points (M, 3), shape (M, P).
-        parameter_covariance: of the sensor's parameters, from other measurements, shape (P, P);
-            None: these measurements made the calibration.
-    """
-
-    name: str
-    points_mm: Array
-    numbers: NDArray[np.intp]
-    samples_px: Array
-    variance_px2: Array
-    known_variance: bool
-    block: NDArray[np.intp]
-    slopes: Callable[[Array], Array]
-    parameter_covariance: Array | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,27 +49,27 @@ class FittedCorrection:
         functions: the penalised functions.
         turn: makes of the camera's parameters the functions fitted beside, shape (P, Q).
         slopes: as in SensorData.
-        chosen: the penalty and the fit.
+        chosen: the likeliest penalty and the fit with it.
+        average: over the penalties.
         taken: by what the samples' variances were multiplied before the fit.
-        factor: by what they are to be multiplied, as the fit shows.
     """
 
     functions: SmoothBasis
     turn: Array
     slopes: Callable[[Array], Array]
     chosen: Smoothness
+    average: AveragedFit
     taken: float
-    factor: float
 
     @property
-    def rest(self) -> float:
-        """Factor that the fit's own variances lack."""
-        return self.factor / self.taken
+    def factor(self) -> float:
+        """By what the samples' variances are to be multiplied, as the fit shows."""
+        return self.taken * self.average.factor
 
     @property
     def coefficients_px(self) -> Array:
         """Cubic coefficients of the whole correction, shape (nx + 3, ny + 3, nz + 3) [px]."""
-        amounts = self.chosen.fit.amounts
+        amounts = self.average.amounts
         count = len(self.functions)
         by_camera = self.turn @ amounts[count:]
         return self.functions.coefficients(amounts[:count]) + of_function(
@@ -98,11 +79,11 @@ class FittedCorrection:
     def variance_px2(self, points_mm: Array) -> Array:
         """Return the variances of the expected readings at points (N, 3), shape (N,) [px^2]."""
         parts = []
-        for start in range(0, len(points_mm), _CHUNK):
-            points = points_mm[start : start + _CHUNK]
-            rows = _rows(self.functions, self.slopes(points) @ self.turn, points)
-            parts.append(self.chosen.fit.variance(rows))
-        return self.rest * np.concatenate(parts)
+        for start in range(0, len(points_mm), CHUNK):
+            points = points_mm[start : start + CHUNK]
+            rows = rows_of(self.functions, self.slopes(points) @ self.turn, points)
+            parts.append(self.average.variance(rows))
+        return np.concatenate(parts)
 
 
 def fit_sensor(
@@ -122,25 +103,38 @@ def fit_sensor(
         TooFewPoints, DegeneratePoints: the measurements cannot tell the calibration's error.
     """
     turn, precision = _drift(data)
+    contradiction = float(chdtri(1.0, 2.0 * CONTRADICTED_PROBABILITY))  # too small ones alone
     told_apart = data.parameter_covariance is not None
     taken = _first_variance(data, turn) if told_apart and not data.known_variance else 1.0
     for _ in range(MOST_TURNS):
         counted = taken
         scaled = replace(data, variance_px2=data.variance_px2 * counted)
-        problem = _problem(scaled, functions, turn, precision)
-        if smoothness is None:
-            chosen = choose_smoothness(problem, functions, told)
-        else:
+        problem = gather(scaled, functions, turn, precision)
+
+        def weighed(problem: PenalisedProblem, counted: float = counted) -> Penalties:
+            if smoothness is None:
+                return weigh_penalties(problem, functions, told)
             # Where the variances are not known, the weight is in units of theirs.
             weight = smoothness if data.known_variance else smoothness / counted
-            chosen = fit_with(problem, functions, weight, np.ones(3))
-        ratio = _factor(scaled, chosen, doubted=counted != 1.0)
+            return single_penalty(problem, functions, weight)
+
+        penalties = weighed(problem)
+        estimated = not data.known_variance or counted != 1.0
+        if problem.known_variance and penalties.contradict(contradiction):
+            estimated = True
+            problem = replace(problem, known_variance=False)
+            penalties = weighed(problem)
+        likeliest = penalties.trials[penalties.best]
+        chosen = fit_with(problem, functions, likeliest.weight, likeliest.axes)
+        ratio = _ratio(chosen.fit) if estimated else _unexplained(chosen.fit)
         taken = max(counted * ratio, VARIANCE_FLOOR_PX2)
         # The samples' variances have a factor, the calibration's own have none: they are weighed
         # anew. Where the measurements alone tell both, the factor is all's.
         if not told_apart or abs(taken / counted - 1.0) < SETTLED_FACTOR:
             break
-    return FittedCorrection(functions, turn, data.slopes, chosen, counted, counted * ratio)
+    each = _ratio if estimated else lambda _fit: ratio
+    averaged = average(problem, functions, penalties, each)
+    return FittedCorrection(functions, turn, data.slopes, chosen, averaged, counted)
 
 
 def _first_variance(data: SensorData, turn: Array) -> float:
@@ -154,11 +148,10 @@ def _first_variance(data: SensorData, turn: Array) -> float:
 
 def describe(data: SensorData, fitted: FittedCorrection, valid_share: float) -> SensorMapping:
     """Return the figures of a fit."""
-    fit = fitted.chosen.fit
-    left_out = fit.left_out()
-    order, _ = _tested(data.block)
-    sigmas = np.abs(left_out.error) / (left_out.deviation * np.sqrt(fitted.rest))
-    errors = left_out.error * np.sqrt(data.variance_px2[order] * fitted.taken)
+    fit, average = fitted.chosen.fit, fitted.average
+    order, _ = blocks_tested(data.block)
+    sigmas = np.abs(average.error) / average.deviation
+    errors = average.error * np.sqrt(data.variance_px2[order] * fitted.taken)
     worst = np.argsort(-sigmas, kind="stable")[: int((sigmas > GROSS).sum())]
     suspects = tuple(
         Suspect(int(data.numbers[order[one]]), float(errors[one]), float(sigmas[one]))
@@ -173,11 +166,11 @@ def describe(data: SensorData, fitted: FittedCorrection, valid_share: float) -> 
         _rms(data.samples_px),
         _rms(residual),
         _rms(errors),
-        float((left_out.unit**2).mean()) / fitted.rest,
-        fit.effective_parameters,
+        float((sigmas**2).mean()),
+        average.effective_parameters,
         float(fitted.chosen.weight * (1.0 if data.known_variance else fitted.taken)),
         (x, y, z),
-        float(np.sqrt(gcv_score(fit) / (left_out.error**2).mean())),
+        float(np.sqrt(gcv_score(fit) / (fit.left_out().error ** 2).mean())),
         float(np.sqrt(data.variance_px2.mean() * (1.0 if data.known_variance else factor))),
         factor if data.known_variance else 1.0,
         valid_share,
@@ -218,79 +211,30 @@ def _drift(data: SensorData) -> tuple[Array, Array]:
     return turn, np.full(len(singular), UNKNOWN_PRECISION)
 
 
-def _problem(
-    data: SensorData, functions: SmoothBasis, turn: Array, precision: Array
-) -> PenalisedProblem:
-    """Gather the normal equations, chunk by chunk, and the blocks to leave out."""
-    weight = 1.0 / np.sqrt(data.variance_px2)
-    size = len(functions) + turn.shape[1]
-    gram, product = np.zeros((size, size)), np.zeros(size)
-    for start in range(0, len(weight), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        rows = _whitened_rows(data, functions, turn, np.arange(len(weight))[part])
-        gram += rows.T @ rows
-        product += rows.T @ (data.samples_px[part] * weight[part])
-    order, sizes = _tested(data.block)
-    tested = _whitened_rows(data, functions, turn, order)
-    square = float(((data.samples_px * weight) ** 2).sum())
-    return PenalisedProblem(
-        gram,
-        product,
-        square,
-        len(weight),
-        precision,
-        tested,
-        data.samples_px[order] * weight[order],
-        sizes,
-        data.known_variance,
-    )
-
-
-def _tested(block: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the measurements of the blocks that are left out, block after block, and sizes."""
-    numbers, sizes = np.unique(block, return_counts=True)
-    if len(numbers) > BLOCKS_TESTED:
-        spread = np.linspace(0, len(numbers) - 1, BLOCKS_TESTED).astype(np.intp)
-        numbers, sizes = numbers[spread], sizes[spread]
-    order = np.argsort(block, kind="stable")
-    return order[np.isin(block[order], numbers)], sizes
-
-
-def _whitened_rows(
-    data: SensorData, functions: SmoothBasis, turn: Array, index: NDArray[np.intp]
-) -> Array:
-    points = data.points_mm[index]
-    rows = _rows(functions, data.slopes(points) @ turn, points)
-    return rows / np.sqrt(data.variance_px2[index])[:, None]
-
-
-def _rows(functions: SmoothBasis, by_camera: Array, points_mm: Array) -> Array:
-    return np.concatenate([functions.values(points_mm), by_camera], axis=1)
-
-
 def _residuals(data: SensorData, fitted: FittedCorrection) -> Array:
     """Return what the fit leaves of the samples, shape (N,) [px]."""
     parts = []
-    for start in range(0, len(data.points_mm), _CHUNK):
-        points = data.points_mm[start : start + _CHUNK]
-        rows = _rows(fitted.functions, data.slopes(points) @ fitted.turn, points)
-        parts.append(rows @ fitted.chosen.fit.amounts)
+    for start in range(0, len(data.points_mm), CHUNK):
+        points = data.points_mm[start : start + CHUNK]
+        rows = rows_of(fitted.functions, data.slopes(points) @ fitted.turn, points)
+        parts.append(rows @ fitted.average.amounts)
     rest: Array = data.samples_px - np.concatenate(parts)
     return rest
 
 
-def _factor(data: SensorData, chosen: Smoothness, *, doubted: bool) -> float:
-    """Return by what the variances are too small, from the residuals.
+def _ratio(fit: PenalisedFit) -> float:
+    """Return by what the samples' variances are too small, from the residuals."""
+    return fit.residual_square / _freedom(fit)
 
-    Known ones are held for right as long as the residuals do not contradict them; ``doubted``:
-    they have.
-    """
-    fit = chosen.fit
-    freedom = max(len(data.samples_px) - fit.effective_parameters, 1.0)
-    ratio = fit.residual_square / freedom
-    if not data.known_variance or doubted:
-        return ratio
-    return ratio if fit.residual_square > chdtri(freedom, UNEXPLAINED_PROBABILITY) else 1.0
+
+def _unexplained(fit: PenalisedFit) -> float:
+    """Return the same of known variances, which hold as long as no residuals contradict them."""
+    wrong = fit.residual_square > chdtri(_freedom(fit), UNEXPLAINED_PROBABILITY)
+    return _ratio(fit) if wrong else 1.0
+
+
+def _freedom(fit: PenalisedFit) -> float:
+    return max(fit.problem.count - fit.effective_parameters, 1.0)
 
 
 def _rms(values: Array) -> float:

@@ -75,6 +75,17 @@ class PointBatch:
         """Return the number of points."""
         return len(self.position_mm)
 
+    def part(self, first: int, last: int) -> "PointBatch":
+        """Return the points from ``first`` to before ``last``; the arrays are shared."""
+        rows = slice(first, last)
+        return PointBatch(
+            self.position_mm[rows],
+            self.covariance_mm2[rows],
+            self.chi2[rows],
+            self.used[rows],
+            self.flags[rows],
+        )
+
     def residual_sigma(self) -> NDArray[np.float64]:
         """Root of chi2 per degree of freedom, shape (N,); NaN without redundancy."""
         freedom = self.used.sum(axis=1) - 3

@@ -12,7 +12,13 @@ from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.estimate import PointBatch
 from compute.reconstruction.native.job import CAMERA_FIELDS, JOB, MAX_POWER, row_length
-from compute.reconstruction.native.launch import CpuLaunch, CudaLaunch, address, empty_points
+from compute.reconstruction.native.launch import (
+    THREADS_OF_A_BLOCK,
+    CpuLaunch,
+    CudaLaunch,
+    address,
+    empty_points,
+)
 from compute.reconstruction.points import (
     INCONSISTENT_PROBABILITY,
     check_corrections,
@@ -150,8 +156,10 @@ def load_kernels(sensors: int, device: str | None = None) -> None:
     from compute.reconstruction.native.kernel import point_kernel
 
     place = warp_device(wp, device)
+    # As they are launched: a kernel is built anew for blocks of another size.
+    block = 1 if place.is_cpu else THREADS_OF_A_BLOCK
     for room in (0, LEAST_ROOM):
-        point_kernel(sensors, room).module.load(place)
+        point_kernel(sensors, room).module.load(place, block_dim=block)
 
 
 def term_room(cameras: CameraStack) -> int:

@@ -1,16 +1,20 @@
 """Search over explanations in the linearised camera, where each one's squares are closed-form."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from collections.abc import Iterable
 from math import log
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.labels.evidence import Evidence
 from compute.calibration.labels.hypothesis import WRONG_CHANCE, Hypothesis, log_exchange
+from compute.calibration.labels.linear_camera import (
+    LinearCamera,
+    States,
+    prior_of,
+    score_of,
+    work_out,
+)
 
 Array = NDArray[np.float64]
 
@@ -23,49 +27,8 @@ SHRUNK: Final = 6
 """Explanations of a level, the best ones, that are also tried with fewer errors."""
 PATIENCE: Final = 2
 """Levels without a better explanation before the search ends: two errors may hide each other."""
-PAIRS: Final = 200
-"""Pairs of an explanation's wrong readings that are tried as exchanged."""
-TOGETHER: Final = 200
-"""Explanations worked out at a time: bounds the memory."""
 TIED: Final = 1e-9
 """Redundancy 1 - h of a reading that the others say nothing about."""
-
-
-@dataclass(frozen=True, eq=False)
-class LinearCamera:
-    """A camera linearised at a solution, over the n readings that the sensor has.
-
-    Args:
-        basis: orthonormal columns that span J over sigma, shape (n, width).
-        fitted: what the camera reads, shape (n,) [px].
-        readings: what the sensor read, shape (n,) [px].
-        sigma: deviations, shape (n,) [px].
-        evidence: of the explanations.
-    """
-
-    basis: Array
-    fitted: Array
-    readings: Array
-    sigma: Array
-    evidence: Evidence
-
-
-@dataclass(frozen=True, eq=False)
-class _States:
-    """Explanations worked out: their residuals, squares, determinants.
-
-    ``basis`` is of what is kept, (B, n, width), and ``spread`` @ its transpose the hat matrix.
-    """
-
-    explained: Sequence[Hypothesis]
-    residual: Array
-    basis: Array
-    spread: Array
-    used: NDArray[np.bool_]
-    chi2: Array
-    kept: Array
-    log_determinant: Array
-    log_sigma: Array
 
 
 def explore(
@@ -87,13 +50,13 @@ def explore(
     n = len(camera.readings)
     width = int(np.clip(PAIR_ROOM // n**2, 4, beam))
     known: dict[Hypothesis, float] = {}
-    states = _work_out(camera, list(dict.fromkeys(seeds)))
-    _note(known, zip(_score(camera, states).tolist(), states.explained, strict=True))
+    states = work_out(camera, list(dict.fromkeys(seeds)))
+    _note(known, zip(score_of(camera, states).tolist(), states.explained, strict=True))
     best, waited = max(known.values()), 0
     for _ in range(LEVELS):
         grown = dict[Hypothesis, float]()
         _note(grown, _more(camera, states, 2 * width))
-        _note(grown, _fewer(camera, states))
+        _note(grown, _fewer(camera, states, 4 * width))
         fresh = [(score, h) for h, score in grown.items() if h not in known]
         if not fresh:
             break
@@ -105,7 +68,7 @@ def explore(
             waited += 1
             if waited == PATIENCE:
                 break
-        states = _work_out(camera, [h for _, h in fresh[:width]])
+        states = work_out(camera, [h for _, h in fresh[:width]])
     return sorted(((score, h) for h, score in known.items()), key=_by_score)[:count]
 
 
@@ -119,58 +82,15 @@ def _note(known: dict[Hypothesis, float], entries: Iterable[tuple[float, Hypothe
             known.setdefault(hypothesis, score)
 
 
-def _work_out(camera: LinearCamera, explained: Sequence[Hypothesis]) -> _States:
-    n = len(camera.readings)
-    mended = [h.mended(camera.readings, camera.sigma) for h in explained]
-    readings = np.array([one for one, _ in mended]).reshape(-1, n)
-    sigma = np.array([one for _, one in mended]).reshape(-1, n)
-    kept = np.isfinite(readings)
-    # The basis holds J over the deviation at its first place; one that moved keeps its reading's.
-    misfit = np.where(kept, np.where(kept, readings, 0.0) - camera.fitted, 0.0) / camera.sigma
-    basis = camera.basis * kept[..., None]
-    normal = basis.swapaxes(1, 2) @ basis
-    inverse = np.linalg.inv(normal + 1e-12 * np.eye(camera.evidence.parameters))
-    spread = basis @ inverse
-    residual = misfit - (spread @ (basis.swapaxes(1, 2) @ misfit[..., None]))[..., 0]
-    return _States(
-        explained,
-        residual,
-        basis,
-        spread,
-        kept,
-        (residual**2).sum(axis=1),
-        kept.sum(axis=1),
-        np.linalg.slogdet(normal)[1],
-        np.where(kept, np.log(sigma), 0.0).sum(axis=1),
-    )
-
-
-def _prior(camera: LinearCamera, explained: Sequence[Hypothesis]) -> Array:
-    return np.array([h.log_prior(len(camera.readings), 0) for h in explained])
-
-
-def _score(camera: LinearCamera, states: _States) -> Array:
-    likelihood = camera.evidence.log_likelihood(
-        states.chi2,
-        states.kept,
-        states.log_determinant,
-        states.log_sigma,
-        np.array([len(h.wrong) for h in states.explained]),
-    )
-    score = likelihood + _prior(camera, states.explained)
-    return np.where(states.kept > camera.evidence.parameters, score, -np.inf)
-
-
-def _more(camera: LinearCamera, states: _States, count: int) -> list[tuple[float, Hypothesis]]:
+def _more(camera: LinearCamera, states: States, count: int) -> list[tuple[float, Hypothesis]]:
     """Return the best explanations with one wrong reading, or one exchanged pair, more."""
     n = len(camera.readings)
-    redundancy = np.eye(n) * states.used[:, None] - states.spread @ states.basis.swapaxes(1, 2)
-    own = np.einsum("bii->bi", redundancy)
+    own = states.used - np.einsum("bnw,bnw->bn", states.spread, states.basis)
     free = np.ones(own.shape, dtype=bool)
     for row, hypothesis in enumerate(states.explained):
         free[row, list(hypothesis.touched)] = False
     wrong = np.array([len(h.wrong) for h in states.explained])[:, None]
-    prior = _prior(camera, states.explained)[:, None]
+    prior = prior_of(camera, states.explained)[:, None]
     usable = free & (own > TIED) & (states.kept[:, None] - 1 > camera.evidence.parameters)
     safe = np.where(usable, own, 1.0)
     left_out = camera.evidence.log_likelihood(
@@ -182,67 +102,135 @@ def _more(camera: LinearCamera, states: _States, count: int) -> list[tuple[float
     )
     left_out = np.where(usable, left_out + prior + log(WRONG_CHANCE), -np.inf)
 
-    first, second = np.triu_indices(n, 1)
-    change = camera.readings[second] - camera.readings[first]
-    at_first, at_second = change / camera.sigma[first], -change / camera.sigma[second]
-    squares = (
-        states.chi2[:, None]
-        + 2.0 * (at_first * states.residual[:, first] + at_second * states.residual[:, second])
-        + at_first**2 * own[:, first]
-        + at_second**2 * own[:, second]
-        + 2.0 * at_first * at_second * redundancy[:, first, second]
-    )
+    parts = [
+        _least_pairs(camera, states, own, free, count, slice(row, row + camera.together))
+        for row in range(0, len(own), camera.together)
+    ]
+    squares, pair = (np.concatenate(part) for part in zip(*parts, strict=True))
     exchanged = camera.evidence.log_likelihood(
-        np.maximum(squares, 0.0),
+        np.maximum(states.chi2[:, None] + squares, 0.0),
         states.kept[:, None],
         states.log_determinant[:, None],
         states.log_sigma[:, None],
         wrong,
     )
-    both = free[:, first] & free[:, second]
-    exchanged = np.where(both, exchanged + prior + log_exchange(n), -np.inf)
+    exchanged = np.where(np.isfinite(squares), exchanged + prior + log_exchange(n), -np.inf)
 
     scores = np.concatenate([left_out, exchanged], axis=1)
-    flat = np.argpartition(-scores, min(count, scores.size - 1), axis=None)[:count]
     grown = []
-    for index in flat.tolist():
-        row, column = divmod(index, scores.shape[1])
+    for row, column in _best(scores, count):
         base = states.explained[row]
-        made = (
-            base.with_wrong(column)
-            if column < n
-            else base.with_cycle((int(first[column - n]), int(second[column - n])))
-        )
+        if column < n:
+            made = base.with_wrong(column)
+        else:
+            place = pair[row, column - n]
+            made = base.with_cycle((int(camera.pairs[0][place]), int(camera.pairs[1][place])))
         grown.append((float(scores[row, column]), made))
     return grown
 
 
-def _fewer(camera: LinearCamera, states: _States) -> list[tuple[float, Hypothesis]]:
+def _least_pairs(
+    camera: LinearCamera,
+    states: States,
+    own: Array,
+    free: NDArray[np.bool_],
+    count: int,
+    rows: slice,
+) -> tuple[Array, NDArray[np.intp]]:
+    """Return the pairs whose exchange leaves the smallest squares: what it adds, and which.
+
+    Of one explanation these are the likeliest. Shapes (rows, ``count`` at most).
+
+    Args:
+        camera: the linearised camera.
+        states: explanations, of which ``rows`` are looked at.
+        own: redundancy of each reading, shape (B, n).
+        free: readings that no error is about, shape (B, n).
+        count: wanted of each.
+        rows: which explanations; few at a time, as the memory of all is large.
+    """
+    n = len(camera.readings)
+    # v'Qv of the hat matrix's share; a pair lies off its diagonal.
+    squares, alone = camera.room[:, : len(own[rows])]
+    np.matmul(states.spread[rows], states.basis[rows].swapaxes(1, 2), out=squares)
+    squares *= camera.crossed
+    np.multiply(camera.changes, own[rows, :, None], out=alone)
+    alone += 2.0 * states.residual[rows, :, None]
+    alone *= camera.changes
+    alone[~free[rows]] = np.inf
+    squares += alone
+    squares += alone.swapaxes(1, 2)
+    flat = camera.flat_pairs
+    places = alone.reshape(-1)[: len(squares) * len(flat)].reshape(len(squares), -1)
+    added = np.take(squares.reshape(-1, n * n), flat, axis=1, out=places, mode="clip")
+    most = min(count, len(flat))
+    pair = np.argpartition(added, most - 1, axis=1)[:, :most]
+    return np.take_along_axis(added, pair, axis=1), pair
+
+
+def _best(scores: Array, count: int) -> list[tuple[int, int]]:
+    """Return rows and columns of the ``count`` highest scores."""
+    flat = np.argpartition(-scores, min(count, scores.size - 1), axis=None)[:count]
+    return [divmod(index, scores.shape[1]) for index in flat.tolist()]
+
+
+def _fewer(camera: LinearCamera, states: States, count: int) -> list[tuple[float, Hypothesis]]:
     """Return explanations with one error fewer, or two wrong readings as an exchanged pair."""
-    made: dict[Hypothesis, None] = {}
-    for hypothesis in states.explained[:SHRUNK]:
-        for point in sorted(hypothesis.wrong):
-            made.setdefault(hypothesis.without(point))
+    found: list[tuple[float, Hypothesis]] = []
+    undone: dict[Hypothesis, None] = {}
+    for row, hypothesis in enumerate(states.explained[:SHRUNK]):
+        found += _put_back(camera, states, row, count)
         for cycle in sorted(hypothesis.cycles):
-            made.setdefault(hypothesis.without(cycle))
-        for pair in _likely_pairs(camera, sorted(hypothesis.wrong)):
-            made.setdefault(hypothesis.with_cycle(pair))
-    scored: list[tuple[float, Hypothesis]] = []
-    every = list(made)
-    for first in range(0, len(every), TOGETHER):
-        worked = _work_out(camera, every[first : first + TOGETHER])
-        scored += zip(_score(camera, worked).tolist(), worked.explained, strict=True)
-    return scored
+            undone.setdefault(hypothesis.without(cycle))
+    if undone:
+        worked = work_out(camera, list(undone))
+        found += zip(score_of(camera, worked).tolist(), worked.explained, strict=True)
+    return found
 
 
-def _likely_pairs(camera: LinearCamera, wrong: list[int]) -> list[tuple[int, int]]:
-    """Return the pairs of wrong readings that lie nearest where the other's should."""
-    pairs = list(combinations(wrong, 2))
-    if len(pairs) <= PAIRS:
-        return pairs
-    first, second = np.array(pairs).T
-    off = np.maximum(
-        np.abs(camera.readings[first] - camera.fitted[second]),
-        np.abs(camera.readings[second] - camera.fitted[first]),
+def _put_back(
+    camera: LinearCamera, states: States, row: int, count: int
+) -> list[tuple[float, Hypothesis]]:
+    """Return the best explanations with a wrong reading fewer, or two of them exchanged.
+
+    Readings that come in with misfits e at places whose rows are B add e' (I + B N^-1 B')^-1 e to
+    the squares of the normal equations N, and the determinant grows by that of the same matrix.
+    """
+    base = states.explained[row]
+    wrong = np.array(sorted(base.wrong), dtype=np.intp)
+    if len(wrong) == 0:
+        return []
+    basis = camera.basis[wrong]
+    spread = basis @ states.inverse[row] @ basis.T
+    # Of the reading labelled with the second at the place of the first, off by:
+    fitted = camera.fitted[wrong] + camera.sigma[wrong] * (basis @ states.theta[row])
+    off = (camera.readings[wrong] - fitted[:, None]) / camera.sigma[wrong, None]
+    own = 1.0 + spread.diagonal()
+    first, second = np.triu_indices(len(wrong), 1)
+    across = spread[first, second]
+    determinant = own[first] * own[second] - across**2
+    here, there = off[first, second], off[second, first]
+    added = (own[second] * here**2 - 2.0 * across * here * there + own[first] * there**2) / (
+        determinant
     )
-    return [pairs[k] for k in np.argsort(off, kind="stable")[:PAIRS].tolist()]
+    log_sigma = np.log(camera.sigma[wrong])
+    pairs = len(first)
+    likelihood = camera.evidence.log_likelihood(
+        states.chi2[row] + np.concatenate([off.diagonal() ** 2 / own, added]),
+        states.kept[row] + np.repeat([1, 2], [len(wrong), pairs]),
+        states.log_determinant[row] + np.log(np.concatenate([own, determinant])),
+        states.log_sigma[row] + np.concatenate([log_sigma, log_sigma[first] + log_sigma[second]]),
+        len(wrong) - np.repeat([1, 2], [len(wrong), pairs]),
+    )
+    prior = base.log_prior(len(camera.readings), 0) - log(WRONG_CHANCE)
+    as_pair = log_exchange(len(camera.readings)) - log(WRONG_CHANCE)
+    scores = likelihood + prior + np.repeat([0.0, as_pair], [len(wrong), pairs])
+    found = []
+    for _, index in _best(scores[None], count):
+        if index < len(wrong):
+            made = base.without(int(wrong[index]))
+        else:
+            place = index - len(wrong)
+            made = base.with_cycle((int(wrong[first[place]]), int(wrong[second[place]])))
+        found.append((float(scores[index]), made))
+    return found

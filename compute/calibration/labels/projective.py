@@ -99,44 +99,48 @@ class ProjectiveCamera:
             theta: starting cameras with all points in front.
             steps: trial steps at most; ends when no camera gains by one.
         """
+        found = theta.copy()
+        active = np.arange(len(theta))
         damping = np.full(len(theta), 1e-4)
         cost = self._cost(theta, readings_px, weights)
-        active = np.arange(len(theta))
-        theta = theta.copy()
         for _ in range(steps):
-            fitted, slopes = self.linearised(theta[active])
-            weight = weights[active]
-            step = _solve(
-                slopes * weight[..., None],
-                (readings_px[active] - fitted) * weight,
-                damping[active],
+            fitted, slopes = self.linearised(theta)
+            slopes *= weights[..., None]
+            step = _solve(slopes, (readings_px - fitted) * weights, damping)
+            trial = self._in_front(theta + step)
+            new = self._cost(trial, readings_px, weights)
+            better, gain = new < cost, cost - new
+            theta = np.where(better[:, None], trial, theta)
+            damping *= np.where(better, 0.1, 10.0)
+            damping = np.minimum(np.maximum(damping, DAMPING_FLOOR), DAMPING_CEILING)
+            least = 1e-9 * cost
+            settled = np.where(
+                better, gain <= least, (gain >= -least) | (damping >= DAMPING_CEILING)
             )
-            trial = self._in_front(theta[active] + step)
-            new = self._cost(trial, readings_px[active], weight)
-            better = new < cost[active]
-            gain = cost[active] - new
-            theta[active[better]] = trial[better]
-            damping[active] = np.clip(
-                np.where(better, damping[active] * 0.1, damping[active] * 10.0),
-                DAMPING_FLOOR,
-                DAMPING_CEILING,
-            )
-            settled = (better & (gain <= 1e-9 * cost[active])) | (
-                ~better & ((gain >= -1e-9 * cost[active]) | (damping[active] >= DAMPING_CEILING))
-            )
-            cost[active[better]] = new[better]
-            active = active[~settled]
-            if len(active) == 0:
-                break
-        return theta
+            cost = np.where(better, new, cost)
+            if settled.any():
+                found[active] = theta
+                going = ~settled
+                active, theta = active[going], theta[going]
+                cost, damping = cost[going], damping[going]
+                readings_px, weights = readings_px[going], weights[going]
+                if len(active) == 0:
+                    break
+        found[active] = theta
+        return found
 
     def _cost(self, theta: Array, readings_px: Array, weights: Array) -> Array:
-        squares: Array = (((self.project(theta) - readings_px) * weights) ** 2).sum(axis=1)
+        misfit = self.project(theta)
+        misfit -= readings_px
+        misfit *= weights
+        squares: Array = np.einsum("kn,kn->k", misfit, misfit)
         return squares
 
     def _in_front(self, theta: Array) -> Array:
         """Flatten the depth's slope where a point would come too near or behind."""
         lowest = (theta[:, 4:WIDTH] @ self.points.T).min(axis=1)
+        if lowest.min() >= NEAREST - 1.0:
+            return theta
         shrink = np.minimum(1.0, (1.0 - NEAREST) / np.maximum(-lowest, 1e-12))
         theta = theta.copy()
         theta[:, 4:WIDTH] *= shrink[:, None]
@@ -145,11 +149,13 @@ class ProjectiveCamera:
 
 def _solve(design: Array, right: Array, damping: Array | float) -> Array:
     """Solve least squares (K, N, 7) x (K, 7) = (K, N), each damped by its own diagonal."""
-    scale = np.sqrt((design**2).sum(axis=1)) + 1e-150
-    design = design / scale[:, None]
-    normal = design.swapaxes(1, 2) @ design
+    transposed = design.swapaxes(1, 2)
+    normal = transposed @ design
     here = np.arange(design.shape[2])
-    normal[:, here, here] += np.broadcast_to(np.asarray(damping), len(normal))[:, None] + 1e-13
-    slope = (design.swapaxes(1, 2) @ right[..., None])[..., 0]
-    step: Array = np.linalg.solve(normal, slope[..., None])[..., 0] / scale
+    # Columns of length 1, by the diagonal: their products are fewer than their values.
+    scale = 1.0 / (np.sqrt(normal[:, here, here]) + 1e-150)
+    normal *= scale[:, :, None] * scale[:, None, :]
+    normal[:, here, here] += (damping if isinstance(damping, float) else damping[:, None]) + 1e-13
+    slope = (transposed @ right[..., None])[..., 0] * scale
+    step: Array = np.linalg.solve(normal, slope[..., None])[..., 0] * scale
     return step

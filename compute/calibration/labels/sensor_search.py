@@ -12,7 +12,8 @@ from scipy.stats import chi2 as chi2_distribution
 
 from compute.calibration.labels.evidence import Evidence, ScalePrior
 from compute.calibration.labels.hypothesis import Hypothesis
-from compute.calibration.labels.linear_search import BEAM, LinearCamera, explore
+from compute.calibration.labels.linear_camera import LinearCamera
+from compute.calibration.labels.linear_search import BEAM, explore
 from compute.calibration.labels.projective import ProjectiveCamera
 from compute.calibration.labels.robust import robust_starts
 from compute.camera.model import SensorGeometry
@@ -71,6 +72,11 @@ class SensorReadings:
         """The camera's form for these points."""
         plain = ProjectiveCamera.of(self.points_mm, self.readings_px)
         return replace(plain, extra=self.extra, offset_px=self.offset_px)
+
+    @cached_property
+    def robust(self) -> Array:
+        """Cameras that fit most of the readings, see ``robust_starts``."""
+        return robust_starts(self.camera, self.readings_px, self.sigma_px, ROBUST_STARTS)
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -171,7 +177,7 @@ def search_labels(data: SensorReadings) -> SensorLabels:
         pool.look_around(pool.best.theta, [], JUDGED, FIRST_BEAM)
     if not (ordinary and pool.best.hypothesis == none):
         tried: set[Hypothesis] = set()
-        for start in robust_starts(data.camera, data.readings_px, data.sigma_px, ROBUST_STARTS):
+        for start in data.robust:
             outliers = _outliers(data, start)
             if outliers not in tried:
                 tried.add(outliers)
@@ -198,8 +204,7 @@ def contradicted(data: SensorReadings) -> bool:
     """
     if _ordinary(_plain(data)):
         return False
-    starts = robust_starts(data.camera, data.readings_px, data.sigma_px, 1)
-    off, deviation = _off(data, starts[0])
+    off, deviation = _off(data, data.robust[0])
     far = int((off > START_SIGMAS * max(deviation, data.scale.factor)).sum())
     return deviation > CONTRADICTION * data.scale.factor or far > max(MANY, MANY_SHARE * len(off))
 
@@ -282,21 +287,20 @@ def _rearranged(data: SensorReadings, best: Judged) -> list[Hypothesis]:
     wrong = sorted(best.hypothesis.wrong)
     fitted = data.camera.project(best.theta[None])[0]
     off = np.abs(data.readings_px[:, None] - fitted)  # reading labelled i, at point j
-    proposed: list[tuple[float, Hypothesis]] = []
-    for a, b, c in permutations(wrong, 3):
-        if a < min(b, c):
-            worst = float(max(off[a, b], off[b, c], off[c, a]))
-            proposed.append((worst, best.hypothesis.with_cycle((a, b, c))))
-    for pair in combinations(wrong, 2):
-        worst = float(max(off[pair[0], pair[1]], off[pair[1], pair[0]]))
-        proposed.append((worst, best.hypothesis.with_cycle(pair)))
+    taken = {own for _, own in best.hypothesis.moved}
     unseen = np.flatnonzero(~np.isfinite(data.readings_px)).tolist()
-    for carried, own in product(wrong, unseen):
-        if all(own != taken for _, taken in best.hypothesis.moved):
-            moved = best.hypothesis.with_moved(carried, own)
-            proposed.append((float(off[carried, own]), moved))
-    proposed.sort(key=lambda entry: entry[0])
-    return [hypothesis for _, hypothesis in proposed[:PROPOSALS]]
+    cycles = [*permutations(wrong, 3), *combinations(wrong, 2)]
+    cycles = [cycle for cycle in cycles if cycle[0] == min(cycle)]
+    moved = [pair for pair in product(wrong, unseen) if pair[1] not in taken]
+    worst = [max(map(off.item, cycle, cycle[1:] + cycle[:1])) for cycle in cycles]
+    worst += [off.item(pair) for pair in moved]
+    nearest = np.argsort(worst, kind="stable")[:PROPOSALS].tolist()
+    return [
+        best.hypothesis.with_cycle(cycles[k])
+        if k < len(cycles)
+        else best.hypothesis.with_moved(*moved[k - len(cycles)])
+        for k in nearest
+    ]
 
 
 def _renamed(hypothesis: Hypothesis, names: dict[int, int]) -> Hypothesis | None:

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from compute.calibration.adjustment.poses import PoseSet
-from compute.calibration.checks import FLATNESS_LIMIT, check_inside
 from compute.calibration.selfcalibration.subjects import Recording
 from compute.camera.model import SensorGeometry, SensorModel
+from compute.camera.observations import FLATNESS_LIMIT, check_inside
 from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
 
 Array = NDArray[np.float64]

@@ -65,6 +65,44 @@ def test_variances_are_honest_on_points_never_seen():
     assert 0.4 < np.mean(squares) < 1.4
 
 
+def test_variances_are_honest_where_noise_hides_the_misfit(monkeypatch):
+    """How smooth the field is can hardly be told there, and that counts in the variance."""
+    averaged, likeliest = [], []
+    for seed in range(40, 45):
+        control = measured(places(60, seed), seed, sigma=2.0)
+        models, new = calibrated(control).models, places(200, seed + 20, share=0.9)
+        for squares, least_share in ((averaged, 1e-3), (likeliest, 1.0)):
+            monkeypatch.setattr("compute.mapping.averaged.LEAST_SHARE", least_share)
+            result = build_table(models, "", control)
+            error, variance, inside = correction_errors(result, models, new)
+            squares += [np.mean((error**2 / variance)[inside[:, s], s]) for s in range(3)]
+    # Of 15 sensors with about ten errors each: a deviation of 0.12.
+    assert 0.6 < np.mean(averaged) < 1.35
+    assert np.mean(likeliest) > 1.1 * np.mean(averaged)
+
+
+def test_deviations_that_are_too_small_are_noticed_and_no_map_follows_the_noise(calibration):
+    points, new = places(100, 70), places(300, 71, share=0.9)
+    readings = measure(points, 72)
+    right = CameraStack.of(calibration.models).project(new) - exact(truth(), new)
+    errors, squares = [], []
+    for stated in (SIGMA, SIGMA / 4.0):
+        control = MappingMeasurements(points, readings, np.full(readings.shape, stated))
+        result = build_table(calibrated(control).models, "", control)
+        error, variance, inside = correction_errors(result, calibrated(control).models, new)
+        errors.append(np.sqrt((error[inside] ** 2).mean()))
+        squares.append((error**2 / variance)[inside].mean())
+        found = [sensor.noise_factor for sensor in result.validation.sensors]
+        if stated == SIGMA:
+            assert found == [1.0] * 3
+        else:
+            assert 9.0 < min(found) < max(found) < 25.0
+        assert 0.3 < squares[-1] < 1.5
+        assert max(sensor.left_out_square for sensor in result.validation.sensors) < 1.6
+    assert errors[1] < 1.2 * errors[0]
+    assert errors[0] < 0.2 * np.sqrt((right**2).mean())
+
+
 def test_mapped_points_carry_the_covariance_they_should(built, calibration):
     points = places(1000, 4, share=0.85)
     readings = measure(points, 6)

@@ -49,7 +49,7 @@ def test_wrong_shapes(control, models):
     )
     refused(
         InvalidParameter,
-        r"\(60, 2\); 60 points and the calibration's 3 sensors make \(60, 3\)",
+        r"\(60, 2\); 60 points and 3 sensors make \(60, 3\)",
         models,
         changed(control, readings=control.readings_px[:, :2]),
     )
@@ -78,7 +78,10 @@ def test_a_reading_beyond_the_pixels(control, models):
     readings = control.readings_px.copy()
     readings[7, 2] = 2048.0
     refused(
-        ReadingOutsideSensor, "point 8 by sensor s3", models, changed(control, readings=readings)
+        ReadingOutsideSensor,
+        "point 8 lies outside sensor s3",
+        models,
+        changed(control, readings=readings),
     )
 
 

@@ -6,11 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
+from compute.mapping.averaged import average
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.nodes import of_function, through_corners
 from compute.mapping.penalised import PenalisedProblem
 from compute.mapping.smooth_basis import SmoothBasis
-from compute.mapping.smoothness import choose_smoothness, gcv_score
+from compute.mapping.smoothness import gcv_score, line_widths, weigh_penalties
 from compute.mapping.support import cell_corners, supported_cells, within_hull
 from compute.mapping.table import CorrectionTable
 
@@ -180,16 +181,18 @@ def test_effective_parameters_and_residuals_by_the_hat_matrix():
 
 def test_the_penalty_chosen_predicts_as_well_as_any():
     basis, whole = problem_of(noise=0.1)
-    chosen = choose_smoothness(whole, basis)
+    penalties = weigh_penalties(whole, basis)
+    chosen = penalties.trials[penalties.best].total
     scores = [
         whole.solve(10.0**power * basis.penalty(np.ones(3)))
         .left_out()
-        .surprise(known_variance=True)
+        .surprises(known_variance=True)
+        .sum()
         for power in np.arange(-8.0, 12.0, 0.25)
     ]
     # Twice the log density of all 60 samples is within 2 of the best, or better by its axes.
-    assert 60 * (chosen.score - min(scores)) < 2.0
-    assert 60 * (chosen.score - max(scores)) < -60.0
+    assert chosen - min(scores) < 2.0
+    assert chosen - max(scores) < -60.0
 
 
 def test_surprise_is_the_density_of_left_out_blocks():
@@ -207,8 +210,8 @@ def test_surprise_is_the_density_of_left_out_blocks():
         spread = np.linalg.solve(normal, whole.functions[block].T)
         density = multivariate_normal(mean, np.eye(size) + whole.functions[block] @ spread)
         total -= 2.0 * density.logpdf(whole.samples[block]) + size * np.log(2.0 * np.pi)
-    found = fit.left_out().surprise(known_variance=True)
-    assert found == pytest.approx(total / 60, rel=1e-5)
+    found = fit.left_out().surprises(known_variance=True)
+    assert found.sum() == pytest.approx(total, rel=1e-5)
     # With an unknown factor of the variances it does not matter which one is stated.
     scaled = replace(
         whole,
@@ -221,9 +224,70 @@ def test_surprise_is_the_density_of_left_out_blocks():
     )
     other = scaled.solve(9.0 * basis.penalty(np.ones(3))).left_out()
     mine = fit.left_out()
-    assert other.surprise(known_variance=False) - mine.surprise(
-        known_variance=False
-    ) == pytest.approx(np.log(9.0))
+    of_other, of_mine = (one.surprises(known_variance=False) for one in (other, mine))
+    assert of_other.sum() - of_mine.sum() == pytest.approx(60 * np.log(9.0))
+    assert other.scale == pytest.approx(3.0 * mine.scale)
+    # Of all factors it is the likeliest one.
+    square = mine.unit**2 / mine.scale**2 + 2.0 * np.log(mine.scale)
+    assert (square + mine.log_variance).sum() == pytest.approx(of_mine.sum())
+    for factor in (0.9, 1.1):
+        square = mine.unit**2 / (factor * mine.scale) ** 2 + 2.0 * np.log(factor * mine.scale)
+        assert (square + mine.log_variance).sum() > of_mine.sum()
+
+
+def test_the_average_is_the_mixture_of_the_fits():
+    """Mean and variance of draws from the fits, each as often as its share says."""
+    basis, whole = problem_of(noise=1.0)
+    penalties = weigh_penalties(whole, basis)
+    assert penalties.shares.sum() == pytest.approx(1.0)
+    assert penalties.shares.max() < 0.9  # so that there is something to average
+
+    def factor(fit) -> float:
+        return 1.0 + fit.effective_parameters / 60.0
+
+    found = average(whole, basis, penalties, factor)
+    shares, means, variances, left_out = [], [], [], []
+    for trial, share in zip(penalties.trials, penalties.shares, strict=True):
+        fit = whole.solve(trial.weight * basis.penalty(trial.axes))
+        shares.append(share)
+        means.append(whole.functions @ fit.amounts)
+        variances.append(factor(fit) * fit.variance(whole.functions))
+        left_out.append(fit.left_out().error)
+    mean, error = np.average(means, 0, shares), np.average(left_out, 0, shares)
+    variance = np.average(variances + (means - mean) ** 2, 0, shares)
+    # Shares below a thousandth of the largest are left away.
+    scale = np.sqrt(variance)
+    np.testing.assert_allclose((whole.functions @ found.amounts - mean) / scale, 0.0, atol=0.02)
+    np.testing.assert_allclose(found.variance(whole.functions), variance, rtol=0.02)
+    np.testing.assert_allclose(found.error, error, atol=0.02)
+    assert (found.variance(whole.functions) > 1.02 * np.average(variances, 0, shares)).any()
+    assert 1.0 < found.factor < 2.0
+
+
+def test_penalties_that_predict_alike_have_like_shares():
+    """A line of weights counts by its length, and all that correct nothing count as one."""
+    basis, whole = problem_of(others=0)
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(60)
+    nothing = replace(
+        whole,
+        product=whole.functions.T @ noise,
+        square=float(noise @ noise),
+        others_precision=np.zeros(0),
+        samples=noise,
+    )
+    penalties = weigh_penalties(nothing, basis)
+    assert penalties.best == int(np.argmax([trial.weight for trial in penalties.trials]))
+    alike = [
+        trial.total < penalties.trials[penalties.best].total + 1.0 for trial in penalties.trials
+    ]
+    assert penalties.shares[np.array(alike)].max() < 3.0 * penalties.shares[penalties.best]
+
+
+def test_a_trial_stands_for_its_part_of_the_line():
+    """Half way to its neighbours, and as far beyond the ends as to the next that would be tried."""
+    equal, other = (0, 0, 0), (0, 1, 0)
+    places = [(6, equal), (3, equal), (2, equal), (1, equal), (0, equal), (3, other)]
+    np.testing.assert_allclose(line_widths(places), [3.0, 2.0, 1.0, 1.0, 2.0, 3.0])
 
 
 def test_noise_alone_is_smoothed_away():
@@ -239,7 +303,10 @@ def test_noise_alone_is_smoothed_away():
         noise,
         whole.sizes,
     )
-    assert choose_smoothness(flat, basis).fit.effective_parameters < 6.0
+    penalties = weigh_penalties(flat, basis)
+    best = penalties.trials[penalties.best]
+    fit = flat.solve(best.weight * basis.penalty(best.axes))
+    assert fit.effective_parameters < 6.0
 
 
 def test_hull_and_neighbours_decide_which_cells_are_supported():

@@ -15,7 +15,7 @@ from compute.mapping.table import Degree
 from compute.reconstruction.estimate import PointFlag
 from compute.reconstruction.native.kernel import point_kernel
 from compute.reconstruction.points import reconstruct
-from compute.reconstruction.solver import PointSolver, load_kernels
+from compute.reconstruction.solver import LEAST_ROOM, PointSolver, load_kernels
 from tests.compute.reconstruction.distorted_rig import distorted_rig, field_points, table
 from tests.compute.reconstruction.solver_scenes import Scene, assert_same, scene
 from tests.compute.rig import camera, rig
@@ -170,6 +170,18 @@ def test_calibrations_share_a_kernel() -> None:
     fewer = FieldDistortion(((3, 0),), (0.1,))
     PointSolver([replace(model, distortion=fewer) for model in rig()], device="cpu")
     assert point_kernel.cache_info().misses == before
+
+
+def test_kernels_are_loaded_in_the_build_that_is_launched(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = scene(4, distorted=True, degree=None, calibrated=False, seed=2)
+    modules = [point_kernel(4, room).module for room in (0, LEAST_ROOM)]
+    for module in modules:
+        monkeypatch.setattr(module, "execs", {})  # what other tests have loaded
+    load_kernels(4, "cpu")
+    loaded = [set(module.execs) for module in modules]
+    assert all(loaded)
+    solver_of(made).solve(made.readings_px, made.sigma_px)
+    assert [set(module.execs) for module in modules] == loaded
 
 
 def test_solvers_stand_beside_one_another() -> None:

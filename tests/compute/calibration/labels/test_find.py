@@ -33,25 +33,24 @@ def ones(readings: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("question", ASKED, ids=lambda q: f"{q.frame}-{q.name}")
 def test_errors_are_found_exactly(question: object) -> None:
     """A part of `lumiline reproduce labels`, which has 100 frames of each kind."""
-    outcome = ask(question, 4, 90)  # type: ignore[arg-type]
-    assert (outcome.exact, outcome.surplus) == (4, 0)
+    outcome = ask(question, 2, 90)  # type: ignore[arg-type]
+    assert (outcome.exact, outcome.surplus) == (2, 0)
 
 
 @pytest.mark.parametrize("question", CLEAN, ids=lambda q: f"{q.frame}-{q.sigma_given}")
 def test_clean_frames_stay_clean(question: object) -> None:
-    assert ask(question, 4, 91).exact == 4  # type: ignore[arg-type]
+    assert ask(question, 2, 91).exact == 2  # type: ignore[arg-type]
 
 
 def test_exchanged_points_are_named_as_such() -> None:
-    for question in BESIDE[:4]:
+    for question in (BESIDE[1], BESIDE[2]):  # two pairs of points, and one of a random frame
         assert ask(question, 1, 92).exact == 1, question
 
 
 def test_what_is_missed_is_less_likely_than_what_is_found() -> None:
     """Errors of just ten deviations: a search can do no better than the likeliest."""
-    for question in BESIDE[-2:]:
-        outcome = ask(question, 4, 93)
-        assert outcome.likelier == outcome.frames - outcome.exact
+    outcome = ask(BESIDE[-2], 4, 93)
+    assert 0 < outcome.likelier == outcome.frames - outcome.exact
 
 
 def test_measured_frame_at_3_m() -> None:
@@ -106,12 +105,12 @@ def test_a_missing_label() -> None:
 def test_deviations_stated_too_small_are_no_label_errors() -> None:
     """A misfit of many deviations everywhere is the model's, not the labels'."""
     points = control_points(30)
-    readings = noisy(points)
-    report = find_label_errors(points, readings, SENSORS, 0.02 * ones(readings))
+    readings, two = noisy(points)[:, :2], SENSORS[:2]
+    report = find_label_errors(points, readings, two, 0.02 * ones(readings))
     assert report.findings == ()
     assert all(0.6 < sigma < 1.6 for sigma in report.sigma_px)
     readings[[2, 8], 0] = readings[[8, 2], 0]
-    (finding,) = find_label_errors(points, readings, SENSORS, 0.02 * ones(readings)).findings
+    (finding,) = find_label_errors(points, readings, two, 0.02 * ones(readings)).findings
     assert (finding.sensor, finding.points) == ("s1", (3, 9))
 
 
@@ -128,7 +127,7 @@ def test_what_is_off_and_by_how_much() -> None:
     assert 30.0 < off_sigma < off_px  # more than a reading's own deviation, 1 px
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(st.integers(0, 10**6))
 def test_excluding_and_repairing_leave_the_rest_alone(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -179,13 +178,13 @@ def test_bad_input_is_refused() -> None:
 
 def test_findings_of_other_data_are_refused() -> None:
     points = control_points(24)
-    readings = noisy(points)
+    readings, two = noisy(points)[:, :2], SENSORS[:2]
     readings[3, 1] += 60.0
-    findings = find_label_errors(points, readings, SENSORS).findings
+    findings = find_label_errors(points, readings, two, ones(readings)).findings
     with pytest.raises(InvalidParameter, match="point 4; there are points 1 to 3"):
-        repair(findings, SENSORS, readings[:3])
+        repair(findings, two, readings[:3])
     with pytest.raises(InvalidParameter, match='sensor "s2"; the sensors are s1'):
-        exclude(findings, SENSORS[:1], readings[:, :1])
+        exclude(findings, two[:1], readings[:, :1])
 
 
 def test_a_lens_with_distortion_is_no_label_error() -> None:

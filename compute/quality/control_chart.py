@@ -1,0 +1,147 @@
+"""Control chart: values over time with the limits that they keep while nothing changes.
+
+A Shewhart chart of individual values, with their moving range for the spread, finds a jump; an
+exponentially weighted moving average finds a slow drift that no single value shows (D. C.
+Montgomery, Introduction to Statistical Quality Control, chapters 6 and 9; S. W. Roberts,
+Technometrics 1, 239, 1959, doi 10.1080/00401706.1959.10489860). What is normal is known from few
+values only, and the limits allow for that: they are those of Student's distribution.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, stdtrit
+
+from compute.errors import InvalidParameter
+
+Array = NDArray[np.float64]
+
+LEAST_BASELINE: Final = 8
+"""Values that centre and spread are taken from at least."""
+_RANGE_OF_TWO: Final = 1.128379167095513
+"""Mean range of two values over their standard deviation, 2 / sqrt(pi)."""
+_LIMIT: Final = 3.0
+_WEIGHT: Final = 0.2
+_AVERAGE_LIMIT: Final = 2.86
+"""With the weight 0.2 the average leaves its limits by chance as rarely as a value its own: once
+in 370 (J. M. Lucas and M. S. Saccucci, Technometrics 32, 1, 1990, table 3)."""
+_FREEDOM: Final = 0.62
+"""Degrees of freedom of a spread from the moving range, for each of its values but the first."""
+_LASTING_JUMPS: Final = 3
+_LASTING_VALUES: Final = 8
+_LASTING_CHANCE: Final = 1e-4
+"""Of a mean of so many values, to be off by as much with nothing changed."""
+
+
+class Signal(StrEnum):
+    """What a value says."""
+
+    NONE = "none"
+    JUMP = "jump"
+    """It is where a value is by chance once in 370, as beyond three standard deviations."""
+    DRIFT = "drift"
+    """The weighted average of it and those before is beyond its limits."""
+
+
+@dataclass(frozen=True, eq=False)
+class ControlChart:
+    """N values and their limits.
+
+    Args:
+        values: shape (N,).
+        centre: mean of the baseline.
+        sigma: spread of a value, from the baseline's moving range, and the floor.
+        average: exponentially weighted moving average, shape (N,); the centre in the baseline.
+        limit: distance from the centre that a single value keeps.
+        average_limit: distance from the centre that the average keeps, shape (N,).
+        signals: one for each value; NONE in the baseline.
+        baseline: how many of the first values it is made from; all values, while they are fewer
+            than asked for.
+        ready: whether there are enough for a baseline; without, there are no signals.
+    """
+
+    values: Array
+    centre: float
+    sigma: float
+    average: Array
+    limit: float
+    average_limit: Array
+    signals: tuple[Signal, ...]
+    baseline: int
+    ready: bool
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The values' own limits."""
+        return self.centre - self.limit, self.centre + self.limit
+
+    @property
+    def stays_changed(self) -> bool:
+        """Whether the newest values leave no doubt: each of three a jump, or the mean of eight off.
+
+        Signals of the average are no such sign: it has a memory, and one is followed by others.
+        """
+        judged = len(self.values) - self.baseline
+        if not self.ready:
+            return False
+        newest = self.signals[-_LASTING_JUMPS:]
+        if judged >= _LASTING_JUMPS and all(signal is Signal.JUMP for signal in newest):
+            return True
+        if judged < _LASTING_VALUES:
+            return False
+        off = abs(float(self.values[-_LASTING_VALUES:].mean()) - self.centre)
+        factor = _quantile(self.baseline, 1.0 - _LASTING_CHANCE / 2)
+        return off > factor * self.sigma * math.sqrt(1 / _LASTING_VALUES + 1 / self.baseline)
+
+
+def control_chart(values: Array, baseline: int = 20, floor: float = 0.0) -> ControlChart:
+    """Return the chart of some values in the order of time.
+
+    Args:
+        values: shape (N,).
+        baseline: how many of the first say what is normal.
+        floor: smallest spread of a value that matters; a chart of values that hardly scatter
+            would call every hair's breadth a signal.
+
+    Raises:
+        InvalidParameter: a value is not finite, or the baseline too short.
+    """
+    if baseline < LEAST_BASELINE:
+        raise InvalidParameter(
+            f"the baseline has {baseline} values; at least {LEAST_BASELINE} say what is normal",
+            baseline=baseline,
+        )
+    if not np.isfinite(values).all():
+        raise InvalidParameter("a value of the chart is not a number; leave it out")
+    used = min(baseline, len(values))
+    first = values[:used]
+    centre = float(first.mean()) if used else np.nan
+    steps = np.abs(np.diff(first))
+    sigma = max(float(steps.mean()) / _RANGE_OF_TWO if len(steps) else 0.0, floor)
+    ready = used >= baseline
+    average = np.full(len(values), centre)
+    limit = np.zeros(len(values))
+    single = several = 0.0
+    if ready:
+        single = _quantile(used, ndtr(_LIMIT)) * sigma * np.sqrt(1 + 1 / used)
+        several = _quantile(used, ndtr(_AVERAGE_LIMIT)) * sigma
+    signals = [Signal.NONE] * len(values)
+    for index in range(used, len(values)):
+        average[index] = (1 - _WEIGHT) * average[index - 1] + _WEIGHT * values[index]
+        share = _WEIGHT / (2 - _WEIGHT) * (1 - (1 - _WEIGHT) ** (2 * (index - used + 1)))
+        limit[index] = several * np.sqrt(share + 1 / used)
+        if abs(values[index] - centre) > single:
+            signals[index] = Signal.JUMP
+        elif abs(average[index] - centre) > limit[index]:
+            signals[index] = Signal.DRIFT
+    found = tuple(signals)
+    return ControlChart(values, centre, sigma, average, float(single), limit, found, used, ready)
+
+
+def _quantile(baseline: int, probability: float) -> float:
+    """Return Student's quantile for a spread from so many values' moving range."""
+    return float(stdtrit(_FREEDOM * (baseline - 1), probability))

@@ -1,0 +1,23 @@
+"""A case tells whoever listens, and nobody else."""
+
+import pytest
+
+from validation.progress import listening, tell
+
+
+def test_only_who_listens_is_told() -> None:
+    told: list[tuple[float, str]] = []
+    tell(0.1, "nobody listens")
+    with listening(lambda share, stage: told.append((share, stage))):
+        tell(0.5, "half")
+    tell(0.9, "no longer")
+    assert told == [(0.5, "half")]
+
+
+def test_what_the_listener_raises_ends_the_case() -> None:
+    def stop(_share: float, _stage: str) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), listening(stop):
+        tell(0.5, "half")
+    tell(0.6, "nobody listens any more")

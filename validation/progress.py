@@ -1,0 +1,26 @@
+"""How far a case is, for whoever runs it and wants to know."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+Listener = Callable[[float, str], None]
+
+_LISTENER: ContextVar[Listener | None] = ContextVar("_LISTENER", default=None)
+
+
+@contextmanager
+def listening(listener: Listener) -> Iterator[None]:
+    """Within this, ``tell`` calls the listener; what it raises ends the case."""
+    token = _LISTENER.set(listener)
+    try:
+        yield
+    finally:
+        _LISTENER.reset(token)
+
+
+def tell(share: float, stage: str) -> None:
+    """Tell the share of the case that is done, 0 to 1, and what comes next; nobody may listen."""
+    listener = _LISTENER.get()
+    if listener is not None:
+        listener(share, stage)

@@ -1,91 +1,81 @@
 """The reader of recordings: checks a file from end to end, then gives its frames back."""
 
-import math
-from collections import Counter
+import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Self
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
 
-from compute.errors import InvalidParameter, InvalidRecording
-from hardware.driver import DeviceDescription, PeakMethod
+from compute.errors import InvalidParameter
+from hardware.driver import DeviceDescription
 from hardware.frame import FrameFlag, LineFrame
-from hardware.recording import CHUNK_FRAMES, COLUMNS, FORMAT, NO_MARKER, VERSION, line_shape
-
-
-@dataclass(frozen=True)
-class _Recorded(DeviceDescription):
-    """A description as it was written; before lines were fitted it named no method."""
-
-    peaks: PeakMethod = "centroid"
-
-
-_DESCRIPTION = TypeAdapter(_Recorded)
-
-_MOST_HZ: Final = 1e6
-_MOST_UM: Final = 1000.0
-_FULL: Final = 2**16 - 1
-
-
-@dataclass(frozen=True)
-class RecordingInfo:
-    """What a recording holds.
-
-    Args:
-        description: the device that it is of.
-        frames: number of frames.
-        duration_s: from the first exposure to the last, on the device's clock [s].
-        lost: exposures missing between the first frame and the last.
-        complete: whether the writer closed it; False after a crash: the end may be missing.
-    """
-
-    description: DeviceDescription
-    frames: int
-    duration_s: float
-    lost: int
-    complete: bool
+from hardware.recording_block import FrameBlock, line_shape
+from hardware.recording_columns import check_columns, read_column
+from hardware.recording_description import read_description
+from hardware.recording_file import RecordingFile
+from hardware.recording_info import RecordingInfo
+from hardware.recording_layout import (
+    CHUNK_FRAMES,
+    COLUMNS,
+    COLUMNS_1,
+    FORMAT,
+    FRAME,
+    IN_FORCE,
+    NO_MARKER,
+    NOTHING_IN_FORCE,
+    PEAK,
+    STATE,
+    VERSION,
+    RecordingState,
+    frame_checksums,
+    point_dtype,
+    result_checksums,
+    unpack_state,
+)
 
 
 class RecordingReader:
     """An open recording, checked from end to end but for the lines; a context manager.
 
+    A file that is still written is read up to the writer's last flush; ``refresh`` goes on to
+    its next.
+
     Args:
         path: the file.
+        columns: whether the frames' columns are looked through, too.
 
     Raises:
         InvalidRecording: it cannot be read, is not a recording, of another version, cut short,
             or contradicts itself; the message says which.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        if not path.is_file():
-            raise InvalidRecording(f"{path.name} is not a file; give a recording")
-        try:
-            self._file = h5py.File(path, "r")
-        except OSError as error:
-            raise self._invalid(f"is not an HDF5 file, or is cut short ({error})") from error
+    def __init__(self, path: Path, *, columns: bool = True) -> None:
+        self._file = RecordingFile(path)
         try:
             self.info = self._checked()
+            if columns:
+                check_columns(self._file, self.info)
         except BaseException:
             self._file.close()
             raise
 
+    def refresh(self) -> RecordingInfo:
+        """Return what the recording holds now; new columns are not looked through."""
+        self.info = self._found(self.info.description, self.info.version, self.info.provenance)
+        return self.info
+
     def column(self, name: str) -> NDArray[Any]:
         """Return one of COLUMNS for all frames, shape (frames,), as it was recorded."""
-        return self._read(name, slice(None))
+        return read_column(self._file, self.info, name)
 
     def frames(self) -> Iterator[LineFrame]:
         """Yield the frames as they were recorded.
 
         Raises:
-            InvalidRecording: the stored data are damaged.
+            InvalidRecording: the stored data are damaged, or there are no lines.
         """
         for first in self.chunk_starts():
             yield from self.chunk(first)
@@ -96,22 +86,85 @@ class RecordingReader:
 
     def chunk(self, first: int) -> list[LineFrame]:
         """Return up to CHUNK_FRAMES frames from row ``first`` on; see ``frames``."""
-        rows = slice(first, min(first + CHUNK_FRAMES, self.info.frames))
-        lines = self._read("lines", rows)
-        lines.setflags(write=False)
-        columns = {name: self._read(name, rows).tolist() for name in COLUMNS}
+        if not self.info.lines:
+            raise self._file.invalid("holds results only, and no lines that could be replayed")
+        block = self.block(first, first + CHUNK_FRAMES, results=False)
+        assert block.lines is not None
+        block.lines.setflags(write=False)
         return [
             LineFrame(
                 device=self.info.description.name,
-                sequence=columns["sequence"][row],
-                exposure_device_ns=columns["exposure_device_ns"][row],
-                exposure_host_ns=columns["exposure_host_ns"][row],
-                marker=None if columns["marker"][row] == NO_MARKER else columns["marker"][row],
-                lines=lines[row],
-                flags=FrameFlag(columns["flags"][row]),
+                sequence=sequence,
+                exposure_device_ns=device_ns,
+                exposure_host_ns=host_ns,
+                marker=None if marker == NO_MARKER else marker,
+                lines=lines,
+                flags=FrameFlag(flags),
             )
-            for row in range(len(lines))
+            for (sequence, device_ns, host_ns, marker, flags, *_), lines in zip(
+                block.rows.tolist(), block.lines, strict=True
+            )
         ]
+
+    def block(self, first: int, end: int, *, results: bool = True) -> FrameBlock:
+        """Return the frames of these rows, with their results where they were recorded.
+
+        ``frame`` of a peak or a point counts within the block.
+
+        Raises:
+            InvalidRecording: the stored data are damaged.
+        """
+        rows = slice(first, max(first, min(end, self.info.frames)))
+        names = COLUMNS if self.info.version > 1 else COLUMNS_1
+        columns = {name: self._file.read(f"frames/{name}", rows) for name in names}
+        lines = self._file.read("frames/lines", rows) if self.info.lines else None
+        found = np.zeros(rows.stop - rows.start, FRAME)
+        found["in_force"] = NOTHING_IN_FORCE
+        for name in FRAME.names or ():
+            if name in columns:
+                found[name] = columns[name]
+        peaks = np.empty(0, PEAK)
+        points = np.empty(0, point_dtype(len(self.info.description.sensors)))
+        if self.info.version == 1:
+            return FrameBlock(found, lines, peaks, points)
+        ends = {}
+        for name in ("peaks", "points"):
+            before = self._file.read(f"frames/{name}_end", slice(first - 1, first))
+            ends[name] = np.concatenate((before if first else [0], columns[f"{name}_end"]))
+            found[name] = np.diff(ends[name])
+        self._compare(frame_checksums(found, lines), columns["checksum"], "lines", first)
+        if results and self.info.results and len(found):
+            peaks, points = (
+                self._file.read(name, slice(int(ends[name][0]), int(ends[name][-1])))
+                for name in ("peaks", "points")
+            )
+            sums = result_checksums(found, peaks, points)
+            self._compare(sums, columns["results_checksum"], "results", first)
+            peaks["frame"] -= first
+            points["frame"] -= first
+        return FrameBlock(found, lines, peaks, points)
+
+    def in_force(self, row: int) -> tuple[bytes, bytes]:
+        """Return a calibration (JSON) and its table (HDF5), empty without one.
+
+        Raises:
+            InvalidRecording: there is none of this row.
+        """
+        if not 0 <= row < self.info.state.in_force:
+            raise self._file.invalid(
+                f"has no row {row} of in_force; it has {self.info.state.in_force}"
+            )
+        place = self._file.read("in_force/rows", slice(row, row + 1))[0]
+        document, table = (
+            self._file.read("in_force/bytes", slice(start, start + size)).tobytes()
+            for start, size in (
+                (int(place["document_start"]), int(place["document_bytes"])),
+                (int(place["table_start"]), int(place["table_bytes"])),
+            )
+        )
+        if (len(document), len(table)) != (place["document_bytes"], place["table_bytes"]):
+            raise self._file.invalid(f"is cut short in row {row} of in_force")
+        return document, table
 
     def close(self) -> None:
         """Close the file; may be called twice."""
@@ -129,129 +182,123 @@ class RecordingReader:
         self.close()
 
     def _checked(self) -> RecordingInfo:
-        attributes = self._attributes()
+        attributes = self._file.attributes()
         if attributes.get("format") != FORMAT:
-            raise self._invalid(
+            raise self._file.invalid(
                 f"is an HDF5 file of format {attributes.get('format')!r}, not {FORMAT!r}"
             )
-        if attributes.get("version") != VERSION:
-            raise self._invalid(
-                f"has version {attributes.get('version')}; this program reads version {VERSION}"
+        version = attributes.get("version")
+        if version not in (1, VERSION) or isinstance(version, bool):
+            raise self._file.invalid(
+                f"has version {version}; this program reads the versions 1 and {VERSION}"
             )
         try:
-            recorded = _DESCRIPTION.validate_json(str(attributes.get("description", "")))
-            description = DeviceDescription(**vars(recorded))
-            shape = line_shape(description)
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"]) or "the whole"
-            raise self._invalid(
-                f"has an unusable description of the device: {where}: {first['msg']}"
-            ) from error
+            description = read_description(str(attributes.get("description", "")))
+            line_shape(description)
         except InvalidParameter as error:
-            raise self._invalid(f"describes an unusable device: {error.detail}") from error
-        self._check_values(description)
-        frames = self._checked_shapes(shape)
-        sequence = self.column("sequence")
-        device_ns = self.column("exposure_device_ns")
-        marker = self.column("marker")
-        self._refuse_where(
-            np.diff(sequence, prepend=-1) <= 0, "sequence", "increase from 0 or more"
+            unusable = error.detail if error.detail.startswith(("has ", "describes ")) else None
+            raise self._file.invalid(
+                unusable or f"describes an unusable device: {error.detail}"
+            ) from error
+        return self._found(
+            description, int(str(version)), self._provenance(attributes.get("provenance", "{}"))
         )
-        self._refuse_where(np.diff(device_ns) < 0, "exposure_device_ns", "not decrease", 1)
-        self._refuse_where(
-            (marker < NO_MARKER) | (marker >= max(description.markers, 0)),
-            "marker",
-            f"be below the number of strobed markers, {description.markers}",
+
+    def _provenance(self, text: object) -> dict[str, Any]:
+        try:
+            found = json.loads(str(text))
+        except (ValueError, RecursionError) as error:
+            raise self._file.invalid(f"has a provenance that is not JSON ({error})") from error
+        if not isinstance(found, dict):
+            raise self._file.invalid("has a provenance that is no JSON object")
+        return found
+
+    def _found(
+        self, description: DeviceDescription, version: int, provenance: dict[str, Any]
+    ) -> RecordingInfo:
+        results = version > 1 and "peaks" in self._file
+        lines = version == 1 or "frames/lines" in self._file
+        state = self._state(version)
+        frames = self._checked_shapes(description, version, state, lines=lines, results=results)
+        ends = [slice(0, min(frames, 1)), slice(max(frames - 1, 0), frames)]
+        device_ns, sequence = (
+            np.concatenate([self._file.read(f"frames/{name}", rows) for rows in ends]).tolist()
+            or [0, 0]
+            for name in ("exposure_device_ns", "sequence")
         )
         return RecordingInfo(
             description=description,
             frames=frames,
-            duration_s=float(device_ns[-1] - device_ns[0]) * 1e-9 if frames else 0.0,
-            lost=int(sequence[-1] - sequence[0]) + 1 - frames if frames else 0,
-            complete=attributes.get("complete") is True,
+            duration_s=(device_ns[-1] - device_ns[0]) * 1e-9,
+            lost=sequence[-1] - sequence[0] + 1 - frames if frames else 0,
+            complete=state.complete if state else self._file.attributes().get("complete") is True,
+            version=version,
+            lines=lines,
+            results=results,
+            provenance=provenance,
+            state=state or RecordingState(frames),
         )
 
-    def _check_values(self, description: DeviceDescription) -> None:
-        """Check that the description's values mean something; NaN and infinities fit nowhere."""
-        rate, gain = description.frame_rate_hz, description.electrons_per_count
-        noise, offset = description.read_noise_electrons, description.offset_counts
-        names = Counter(sensor.name for sensor in description.sensors)
-        checks = [
-            ("frame_rate_hz", rate, 0 <= rate <= _MOST_HZ, f"0 (not known) to {_MOST_HZ:g}"),
-            ("bits", description.bits, 1 <= description.bits <= 16, "1 to 16"),
-            ("electrons_per_count", gain, 0 < gain < math.inf, "positive"),
-            ("read_noise_electrons", noise, 0 <= noise < math.inf, "0 or more"),
-            ("offset_counts", offset, abs(offset) <= _FULL, f"within -{_FULL} to {_FULL}"),
-            ("markers", description.markers, description.markers >= 0, "0 or more"),
-            *(
-                ("a sensor's name", name, 1 <= len(name) <= 64 and "\0" not in name,
-                 "1 to 64 characters without NUL")
-                for name in names
-            ),
-            *(
-                ("a sensor's name", name, count == 1, "a name of its own")
-                for name, count in names.items()
-            ),
-            *(
-                ("pitch_um", sensor.pitch_um, 0 < sensor.pitch_um <= _MOST_UM,
-                 f"positive, at most {_MOST_UM:g}")
-                for sensor in description.sensors
-            ),
-        ]  # fmt: skip
-        for name, value, good, right in checks:
-            if not good:
-                raise self._invalid(
-                    f"describes an unusable device: {name} is {value!r:.80}; it must be {right}"
+    def _state(self, version: int) -> RecordingState | None:
+        """Return the state that holds; None in version 1."""
+        if version == 1:
+            return None
+        rows = self._file.rows("state", STATE)
+        if rows != 2:
+            raise self._file.invalid(f"holds {rows} rows in state; there must be 2")
+        found = unpack_state(self._file.read("state", slice(None)))
+        if found is None:
+            raise self._file.invalid("has no whole state: it is damaged")
+        return found[0]
+
+    def _checked_shapes(
+        self,
+        description: DeviceDescription,
+        version: int,
+        state: RecordingState | None,
+        *,
+        lines: bool,
+        results: bool,
+    ) -> int:
+        """Check that all datasets are there, of their type and long enough; return the frames."""
+        names = COLUMNS_1 if version == 1 else COLUMNS
+        expected: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {
+            f"frames/{name}": (dtype, ()) for name, dtype in names.items()
+        }
+        if lines:
+            expected["frames/lines"] = (np.dtype(np.uint16), line_shape(description))
+        lengths = {name: self._file.rows(name, *kind) for name, kind in expected.items()}
+        if state is None:
+            if len(set(lengths.values())) != 1:
+                listed = ", ".join(
+                    f"{name.removeprefix('frames/')} {length}" for name, length in lengths.items()
                 )
-
-    def _attributes(self) -> dict[str, object]:
-        """Return the root's attributes as plain Python values."""
-        try:
-            return {
-                name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-                for name, value in self._file.attrs.items()
-            }
-        except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
-            raise self._invalid(f"has damaged attributes ({error})") from error
-
-    def _checked_shapes(self, line: tuple[int, int]) -> int:
-        """Check that all datasets are there, of their type and of one length; return it."""
-        lengths = {}
-        expected = {name: (dtype, ()) for name, dtype in COLUMNS.items()}
-        for name, (dtype, row) in {**expected, "lines": (np.dtype(np.uint16), line)}.items():
-            dataset = self._file.get(f"frames/{name}")
-            if not isinstance(dataset, h5py.Dataset):
-                raise self._invalid(f"lacks the dataset frames/{name}")
-            if dataset.dtype != dtype or len(dataset.shape) == 0 or dataset.shape[1:] != row:
-                raise self._invalid(
-                    f"holds frames/{name} as {dataset.dtype} of shape {dataset.shape}; "
-                    f"it must be {dtype} of shape {('frames', *row)}"
+                raise self._file.invalid(f"has datasets of different lengths: {listed}")
+            return int(next(iter(lengths.values())))
+        counts = dict.fromkeys(expected, state.frames)
+        more: dict[str, tuple[np.dtype[Any], int]] = {"in_force/rows": (IN_FORCE, state.in_force)}
+        if results:
+            more["peaks"] = (PEAK, state.peaks)
+            more["points"] = (point_dtype(len(description.sensors)), state.points)
+        for name, (dtype, count) in more.items():
+            lengths[name], counts[name] = self._file.rows(name, dtype), count
+        self._file.rows("in_force/bytes", np.dtype(np.uint8))
+        for name, count in counts.items():
+            if not 0 <= count <= lengths[name]:
+                raise self._file.invalid(
+                    f"holds {lengths[name]} rows in {name}; its state says {count}"
                 )
-            lengths[name] = dataset.shape[0]
-        if len(set(lengths.values())) != 1:
-            listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise self._invalid(f"has datasets of different lengths: {listed}")
-        return int(lengths["lines"])
+        return state.frames
 
-    def _refuse_where(
-        self, wrong: NDArray[np.bool_], name: str, right: str, offset: int = 0
+    def _compare(
+        self, found: NDArray[np.uint32], kept: NDArray[np.uint32], what: str, first: int
     ) -> None:
+        wrong = found != kept
         if wrong.any():
-            row = int(wrong.argmax()) + offset
-            raise self._invalid(
-                f"has {name} {self.column(name)[row]} in row {row}; it must {right}"
+            raise self._file.invalid(
+                f"has damaged data in frames/{what} (the checksum of row "
+                f"{first + int(wrong.argmax())} is another)"
             )
-
-    def _read(self, name: str, rows: slice) -> NDArray[Any]:
-        try:
-            values: NDArray[Any] = self._file[f"frames/{name}"][rows]
-        except (OSError, RuntimeError) as error:
-            raise self._invalid(f"has damaged data in frames/{name} ({error})") from error
-        return values
-
-    def _invalid(self, reason: str) -> InvalidRecording:
-        return InvalidRecording(f"{self._path.name} {reason}", file=self._path.name)
 
 
 def read_recording(path: Path) -> RecordingInfo:

@@ -46,6 +46,11 @@ class ReplayDriver:
         self._run: _Run | None = None
 
     @property
+    def waits(self) -> bool:
+        """Whether it goes on only when what it sent was taken, and nothing needs to be dropped."""
+        return self._speed is None
+
+    @property
     def description(self) -> DeviceDescription:
         """What the recorded device is, under the name here; valid after ``open``.
 

@@ -32,12 +32,15 @@ class Timing:
         strobed_markers: their number; 0: all markers are lit together.
         duration_s: length of the scene [s]; None: endless.
         realtime: whether a frame is delivered when it is exposed, and not before.
+        schedule: the markers that exposures light, one after the other and again from the first;
+            empty: each of the strobed ones in turn.
     """
 
     frame_rate_hz: float
     strobed_markers: int
     duration_s: float | None
     realtime: bool
+    schedule: tuple[int, ...] = ()
 
     @property
     def frames(self) -> int | None:
@@ -57,6 +60,8 @@ class Timing:
 
     def marker(self, sequence: int) -> int | None:
         """Return which marker an exposure lights; None: all."""
+        if self.schedule:
+            return self.schedule[sequence % len(self.schedule)]
         return sequence % self.strobed_markers if self.strobed_markers else None
 
     def lit(
@@ -70,7 +75,9 @@ class Timing:
         """
         if not self.strobed_markers:
             return points_mm
-        return points_mm[np.arange(len(sequence)), sequence % self.strobed_markers][:, None]
+        turns = np.array(self.schedule or range(self.strobed_markers))
+        lit: NDArray[np.float64] = points_mm[np.arange(len(sequence)), turns[sequence % len(turns)]]
+        return lit[:, None]
 
 
 class Renderer(Protocol):

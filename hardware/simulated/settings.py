@@ -10,6 +10,7 @@ from hardware.driver import PeakMethod
 from hardware.simulated.batch import Timing
 from hardware.simulated.bounds import check_bounds
 from hardware.simulated.scenes import RotatingBar, Scene
+from hardware.strobe import StrobeSchedule
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,7 @@ class SimulationSettings:
         scene: the markers and their motion.
         frame_rate_hz: exposures per second.
         illumination: "strobed" lights marker n modulo M in exposure n, "simultaneous" all.
+        strobe: another order of the strobed markers, one in each slot; None: each in turn.
         spot_sigma_px: standard deviation of a light line's shape [px].
         signal_electrons: mean electrons of a line from a marker in the middle of the working
             volume, 1500 mm in front of the bar.
@@ -44,6 +46,7 @@ class SimulationSettings:
     scene: Scene = field(default_factory=RotatingBar)
     frame_rate_hz: Annotated[float, Field(ge=0.01, le=10_000.0)] = 1000.0
     illumination: Literal["strobed", "simultaneous"] = "strobed"
+    strobe: StrobeSchedule | None = None
     spot_sigma_px: Annotated[float, Field(ge=0.1, le=100.0)] = 2.0
     signal_electrons: Annotated[float, Field(ge=0.0, le=1e8)] = 100_000.0
     distance_falloff: bool = True
@@ -71,11 +74,32 @@ class SimulationSettings:
             raise InvalidParameter(
                 f"peaks is {self.peaks!r}; it must be 'fit' or 'centroid'", peaks=self.peaks
             )
+        if self.strobe is not None:
+            self._check_strobe(self.strobe)
+
+    def _check_strobe(self, strobe: StrobeSchedule) -> None:
+        if self.illumination != "strobed":
+            raise InvalidParameter(
+                'strobe is given, and illumination is "simultaneous"; leave one of them out'
+            )
+        if None in strobe.slots or strobe.markers > self.scene.markers:
+            raise InvalidParameter(
+                f"strobe has the slots {list(strobe.slots)}; each must light one of the scene's "
+                f"markers, 0 to {self.scene.markers - 1}",
+                slots=strobe.slots,
+            )
 
     @property
     def timing(self) -> Timing:
         """When exposures are made, and which marker each lights."""
-        return Timing(self.frame_rate_hz, self.strobed_markers, self.duration_s, self.realtime)
+        slots = self.strobe.slots if self.strobe else ()
+        return Timing(
+            self.frame_rate_hz,
+            self.strobed_markers,
+            self.duration_s,
+            self.realtime,
+            tuple(slot for slot in slots if slot is not None),
+        )
 
     @property
     def strobed_markers(self) -> int:

@@ -10,7 +10,8 @@ import pytest
 
 from compute.errors import InvalidParameter, InvalidRecording
 from hardware.frame import LineFrame
-from hardware.recording import CHUNK_FRAMES, RecordingWriter
+from hardware.recording import RecordingWriter
+from hardware.recording_layout import CHUNK_FRAMES
 from hardware.recording_reader import RecordingReader
 from hardware.replay import ReplayDriver
 from hardware.simulated.driver import SimulatedDriver

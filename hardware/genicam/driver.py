@@ -1,0 +1,289 @@
+"""GenICam line-scan cameras as one device: a frame is one line of each camera."""
+
+import time
+from collections.abc import Callable, Iterator
+from threading import Event, Lock
+from typing import Final
+
+import numpy as np
+
+from compute.errors import InvalidParameter
+from hardware.driver import DeviceDescription, SensorDescription
+from hardware.errors import DeviceNotConnected
+from hardware.frame import FrameFlag, LineFrame
+from hardware.genicam.feed import CameraFeed
+from hardware.genicam.matching import CameraLine, LineMatcher
+from hardware.genicam.pixels import bits_of
+from hardware.genicam.settings import GenicamSettings
+from hardware.link import LinkPhase, LinkState
+from hardware.link_report import LinkReport
+from hardware.pacing import host_time_ns
+
+SILENCE_S: Final = 1.0
+"""How long nothing may come before a camera is asked whether it is there."""
+
+_WAIT_US: Final = 20_000
+_CLOSE_S: Final = 0.5
+_WORST_FIRST: Final[tuple[LinkPhase, ...]] = ("disconnected", "silent", "garbled")
+
+
+class GenicamDriver:
+    """Takes lines of all cameras and puts those of one moment together.
+
+    Frames carry the first camera's numbers and its clock. A camera that is lost is opened again
+    until it is back; meanwhile there are no frames.
+
+    Args:
+        name: the device's name.
+        settings: the cameras; see ``GenicamSettings``.
+    """
+
+    def __init__(self, name: str, settings: GenicamSettings) -> None:
+        self._name = name
+        self._settings = settings
+        self._report = LinkReport()
+        self._run: _Run | None = None
+
+    @property
+    def description(self) -> DeviceDescription:
+        """What the device is; valid after ``open``.
+
+        Raises:
+            RuntimeError: the driver was never opened.
+        """
+        settings, run = self._settings, self._opened()
+        return DeviceDescription(
+            name=self._name,
+            sensors=tuple(
+                SensorDescription(camera.name, feed.width, settings.pitch_um)
+                for camera, feed in zip(settings.cameras, run.feeds, strict=True)
+            ),
+            frame_rate_hz=run.line_rate_hz,
+            bits=bits_of(settings.pixel_format),
+            electrons_per_count=settings.electrons_per_count,
+            read_noise_electrons=settings.read_noise_electrons,
+            offset_counts=settings.offset_counts,
+            markers=0,
+            peaks=settings.peaks,
+        )
+
+    def open(self) -> None:
+        """Open and set all cameras.
+
+        Raises:
+            DeviceNotConnected: one is not there, or another program controls it.
+            InvalidParameter: one cannot be set so, or their lines differ in length.
+            MissingLibrary: Aravis is not installed.
+        """
+        self.close()
+        self._report.begin()
+        run = self._run = _Run(self._name, self._settings, self._report)
+        run.open()
+
+    def close(self) -> None:
+        """End ``frames`` and let the cameras go; may be called from any thread, and twice."""
+        if self._run is not None:
+            self._run.close()
+
+    def listen(self, changed: Callable[[LinkState], None]) -> None:
+        """Have each change of the link told; see ``LinkedDriver``."""
+        self._report.listen(changed)
+
+    def link(self) -> LinkState:
+        """Return how the cameras' links stand: the worst of them."""
+        return self._report.state
+
+    def frames(self) -> Iterator[LineFrame]:
+        """Yield frames until ``close`` is called.
+
+        Raises:
+            DeviceChanged: a camera came back with another width.
+            InvalidParameter: one that came back refuses its settings.
+            RuntimeError: the driver was never opened.
+        """
+        run = self._opened()
+        while (frames := run.step()) is not None:
+            for frame in frames:
+                if run.closed.is_set():
+                    return
+                yield frame
+
+    def _opened(self) -> "_Run":
+        if self._run is None:
+            raise RuntimeError("the driver is not open; call open() first")
+        return self._run
+
+
+class _Run:
+    """One opening of the cameras; whoever holds the lock works with them."""
+
+    def __init__(self, name: str, settings: GenicamSettings, report: LinkReport) -> None:
+        self.closed = Event()
+        self.feeds = [CameraFeed(camera, settings) for camera in settings.cameras]
+        self.line_rate_hz = 0.0
+        self._name = name
+        self._report = report
+        self._bits = bits_of(settings.pixel_format)
+        self._matcher = LineMatcher(len(self.feeds), round(settings.match_us * 1e3))
+        self._lock = Lock()
+        self._started = False
+        self._heard_s = [0.0] * len(self.feeds)
+        self._garbled = [False] * len(self.feeds)
+        self._sequence = -1
+        self._restarts: int | None = None
+        self._troubles: dict[int, tuple[LinkPhase, str]] = {}
+
+    def open(self) -> None:
+        """Open all cameras, closing them again on an error."""
+        with self._lock:
+            try:
+                for feed in self.feeds:
+                    if self.closed.is_set():
+                        raise DeviceNotConnected("the driver was closed while it was opened")
+                    feed.open()
+                self._check_widths()
+            except BaseException:
+                self._release()
+                raise
+            self.line_rate_hz = self.feeds[0].line_rate_hz
+
+    def close(self) -> None:
+        """End the work; whoever is in a step lets the cameras go at its end."""
+        self.closed.set()
+        if self._lock.acquire(timeout=_CLOSE_S):
+            try:
+                self._release()
+            finally:
+                self._lock.release()
+        # A camera that is there is let go in milliseconds; who opens it next finds it free.
+        for feed in self.feeds:
+            feed.wait_closed(_CLOSE_S)
+
+    def step(self) -> list[LineFrame] | None:
+        """Return the frames that came in some milliseconds; None: closed."""
+        with self._lock:
+            try:
+                if self.closed.is_set():
+                    return None
+                if not self._started:
+                    self._start()
+                self._listen()
+                frames = []
+                while (matched := self._matcher.take()) is not None:
+                    frames.append(self._frame(matched))
+            except BaseException:
+                self._release()
+                raise
+            finally:
+                if self.closed.is_set():
+                    self._release()
+            return frames
+
+    def _start(self) -> None:
+        self._started = True
+        for index, feed in enumerate(self.feeds):
+            self._heard_s[index] = time.monotonic()
+            try:
+                feed.start()
+            except DeviceNotConnected as error:
+                feed.lose(error.detail)
+                self._trouble(index, "disconnected", _waiting(feed))
+
+    def _listen(self) -> None:
+        """Take what came from every camera, and look after those from which nothing came."""
+        waiting_us = _WAIT_US // len(self.feeds)
+        for index, feed in enumerate(self.feeds):
+            if not feed.connected:
+                self._try_again(index, feed)
+                continue
+            wait_us = waiting_us
+            while (buffer := feed.take(wait_us)) is not None:
+                wait_us = 0
+                self._report.count(bytes_received=buffer.bytes)
+                if buffer.lines is None:
+                    self._garbled[index] = True
+                    self._report.count(frames_garbled=1)
+                    continue
+                self._heard_s[index], self._garbled[index] = time.monotonic(), False
+                lost, restarts = feed.numbering.lost, feed.times.restarts
+                for line in feed.lines(buffer):
+                    self._matcher.add(index, line)
+                self._report.count(
+                    frames_lost=(feed.numbering.lost - lost) * len(buffer.lines),
+                    clock_restarts=feed.times.restarts - restarts,
+                )
+                if self.closed.is_set():
+                    return
+            if time.monotonic() - self._heard_s[index] > SILENCE_S:
+                self._look_after(index, feed)
+
+    def _look_after(self, index: int, feed: CameraFeed) -> None:
+        """Find out why no lines come from a camera."""
+        if not feed.there():
+            feed.lose(f"{feed.name} does not answer any more")
+            self._matcher.forget()
+            self._trouble(index, "disconnected", _waiting(feed))
+        elif self._garbled[index]:
+            self._trouble(index, "garbled", f"{feed.name} sends, but parts of all buffers are lost")
+        else:
+            told = f"{feed.name} answers, but no lines came for {SILENCE_S:g} s"
+            self._trouble(index, "silent", f"{told}: it may wait for a trigger")
+        self._heard_s[index] = time.monotonic()
+
+    def _try_again(self, index: int, feed: CameraFeed) -> None:
+        if feed.again():
+            self._report.count(reconnects=1)
+            self._heard_s[index] = time.monotonic()
+            self._garbled[index] = False
+            del self._troubles[index]  # told when there is a frame
+        else:
+            self._trouble(index, "disconnected", _waiting(feed))
+            self.closed.wait(_WAIT_US * 1e-6)
+
+    def _trouble(self, index: int, phase: LinkPhase, reason: str) -> None:
+        """Note what is wrong with a camera, and tell the worst of all."""
+        self._troubles[index] = phase, reason
+        self._report.tell(*min(self._troubles.values(), key=lambda one: _WORST_FIRST.index(one[0])))
+
+    def _frame(self, matched: tuple[CameraLine, ...]) -> LineFrame:
+        first = matched[0]
+        unmatched, self._matcher.unmatched = self._matcher.unmatched, 0
+        self._report.count(frames=1, frames_incomplete=unmatched)
+        self._troubles.clear()
+        self._report.tell("connected")
+        lines = np.stack([line.counts for line in matched])
+        flags = FrameFlag.NONE
+        restarts = sum(line.restarts for line in matched)
+        anew = self._restarts is not None and restarts != self._restarts
+        if anew or (self._sequence >= 0 and first.number != self._sequence + 1):
+            flags |= FrameFlag.OVERFLOW
+        if bool((lines >= 2**self._bits - 1).any()):
+            flags |= FrameFlag.SATURATED
+        self._sequence, self._restarts = first.number, restarts
+        return LineFrame(
+            device=self._name,
+            sequence=first.number,
+            exposure_device_ns=first.device_ns,
+            exposure_host_ns=host_time_ns(
+                sum(line.monotonic_ns for line in matched) // len(matched)
+            ),
+            marker=None,
+            lines=lines,
+            flags=flags,
+        )
+
+    def _check_widths(self) -> None:
+        widths = {feed.width for feed in self.feeds}
+        if len(widths) > 1:
+            listed = ", ".join(f"{feed.name}: {feed.width}" for feed in self.feeds)
+            raise InvalidParameter(
+                f"the cameras' lines differ in length ({listed}); set one width for all"
+            )
+
+    def _release(self) -> None:
+        for feed in self.feeds:
+            feed.close()
+
+
+def _waiting(feed: CameraFeed) -> str:
+    return f"{feed.reason}; it is opened again when it is back"

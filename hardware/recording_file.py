@@ -1,0 +1,92 @@
+"""RecordingFile: the HDF5 file of a recording, read with errors that name what is damaged."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidRecording
+
+_SWMR: Final = 4
+_FLAGS_AT: Final = 11
+"""Where the superblock of version 3 says that a file is being written, and can be read so."""
+
+
+class RecordingFile:
+    """An open file; one that is being written, or was when its writer died, as well.
+
+    Raises:
+        InvalidRecording: it is not there, or not HDF5, or cut short.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._name = path.name
+        if not path.is_file():
+            raise self.invalid("is not a file; give a recording")
+        try:
+            self._written = _being_written(path)
+            self._file = h5py.File(path, "r", libver="latest", swmr=self._written)
+        except OSError as error:
+            raise self.invalid(f"is not an HDF5 file, or is cut short ({error})") from error
+
+    def __contains__(self, name: str) -> bool:
+        """Return whether there is a member of this name."""
+        return name in self._file
+
+    def close(self) -> None:
+        """Close it; may be called twice."""
+        self._file.close()
+
+    def attributes(self) -> dict[str, object]:
+        """Return the root's attributes as plain Python values."""
+        try:
+            return {
+                name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+                for name, value in self._file.attrs.items()
+            }
+        except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+            raise self.invalid(f"has damaged attributes ({error})") from error
+
+    def rows(self, name: str, dtype: np.dtype[Any], row: tuple[int, ...] = ()) -> int:
+        """Return how many rows a dataset has now.
+
+        Args:
+            name: of the dataset.
+            dtype: the type that it must have.
+            row: the shape that a row must have.
+        """
+        try:
+            dataset = self._file.get(name)
+        except (OSError, RuntimeError, KeyError) as error:
+            raise self.invalid(f"has damaged data in {name} ({error})") from error
+        if not isinstance(dataset, h5py.Dataset):
+            raise self.invalid(f"lacks the dataset {name}")
+        if self._written:
+            dataset.refresh()
+        if dataset.dtype != dtype or len(dataset.shape) == 0 or dataset.shape[1:] != row:
+            raise self.invalid(
+                f"holds {name} as {dataset.dtype} of shape {dataset.shape}; "
+                f"it must be {dtype} of shape {('frames', *row)}"
+            )
+        return int(dataset.shape[0])
+
+    def read(self, name: str, rows: slice) -> NDArray[Any]:
+        """Return rows of a dataset."""
+        try:
+            values: NDArray[Any] = self._file[name][rows]
+        except (OSError, RuntimeError, KeyError, ValueError) as error:
+            raise self.invalid(f"has damaged data in {name} ({error})") from error
+        return values
+
+    def invalid(self, reason: str) -> InvalidRecording:
+        """Return the error that says so of this file."""
+        return InvalidRecording(f"{self._name} {reason}", file=self._name)
+
+
+def _being_written(path: Path) -> bool:
+    """Return whether a writer has the file open, or had when it died; raises OSError."""
+    with path.open("rb") as file:
+        start = file.read(_FLAGS_AT + 1)
+    return len(start) > _FLAGS_AT and start[8] == 3 and bool(start[_FLAGS_AT] & _SWMR)

@@ -1,0 +1,243 @@
+"""One connection to a device: from opening its port and asking what it is, to its loss."""
+
+import time
+from typing import Final
+
+from compute.errors import InvalidParameter
+from hardware.errors import DeviceNotConnected
+from hardware.serial.assembly import Assembler
+from hardware.serial.busy import AGAIN_NS, BUSY_NS, Busy
+from hardware.serial.decoder import Decoder
+from hardware.serial.encoding import encode
+from hardware.serial.messages import (
+    NO_MARKER,
+    Ability,
+    Answer,
+    Describe,
+    Description,
+    Exposure,
+    FromHost,
+    Message,
+    MessageType,
+    Result,
+    Start,
+    Stop,
+    Strobe,
+)
+from hardware.serial.port import Closing, PortLost, open_port
+from hardware.serial.settings import SerialSettings
+
+DESCRIBE_S: Final = 2.5
+"""How long a device may take to say what it is; boards that reset when opened take 2 s."""
+ANSWER_S: Final = 1.0
+_ASK_AGAIN_S: Final = 0.25
+
+_COMMANDS: Final = {int(kind): kind.name.lower() for kind in MessageType}
+_REFUSED: Final[dict[int, str]] = {
+    Result.UNKNOWN: "it does not know the command",
+    Result.OUT_OF_RANGE: "it cannot do that",
+}
+
+
+class Connection:
+    """An open port with a device behind it that said what it is.
+
+    Args:
+        settings: where it is and what it is told.
+        decoder: decodes what comes; its counters go on from connection to connection.
+        closing: ends all waiting.
+
+    Raises:
+        DeviceNotConnected: the port cannot be opened, or no description comes.
+    """
+
+    def __init__(self, settings: SerialSettings, decoder: Decoder, closing: Closing) -> None:
+        self._settings = settings
+        self._decoder = decoder
+        self._closing = closing
+        self._number = 0
+        self._busy = Busy()
+        decoder.reset()
+        self._port = open_port(settings.url, settings.baudrate, closing)
+        try:
+            self.description = self._describe()
+        except PortLost as error:
+            self.close()
+            raise DeviceNotConnected(f"{settings.url}: {error}", url=settings.url) from error
+        except BaseException:
+            self.close()
+            raise
+        self.assembler = Assembler(len(self.description.sensors), self.description.pixels)
+
+    def read(self, timeout_s: float) -> tuple[list[Message], int, bool]:
+        """Wait for messages.
+
+        Returns:
+            The messages, when their last byte came on the monotonic clock [ns], and whether any
+            byte came.
+
+        Raises:
+            PortLost: the connection is lost.
+        """
+        again_ns = self._busy.again_ns
+        if again_ns is not None:
+            left_s = (again_ns - time.monotonic_ns()) * 1e-9
+            if left_s <= 0.0:
+                self.tell()
+            else:
+                timeout_s = min(timeout_s, left_s)
+        data = self._port.read(timeout_s)
+        arrival_ns = time.monotonic_ns()
+        return self._decoder.feed(data), arrival_ns, bool(data)
+
+    def start(self) -> None:
+        """Tell the device its rate, exposure and strobe schedule, and let it expose.
+
+        Raises:
+            InvalidParameter: it cannot be told so, or refuses.
+            PortLost: the connection is lost, or the device is busy for too long.
+        """
+        busy_until_ns = time.monotonic_ns() + BUSY_NS
+        for command in self.commands():
+            self._obeyed(command, busy_until_ns)
+
+    def ask(self) -> None:
+        """Ask again what it is, without waiting for it; raises PortLost."""
+        self._port.write(encode(Describe(self._next())))
+
+    def tell(self) -> None:
+        """Send all that it is to be told, without waiting for the answers.
+
+        Raises:
+            InvalidParameter: it cannot be told so.
+            PortLost: the connection is lost.
+        """
+        commands = self.commands()
+        for command in commands:
+            self._port.write(encode(command))
+        self._busy.sent(commands)
+
+    def stop(self) -> None:
+        """Let the device rest, where it can and the port still takes it."""
+        if self.description.abilities & Ability.START_STOP:
+            try:
+                self._port.write(encode(Stop(self._next())))
+            except PortLost:
+                return
+
+    def close(self) -> None:
+        """Release the port; call from the thread that reads, or when none does."""
+        self._port.close()
+
+    def commands(self) -> list[FromHost]:
+        """Return what the device is to be told before it sends frames, and the start.
+
+        Raises:
+            InvalidParameter: it cannot be told so.
+        """
+        wanted, able = self._settings, self.description.abilities
+        commands: list[FromHost] = []
+        if wanted.frame_rate_hz is not None or wanted.exposure_us is not None:
+            self._check(able, Ability.EXPOSURE, "frame_rate_hz and exposure_us")
+            rate, exposure = wanted.frame_rate_hz or 0.0, wanted.exposure_us or 0.0
+            commands.append(Exposure(self._next(), rate, exposure))
+        if wanted.strobe is not None:
+            self._check(able, Ability.STROBE, "strobe")
+            if wanted.strobe.markers > self.description.markers:
+                raise InvalidParameter(
+                    f"the strobe schedule lights {wanted.strobe.markers} markers; "
+                    f"{self.description.name} has {self.description.markers}",
+                    markers=wanted.strobe.markers,
+                )
+            slots = tuple(NO_MARKER if s is None else s for s in wanted.strobe.slots)
+            commands.append(Strobe(self._next(), slots))
+        if able & Ability.START_STOP:
+            commands.append(Start(self._next()))
+        return commands
+
+    def _check(self, able: Ability, needed: Ability, what: str) -> None:
+        if not able & needed:
+            raise InvalidParameter(
+                f"{self.description.name} cannot be told its {what}; leave it out"
+            )
+
+    def _describe(self) -> Description:
+        end = time.monotonic() + DESCRIBE_S
+        came = False
+        while time.monotonic() < end and not self._closing.is_set():
+            self.ask()
+            again = min(end, time.monotonic() + _ASK_AGAIN_S)
+            while (left := again - time.monotonic()) > 0.0 and not self._closing.is_set():
+                messages, _, some = self.read(left)
+                came = came or some
+                for message in messages:
+                    if isinstance(message, Description):
+                        return message
+        url = self._settings.url
+        what = self._decoder.complaint
+        if what is None:
+            what = "what comes is not the line-scan protocol" if came else "nothing comes"
+        raise DeviceNotConnected(
+            f"{url} is open, but no device said what it is in {DESCRIBE_S:g} s: {what}", url=url
+        )
+
+    def _obeyed(self, command: FromHost, busy_until_ns: int) -> None:
+        """Send a command and wait until it is obeyed; try twice, and while the device is busy."""
+        unanswered = 0
+        while not self._closing.is_set():
+            answer = self._answer(command)
+            if answer is None:
+                unanswered += 1
+                if unanswered == 2 and not self._closing.is_set():
+                    name = type(command).__name__.lower()
+                    raise PortLost(f"it did not answer the command {name}")
+            elif answer.result != Result.BUSY:
+                self._check_answer(answer)
+                return
+            elif time.monotonic_ns() > busy_until_ns:
+                raise PortLost(f"the device is busy for {BUSY_NS * 1e-9:g} s")
+            else:
+                self._await(None, AGAIN_NS * 1e-9)
+
+    def _answer(self, command: FromHost) -> Answer | None:
+        self._port.write(encode(command))
+        return self._await(command.number, ANSWER_S)
+
+    def _await(self, number: int | None, seconds: float) -> Answer | None:
+        """Read for a time, or until the answer to a number comes."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0 and not self._closing.is_set():
+            for message in self.read(left)[0]:
+                if isinstance(message, Answer) and message.number == number:
+                    return message
+        return None
+
+    def take_answer(self, answer: Answer, now_ns: int) -> None:
+        """Take the answer to a command of ``tell``: a busy device is told again, from ``read``.
+
+        Raises:
+            InvalidParameter: the command was refused.
+            PortLost: the device is busy for too long.
+        """
+        self._busy.answered(answer, now_ns)
+        if answer.result != Result.BUSY:
+            self._check_answer(answer)
+
+    def _check_answer(self, answer: Answer) -> None:
+        """Raise InvalidParameter when a command was refused."""
+        if answer.result == Result.DONE:
+            return
+        command = _COMMANDS.get(answer.command, f"{answer.command:#x}")
+        told = self._settings
+        slots = told.strobe.slots if told.strobe else None
+        raise InvalidParameter(
+            f"{self.description.name} refused the command {command} (frame_rate_hz "
+            f"{told.frame_rate_hz}, exposure_us {told.exposure_us}, strobe {slots}): "
+            f"{_REFUSED.get(answer.result, f'result {answer.result}')}",
+            command=command,
+            result=answer.result,
+        )
+
+    def _next(self) -> int:
+        self._number = (self._number + 1) % 2**16
+        return self._number

@@ -1,0 +1,143 @@
+"""The decoder: bytes in, messages out; finds its way again after anything else."""
+
+import zlib
+from dataclasses import dataclass
+from typing import Final
+
+from cobs import cobs
+
+from hardware.serial.encoding import CRC, HEAD
+from hardware.serial.messages import MOST_BYTES, VERSION, Message
+from hardware.serial.parsing import Malformed, parse
+
+_LEAST: Final = HEAD.size + CRC.size
+
+
+@dataclass
+class DecoderCounters:
+    """What came and what was thrown away.
+
+    Args:
+        bytes_received: all bytes.
+        messages: whole and known ones.
+        garbled: no code of COBS, or the checksum is wrong: damaged, cut short, or something else.
+        too_long: longer than MOST_BYTES.
+        wrong_version: whole, of another version of the protocol.
+        unknown: whole, of a type that is not known here.
+        malformed: whole, and their content makes no sense.
+    """
+
+    bytes_received: int = 0
+    messages: int = 0
+    garbled: int = 0
+    too_long: int = 0
+    wrong_version: int = 0
+    unknown: int = 0
+    malformed: int = 0
+
+    @property
+    def thrown_away(self) -> int:
+        """Number of messages that could not be used; unknown types are for newer hosts."""
+        return self.garbled + self.too_long + self.wrong_version + self.malformed
+
+
+class Decoder:
+    """Splits a stream of bytes at its zeros and decodes what lies between.
+
+    Whatever comes, it raises nothing, keeps at most ``most_bytes`` of an unfinished message, and
+    begins afresh behind the next zero. What lies before the first zero after ``reset`` is not
+    counted as garbled when it is no message: the host began to listen in the middle of it.
+
+    Attributes:
+        complaint: what was wrong with the last message that came whole and could not be used, in
+            words; None: there was none since ``reset``.
+    """
+
+    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
+        self.counters = DecoderCounters()
+        self.complaint: str | None = None
+        self._most = most_bytes
+        self._tail = bytearray()
+        self._skipping = False
+        self._first = True
+
+    def reset(self) -> None:
+        """Forget an unfinished message; the counters go on."""
+        self._tail.clear()
+        self._skipping = False
+        self._first = True
+        self.complaint = None
+
+    @property
+    def pending(self) -> int:
+        """Bytes of an unfinished message that are kept."""
+        return len(self._tail)
+
+    def feed(self, data: bytes) -> list[Message]:
+        """Take what came and return the messages that it completes."""
+        self.counters.bytes_received += len(data)
+        *ends, rest = data.split(b"\0")
+        messages: list[Message] = []
+        for end in ends:
+            line = end
+            if self._tail or self._skipping:
+                line = self._finished(end)
+            if line:
+                message = self._decode(line)
+                if message is not None:
+                    messages.append(message)
+            self._first = False
+        self._keep(rest)
+        self.counters.messages += len(messages)
+        return messages
+
+    def _finished(self, end: bytes) -> bytes:
+        """Return the message of which ``end`` is the last part; empty when it is too long."""
+        skipping, self._skipping = self._skipping, False
+        if skipping:
+            return b""
+        self._tail += end
+        line = bytes(self._tail)
+        self._tail.clear()
+        return line
+
+    def _keep(self, rest: bytes) -> None:
+        if self._skipping:
+            return
+        if len(self._tail) + len(rest) > self._most:
+            self._tail.clear()
+            self._skipping = True
+            self.counters.too_long += 1
+        else:
+            self._tail += rest
+
+    def _decode(self, line: bytes) -> Message | None:
+        if len(line) > self._most:
+            self.counters.too_long += 1
+            return None
+        try:
+            content: bytes = cobs.decode(line)
+        except cobs.DecodeError:
+            content = b""
+        if len(content) < _LEAST or zlib.crc32(content) != _RESIDUE:
+            self.counters.garbled += not self._first
+            return None
+        if content[0] != VERSION:
+            self.counters.wrong_version += 1
+            self.complaint = (
+                f"a message came of version {content[0]} of the protocol; this is version {VERSION}"
+            )
+            return None
+        try:
+            message = parse(content[: -CRC.size])
+        except Malformed as error:
+            self.counters.malformed += 1
+            self.complaint = str(error)
+            return None
+        if message is None:
+            self.counters.unknown += 1
+        return message
+
+
+_RESIDUE: Final = 0x2144DF1C
+"""The CRC-32 of any content followed by its own CRC-32, least significant byte first."""

@@ -1,0 +1,157 @@
+"""From the content of one message, its checksum verified, to its value."""
+
+import math
+import struct
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from hardware.serial import encoding
+from hardware.serial.messages import (
+    MOST_MARKERS,
+    MOST_NAME_BYTES,
+    MOST_PIXELS,
+    MOST_SENSORS,
+    MOST_VALUE,
+    NO_MARKER,
+    Ability,
+    Answer,
+    Describe,
+    Description,
+    DeviceStatus,
+    Exposure,
+    Lines,
+    LinesFlag,
+    Message,
+    MessageType,
+    Start,
+    Stop,
+    Strobe,
+)
+
+_HEAD: Final = encoding.HEAD.size
+_COUNTS: Final = _HEAD + encoding.LINES.size
+_FLAGS: Final = tuple(LinesFlag(value & LinesFlag.SATURATED) for value in range(256))
+_TINY: Final = math.ulp(0.0)
+_COUNT: Final = np.dtype("<u2")
+
+
+class Malformed(Exception):
+    """The checksum is right, and the content makes no sense."""
+
+
+def parse(content: bytes) -> Message | None:
+    """Return a message from its content without the checksum; None: its type is not known here.
+
+    Raises:
+        Malformed: it is not as long as it should be, or a value is out of its bounds.
+    """
+    kind = content[1]
+    if kind == MessageType.LINES:
+        return _lines(content)
+    parser = _PARSERS.get(kind)
+    if parser is None:
+        return None
+    try:
+        return parser(content[_HEAD:])
+    except (struct.error, IndexError) as error:
+        name = MessageType(kind).name.lower()
+        raise Malformed(f"a message {name} came that ends too early ({error})") from error
+
+
+def _lines(content: bytes) -> Lines:
+    if len(content) < _COUNTS + 2 or len(content) % 2:
+        raise Malformed(f"lines came in a message of {len(content)} bytes")
+    marker, flags, sequence, ticks, lost, first = encoding.LINES.unpack_from(content, _HEAD)
+    counts = np.frombuffer(content, _COUNT, offset=_COUNTS)
+    return Lines(sequence, ticks, marker, _FLAGS[flags], lost, first, counts)
+
+
+def _description(body: bytes) -> Description:
+    (
+        abilities, bits, sensors, markers, pixels, clock_bits, _, clock_hz,
+        pitch, gain, noise, offset, rate, exposure, delay, sigma,
+    ) = encoding.DESCRIPTION.unpack_from(body)  # fmt: skip
+    names, place = [], encoding.DESCRIPTION.size
+    for _ in range(1 + sensors):
+        length = body[place]
+        name = body[place + 1 : place + 1 + length]
+        if not 1 <= length <= MOST_NAME_BYTES or len(name) != length:
+            raise Malformed(f"a description came with a name of {length} bytes, {len(name)} sent")
+        try:
+            names.append(name.decode())
+        except UnicodeDecodeError as error:
+            raise Malformed(f"a description came with a name not in UTF-8: {name!r}") from error
+        place += 1 + length
+    bounds = (
+        ("number of sensors", sensors, 1, MOST_SENSORS),
+        ("number of pixels", pixels, 1, MOST_PIXELS),
+        ("number of markers", markers, 0, MOST_MARKERS),
+        ("number of bits of the conversion", bits, 1, 16),
+        ("number of bits of the clock", clock_bits, 16, 64),
+        ("clock rate", clock_hz, 1, math.inf),
+        ("pixel pitch", pitch, _TINY, MOST_VALUE),
+        ("gain", gain, _TINY, MOST_VALUE),
+        ("read noise", noise, 0.0, MOST_VALUE),
+        ("offset", offset, -MOST_VALUE, MOST_VALUE),
+        ("frame rate", rate, 0.0, 1e6),
+        ("exposure time", exposure, 0.0, MOST_VALUE),
+        ("delay", delay, 0.0, MOST_VALUE),
+        ("line width", sigma, 0.0, MOST_VALUE),
+    )
+    for what, value, least, most in bounds:
+        if not least <= value <= most:
+            asked = "above 0" if least == _TINY else f"{least:g} to {most:g}"
+            raise Malformed(f"a description came with {what} {value:g}; it must be {asked}")
+    if len(set(names[1:])) < sensors:
+        raise Malformed(f"a description came with sensors of one name: {', '.join(names[1:])}")
+    return Description(
+        names[0], tuple(names[1:]), pixels, pitch, clock_hz, clock_bits, bits, gain, noise,
+        offset, rate, exposure, delay, sigma, markers, Ability(abilities & _ABILITIES),
+    )  # fmt: skip
+
+
+_ABILITIES: Final = int(Ability.START_STOP | Ability.EXPOSURE | Ability.STROBE)
+
+
+def _status(body: bytes) -> DeviceStatus:
+    _, ticks, temperature, lost, garbled = encoding.STATUS.unpack_from(body)
+    return DeviceStatus(ticks, temperature, lost, garbled)
+
+
+def _answer(body: bytes) -> Answer:
+    command, result, number = encoding.ANSWER.unpack_from(body)
+    return Answer(command, number, result)
+
+
+def _exposure(body: bytes) -> Exposure:
+    number, rate, exposure = encoding.EXPOSURE.unpack_from(body)
+    if not (0.0 <= rate < math.inf and 0.0 <= exposure < math.inf):
+        raise Malformed(f"a command came with {rate} Hz and an exposure of {exposure} us")
+    return Exposure(number, rate, exposure)
+
+
+def _strobe(body: bytes) -> Strobe:
+    (number,) = encoding.NUMBER.unpack_from(body)
+    slots = tuple(body[3 : 3 + body[2]])
+    if len(slots) != body[2] or any(MOST_MARKERS <= slot < NO_MARKER for slot in slots):
+        raise Malformed("a schedule came cut short, or with a marker that cannot be")
+    return Strobe(number, slots)
+
+
+def _number(body: bytes) -> int:
+    number: int = encoding.NUMBER.unpack_from(body)[0]
+    return number
+
+
+_PARSERS: Final[dict[int, Callable[[bytes], Message]]] = {
+    MessageType.DESCRIPTION: _description,
+    MessageType.STATUS: _status,
+    MessageType.ANSWER: _answer,
+    MessageType.DESCRIBE: lambda body: Describe(_number(body)),
+    MessageType.START: lambda body: Start(_number(body)),
+    MessageType.STOP: lambda body: Stop(_number(body)),
+    MessageType.EXPOSURE: _exposure,
+    MessageType.STROBE: _strobe,
+}

@@ -1,0 +1,254 @@
+"""An open serial port by its URL: reads what is there at once, and can be closed from any thread.
+
+A URL is what pyserial takes: ``/dev/ttyACM0``, ``COM3``, ``rfc2217://host:port``, and
+``socket://host:port``. A socket is opened here and not by pyserial, whose reads wait until all
+that was asked for has come, and whose close sleeps for 0.3 s. Where there is a file descriptor it
+is read directly: what has come, in one call, as soon as it comes.
+"""
+
+import os
+import selectors
+import socket
+import time
+from contextlib import suppress
+from threading import Event
+from typing import Final, Protocol
+from urllib.parse import urlsplit
+
+import serial
+
+from hardware.errors import DeviceNotConnected
+
+READ_BYTES: Final = 2**18
+CONNECT_S: Final = 2.0
+WRITE_S: Final = 1.0
+_POLL_S: Final = 0.05
+
+
+class PortLost(Exception):
+    """The port is gone; the message says why."""
+
+
+class Closing:
+    """Says from any thread that a driver is to end; wakes whoever waits for bytes at once."""
+
+    def __init__(self) -> None:
+        self.event = Event()
+        self._read, self._write = socket.socketpair()
+
+    def set(self) -> None:
+        """Say so; for good."""
+        if not self.event.is_set():
+            self.event.set()
+            with suppress(OSError):
+                self._write.send(b"\0")
+
+    def is_set(self) -> bool:
+        """Whether it was said."""
+        return self.event.is_set()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait so long at most; return whether it was said."""
+        return self.event.wait(seconds)
+
+    def fileno(self) -> int:
+        """Return a descriptor that becomes readable when it is said."""
+        return self._read.fileno()
+
+    def close(self) -> None:
+        """Release its descriptors; when nothing waits."""
+        self.event.set()
+        self._read.close()
+        self._write.close()
+
+
+class Port(Protocol):
+    """What the connection needs of a port."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has come, or comes first; empty when nothing does, or it is closing.
+
+        Raises:
+            PortLost: there is nothing to read from any more.
+        """
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send; raises PortLost."""
+        ...
+
+    def close(self) -> None:
+        """Release it; call from the thread that reads, or when none does."""
+        ...
+
+
+def open_port(url: str, baudrate: int, closing: Closing) -> Port:
+    """Open a port.
+
+    Raises:
+        DeviceNotConnected: it is not there, is taken, or does not accept us.
+    """
+    try:
+        if url.startswith("socket://"):
+            return _SocketPort(_connected(url, closing), closing)
+        return _opened(url, baudrate, closing)
+    except (OSError, ValueError) as error:  # pyserial's errors are OSErrors
+        raise DeviceNotConnected(f"{url} cannot be opened: {_reason(error)}", url=url) from error
+
+
+def _opened(url: str, baudrate: int, closing: Closing) -> Port:
+    port = serial.serial_for_url(url, do_not_open=True)
+    port.baudrate = baudrate
+    port.timeout = 0
+    port.write_timeout = WRITE_S
+    if isinstance(port, serial.Serial) and os.name == "posix":
+        port.exclusive = True
+    port.open()
+    # FTDI's converters hold bytes back for 16 ms until told otherwise; others refuse this.
+    with suppress(AttributeError, OSError, ValueError, NotImplementedError):
+        port.set_low_latency_mode(True)
+    if isinstance(port, serial.Serial) and os.name == "posix":
+        return _DescriptorPort(port, closing)
+    port.timeout = _POLL_S
+    return _PollingPort(port, closing)
+
+
+class _SocketPort:
+    def __init__(self, connection: socket.socket, closing: Closing) -> None:
+        self._socket = connection
+        self._bytes = _Bytes(connection, closing)
+
+    def read(self, timeout_s: float) -> bytes:
+        try:
+            if not self._bytes.there(timeout_s):
+                return b""
+            data = self._socket.recv(READ_BYTES)
+        except OSError as error:
+            raise PortLost(_reason(error)) from error
+        if not data:
+            raise PortLost("the connection was closed by the other side")
+        return data
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._socket.settimeout(WRITE_S)
+            self._socket.sendall(data)
+        except OSError as error:
+            raise PortLost(_reason(error)) from error
+
+    def close(self) -> None:
+        self._bytes.close()
+        self._socket.close()
+
+
+class _DescriptorPort:
+    """A local port, read through its descriptor."""
+
+    def __init__(self, port: serial.Serial, closing: Closing) -> None:
+        self._port = port
+        self._bytes = _Bytes(port.fileno(), closing)
+
+    def read(self, timeout_s: float) -> bytes:
+        try:
+            if not self._bytes.there(timeout_s):
+                return b""
+            data = os.read(self._port.fileno(), READ_BYTES)
+        except OSError as error:
+            raise PortLost(_reason(error)) from error
+        if not data:
+            raise PortLost("it was unplugged")
+        return data
+
+    def write(self, data: bytes) -> None:
+        _write(self._port, data)
+
+    def close(self) -> None:
+        self._bytes.close()
+        with suppress(OSError):
+            self._port.close()
+
+
+class _PollingPort:
+    """A port without a descriptor: RFC 2217, and all on Windows. Ends within _POLL_S."""
+
+    def __init__(self, port: serial.Serial, closing: Closing) -> None:
+        self._port = port
+        self._closing = closing
+
+    def read(self, timeout_s: float) -> bytes:
+        end = time.monotonic() + timeout_s
+        try:
+            while not self._closing.is_set():
+                data = bytes(self._port.read(max(1, min(self._port.in_waiting, READ_BYTES))))
+                if data or time.monotonic() >= end:
+                    return data
+        except (OSError, TypeError) as error:
+            raise PortLost(_reason(error)) from error
+        return b""
+
+    def write(self, data: bytes) -> None:
+        _write(self._port, data)
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._port.close()
+
+
+def _write(port: serial.Serial, data: bytes) -> None:
+    try:
+        port.write(data)
+    except OSError as error:
+        raise PortLost(_reason(error)) from error
+
+
+class _Bytes:
+    """Waits for bytes of a port, or for the closing."""
+
+    def __init__(self, port: socket.socket | int, closing: Closing) -> None:
+        self._closing = closing
+        self._selector = selectors.DefaultSelector()
+        self._key = self._selector.register(port, selectors.EVENT_READ)
+        self._selector.register(closing, selectors.EVENT_READ)
+
+    def there(self, timeout_s: float) -> bool:
+        """Wait until there is something to read; False: there is not, or it is closing."""
+        ready = self._selector.select(max(0.0, timeout_s))
+        return any(key is self._key for key, _ in ready) and not self._closing.is_set()
+
+    def close(self) -> None:
+        self._selector.close()
+
+
+def _connected(url: str, closing: Closing) -> socket.socket:
+    """Return a connected socket; a host that does not answer is waited for CONNECT_S at most."""
+    parts = urlsplit(url)
+    if parts.hostname is None or parts.port is None:
+        raise ValueError("it must be socket://HOST:PORT")
+    family, kind, protocol, _, address = socket.getaddrinfo(
+        parts.hostname, parts.port, type=socket.SOCK_STREAM
+    )[0]
+    connection = socket.socket(family, kind, protocol)
+    try:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setblocking(False)
+        connection.connect_ex(address)
+        with selectors.DefaultSelector() as selector:
+            wanted = selector.register(connection, selectors.EVENT_WRITE)
+            selector.register(closing, selectors.EVENT_READ)
+            ready = [key for key, _ in selector.select(CONNECT_S)]
+        if wanted not in ready:
+            raise TimeoutError(f"no answer in {CONNECT_S:g} s")
+        error = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if error:
+            raise OSError(error, os.strerror(error))
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _reason(error: Exception) -> str:
+    """Return an error in the words of the operating system, where it has them."""
+    if isinstance(error, OSError) and error.errno is not None and error.errno > 0:
+        return os.strerror(error.errno)
+    return str(error) or type(error).__name__

@@ -1,0 +1,57 @@
+"""Settings of a device on a serial port."""
+
+import re
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Final
+
+from pydantic import ConfigDict, Field
+
+from compute.errors import InvalidParameter
+from hardware.simulated.bounds import check_bounds
+from hardware.strobe import StrobeSchedule
+
+_HOST: Final = r"[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?"
+URL_PATTERN: Final = (
+    r"^(/dev/(tty|cu\.|lumiline)[A-Za-z0-9._-]*|/dev/pts/[0-9]+"
+    r"|/dev/serial/by-(id|path)/[A-Za-z0-9][A-Za-z0-9._:+-]*|COM[0-9]+"
+    rf"|(socket|rfc2217)://{_HOST}:[0-9]{{1,5}})$"
+)
+"""Serial ports by their usual names, and by network: nothing else of the host is opened."""
+
+
+@dataclass(frozen=True)
+class SerialSettings:
+    """Where a device is, and what it is told.
+
+    Args:
+        url: its port: ``/dev/ttyACM0``, ``/dev/serial/by-id/...``, ``COM3``,
+            ``socket://host:port`` or ``rfc2217://host:port``. A name of one's own, from a rule of
+            udev, begins with ``/dev/lumiline``.
+        baudrate: bits per second of a line that has them; USB has none, and networks.
+        silent_after_s: the device is silent when nothing came for so long, or for three
+            exposures where that is longer [s].
+        frame_rate_hz: exposures per second that it is told to make; None: its own.
+        exposure_us: their duration [us]; None: its own.
+        strobe: the strobe schedule that it is told; None: its own.
+
+    Raises:
+        InvalidParameter: a value is outside of its bounds, or the URL is none.
+    """
+
+    url: Annotated[str, Field(pattern=URL_PATTERN, max_length=200)]
+    baudrate: Annotated[int, Field(ge=300, le=20_000_000)] = 921_600
+    silent_after_s: Annotated[float, Field(ge=0.05, le=60.0)] = 1.0
+    frame_rate_hz: Annotated[float, Field(gt=0.0, le=100_000.0)] | None = None
+    exposure_us: Annotated[float, Field(gt=0.0, le=1e7)] | None = None
+    strobe: StrobeSchedule | None = None
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if re.fullmatch(URL_PATTERN, self.url) is None:
+            raise InvalidParameter(
+                f"url is {self.url!r:.100}; it must be a serial port as /dev/ttyACM0 or COM3, "
+                "socket://HOST:PORT or rfc2217://HOST:PORT",
+                url=self.url,
+            )

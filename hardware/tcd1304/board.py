@@ -1,0 +1,191 @@
+"""One board at its port: asks for a line, waits for it, and says what was wrong if none came."""
+
+import time
+from dataclasses import dataclass
+from threading import Lock
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.errors import DeviceNotConnected
+from hardware.link import LinkPhase
+from hardware.serial.port import Closing, Port, PortLost, open_port
+from hardware.tcd1304.answer import Answer, AnswerCollector, Refused
+from hardware.tcd1304.protocol import ANSWER_BYTES, Request
+from hardware.tcd1304.settings import Tcd1304Board, Tcd1304Settings
+
+LATENCY_NS: Final = 20_000_000
+"""What the way of an answer's first byte takes at most: an adapter's latency timer (16 ms), and
+the host's own delay."""
+
+PATIENCE_S: Final = 1.0
+"""How much longer than the longest time that a working board takes it is waited for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A line, and when it was exposed.
+
+    Args:
+        counts: what the converter read, uint16, shape (3694,).
+        earliest_ns: earliest middle of the exposure, on the clock of time.monotonic_ns().
+        latest_ns: latest.
+        bytes_received: bytes that came.
+    """
+
+    counts: NDArray[np.uint16]
+    earliest_ns: int
+    latest_ns: int
+    bytes_received: int
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """Why no line came."""
+
+    phase: LinkPhase
+    reason: str
+    bytes_received: int = 0
+
+
+class _Closed(Exception):
+    """The driver is being closed."""
+
+
+class BoardLink:
+    """A board, connected or not.
+
+    Args:
+        board: its name and port.
+        settings: of the device.
+        closed: ends every wait.
+    """
+
+    def __init__(self, board: Tcd1304Board, settings: Tcd1304Settings, closed: Closing) -> None:
+        self._board = board
+        self._settings = settings
+        self._request = settings.request
+        self._closed = closed
+        self._lock = Lock()
+        self._port: Port | None = None
+        self._collector = AnswerCollector()
+        self._quiet = False
+
+    def connect(self) -> None:
+        """Open the port, unless it is open.
+
+        Raises:
+            DeviceNotConnected: it cannot be opened.
+        """
+        with self._lock:
+            if self._port is None:
+                self._port = self._opened()
+                self._quiet = False
+
+    @property
+    def connected(self) -> bool:
+        """Whether the port is open."""
+        return self._port is not None
+
+    def ask(self) -> Reading | Trouble | None:
+        """Ask for a line and wait for it; None when the driver is closed meanwhile."""
+        with self._lock:
+            try:
+                if self._port is None:
+                    self._port = self._opened()
+                    self._quiet = False
+                return self._exchange(self._port)
+            except _Closed:
+                return None
+            except DeviceNotConnected as error:
+                return Trouble("disconnected", error.detail)
+            except PortLost as error:
+                self._release()
+                return Trouble("disconnected", f"{self._where} was lost: {error}")
+
+    def close(self) -> None:
+        """Close the port; waits for ``ask``, which ends as ``closed`` is set."""
+        with self._lock:
+            self._release()
+
+    @property
+    def _where(self) -> str:
+        return f'sensor "{self._board.name}" at {self._board.port}'
+
+    def _opened(self) -> Port:
+        if self._closed.is_set():  # nobody would close it
+            raise DeviceNotConnected(f"{self._where}: the driver was closed while it was opened")
+        try:
+            return open_port(self._board.port, self._settings.baud_rate, self._closed)
+        except DeviceNotConnected as error:
+            raise DeviceNotConnected(
+                f'sensor "{self._board.name}": {error.detail}; plug the board in, and close other '
+                "programs that use the port",
+                sensor=self._board.name,
+                port=self._board.port,
+            ) from error
+
+    def _release(self) -> None:
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()
+
+    def _exchange(self, port: Port) -> Reading | Trouble:
+        self._collector.clear()
+        surplus = 0 if self._quiet else self._drain(port)
+        # One write: the firmware reads the 12 bytes as one transfer.
+        port.write(self._request.encode())
+        sent_ns = time.monotonic_ns()
+        received = surplus + self._collect(port, sent_ns)
+        outcome = self._collector.silence()
+        self._quiet = True
+        if outcome is None:
+            wait_s = self._request.longest_wait_ns * 1e-9 + PATIENCE_S
+            return Trouble(
+                "silent", f"{self._where} did not answer a request within {wait_s:.1f} s", received
+            )
+        if isinstance(outcome, Refused):
+            self._quiet = False
+            return Trouble("garbled", f"{self._where}: {outcome.detail}", received)
+        return _reading(outcome, self._request, sent_ns, received)
+
+    def _drain(self, port: Port) -> int:
+        """Read until silence, or for the time of two answers; return how many bytes came.
+
+        A board that was left in continuous mode is never silent: the request stops it.
+        """
+        bytes_received, gap_s = 0, self._settings.gap_ms * 1e-3
+        end = time.monotonic() + 2.0 * (self._settings.transfer_s + gap_s)
+        while time.monotonic() < end:
+            data = self._read(port, gap_s)
+            if not data:
+                break
+            bytes_received += len(data)
+        return bytes_received
+
+    def _collect(self, port: Port, sent_ns: int) -> int:
+        """Feed the collector until the silence after the answer; return how many bytes came."""
+        wait_ns = self._request.longest_wait_ns + round(PATIENCE_S * 1e9)
+        while not (data := self._read(port, PATIENCE_S)):
+            if time.monotonic_ns() - sent_ns > wait_ns:
+                return 0
+        # A board that never stops is cut off: twice an answer is no answer.
+        while data and self._collector.pending < 2 * ANSWER_BYTES:
+            self._collector.feed(data, time.monotonic_ns())
+            data = self._read(port, self._settings.gap_ms * 1e-3)
+        return self._collector.pending
+
+    def _read(self, port: Port, timeout_s: float) -> bytes:
+        """Return what comes first; empty after that time."""
+        data = port.read(timeout_s)
+        if self._closed.is_set():
+            raise _Closed
+        return data
+
+
+def _reading(answer: Answer, request: Request, sent_ns: int, received: int) -> Reading:
+    """Return the line with the bounds of the middle of its exposure."""
+    latest_ns = max(answer.first_byte_ns - request.middle_to_answer_ns, sent_ns)
+    earliest_ns = max(latest_ns - LATENCY_NS, sent_ns)
+    return Reading(answer.counts, earliest_ns, latest_ns, received)

@@ -1,0 +1,205 @@
+"""Open TCD1304 boards as one device: a frame is one line of each board."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hardware.driver import DeviceDescription, SensorDescription
+from hardware.frame import FrameFlag, LineFrame
+from hardware.link import LinkPhase, LinkState
+from hardware.link_report import LinkReport
+from hardware.pacing import host_time_ns
+from hardware.serial.port import Closing
+from hardware.tcd1304.board import BoardLink, Reading, Trouble
+from hardware.tcd1304.light import light_counts
+from hardware.tcd1304.protocol import BITS, FULL_SCALE, PITCH_UM, PIXELS
+from hardware.tcd1304.settings import Tcd1304Settings
+
+RETRY_S: Final = (0.1, 0.25, 0.5, 1.0, 2.0)
+"""How long to wait before a lost board is tried again; the last for all attempts that follow."""
+
+_WORST_FIRST: Final[tuple[LinkPhase, ...]] = ("disconnected", "silent", "garbled")
+
+
+@dataclass(frozen=True)
+class ExposureTime:
+    """When the boards exposed: the middle of all, and how far each may be from it [ns]."""
+
+    middle_ns: int
+    uncertainty_ns: int
+
+
+def exposure_time(readings: Sequence[Reading]) -> ExposureTime:
+    """Return the middle between the earliest and the latest exposure there may have been.
+
+    Boards run freely, each with its own clock, so the lines of a frame are not of one moment.
+    """
+    earliest = min(reading.earliest_ns for reading in readings)
+    latest = max(reading.latest_ns for reading in readings)
+    return ExposureTime((earliest + latest) // 2, (latest - earliest + 1) // 2)
+
+
+class Tcd1304Driver:
+    """Asks all boards for a line, again and again.
+
+    A frame is yielded when all have answered. Its sequence number counts the requests, so an
+    answer that was lost or damaged leaves a gap; one that never came, of a board that is silent or
+    away, leaves none. The first frame after either is flagged OVERFLOW. The boards have no clock
+    to read: device time is the host's monotonic clock since ``open``.
+
+    Args:
+        name: the device's name.
+        settings: the boards; see ``Tcd1304Settings``.
+    """
+
+    def __init__(self, name: str, settings: Tcd1304Settings) -> None:
+        self._settings = settings
+        self._report = LinkReport()
+        self._run: _Run | None = None
+        self._description = DeviceDescription(
+            name=name,
+            sensors=tuple(
+                SensorDescription(board.name, PIXELS, PITCH_UM) for board in settings.boards
+            ),
+            frame_rate_hz=settings.frame_rate_hz,
+            bits=BITS,
+            electrons_per_count=settings.electrons_per_count,
+            read_noise_electrons=settings.read_noise_electrons,
+            offset_counts=settings.offset_counts,
+            markers=0,
+            peaks=settings.peaks,
+        )
+
+    @property
+    def description(self) -> DeviceDescription:
+        """What the device is."""
+        return self._description
+
+    @property
+    def exposure_uncertainty_ns(self) -> int | None:
+        """How far the last frame's exposures may be from its time [ns]; None: no frame yet."""
+        return self._run.uncertainty_ns if self._run is not None else None
+
+    def open(self) -> None:
+        """Open all ports.
+
+        Raises:
+            DeviceNotConnected: one cannot be opened.
+        """
+        self.close()
+        self._report.begin()
+        run = self._run = _Run(self._settings)
+        try:
+            for board in run.boards:
+                board.connect()
+        except BaseException:
+            run.close()
+            raise
+
+    def close(self) -> None:
+        """End ``frames`` and close the ports; may be called from any thread, and twice."""
+        if self._run is not None:
+            self._run.close()
+
+    def listen(self, changed: Callable[[LinkState], None]) -> None:
+        """Have each change of the link told; see ``LinkedDriver``."""
+        self._report.listen(changed)
+
+    def link(self) -> LinkState:
+        """Return how the boards' links stand: the worst of them."""
+        return self._report.state
+
+    def frames(self) -> Iterator[LineFrame]:
+        """Yield frames until ``close`` is called; boards that are lost are tried again.
+
+        Raises:
+            RuntimeError: the driver was never opened.
+        """
+        if self._run is None:
+            raise RuntimeError("the driver is not open; call open() before frames()")
+        return self._frames(self._run)
+
+    def _frames(self, run: "_Run") -> Iterator[LineFrame]:
+        sequence, failures = 0, 0
+        loss = False
+        lost: set[int] = set()
+        with ThreadPoolExecutor(len(run.boards), "tcd1304") as pool:
+            while not run.closed.is_set():
+                outcomes = list(pool.map(BoardLink.ask, run.boards))
+                if run.closed.is_set():
+                    return
+                readings = [one for one in outcomes if isinstance(one, Reading)]
+                troubles = [one for one in outcomes if isinstance(one, Trouble)]
+                back = {i for i in lost if run.boards[i].connected}
+                lost = {i for i, board in enumerate(run.boards) if not board.connected}
+                self._count(outcomes, len(back))
+                if not troubles:
+                    failures = 0
+                    self._report.tell("connected")
+                    yield self._frame(run, sequence, readings, after_loss=loss)
+                    sequence += 1
+                    loss = False
+                    continue
+                loss = True
+                worst = min(troubles, key=lambda one: _WORST_FIRST.index(one.phase))
+                self._report.tell(worst.phase, f"{worst.reason}; it is tried again")
+                exposed = any(one.bytes_received for one in troubles) or bool(readings)
+                sequence += exposed
+                self._report.count(frames_lost=int(exposed))
+                if lost:
+                    run.closed.wait(RETRY_S[min(failures, len(RETRY_S) - 1)])
+                    failures += 1
+
+    def _count(self, outcomes: Sequence[Reading | Trouble | None], back: int) -> None:
+        received = sum(one.bytes_received for one in outcomes if one is not None)
+        whole = all(isinstance(one, Reading) for one in outcomes)
+        some = any(isinstance(one, Reading) for one in outcomes)
+        garbled = sum(isinstance(one, Trouble) and one.phase == "garbled" for one in outcomes)
+        self._report.count(
+            bytes_received=received,
+            frames=int(whole),
+            frames_garbled=garbled,
+            frames_incomplete=int(some and not whole),
+            reconnects=back,
+        )
+
+    def _frame(
+        self, run: "_Run", sequence: int, readings: Sequence[Reading], *, after_loss: bool
+    ) -> LineFrame:
+        exposed = exposure_time(readings)
+        run.uncertainty_ns = exposed.uncertainty_ns
+        lines = np.stack(
+            [light_counts(reading.counts, self._settings.saturated_at) for reading in readings]
+        )
+        flags = FrameFlag.OVERFLOW if after_loss else FrameFlag.NONE
+        if bool((lines == FULL_SCALE).any()):
+            flags |= FrameFlag.SATURATED
+        return LineFrame(
+            device=self._description.name,
+            sequence=sequence,
+            exposure_device_ns=exposed.middle_ns - run.opened_ns,
+            exposure_host_ns=host_time_ns(exposed.middle_ns),
+            marker=None,
+            lines=lines,
+            flags=flags,
+        )
+
+
+class _Run:
+    """One opening of the driver."""
+
+    def __init__(self, settings: Tcd1304Settings) -> None:
+        self.closed = Closing()
+        self.boards = [BoardLink(board, settings, self.closed) for board in settings.boards]
+        self.opened_ns = time.monotonic_ns()
+        self.uncertainty_ns: int | None = None
+
+    def close(self) -> None:
+        self.closed.set()
+        for board in self.boards:
+            board.close()  # waits for what `ask` does with the port, which ends at once
+        self.closed.close()

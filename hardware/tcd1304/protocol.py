@@ -1,0 +1,145 @@
+"""The board's protocol: the request's bytes, its registers and their bounds, and the times."""
+
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+from compute.errors import InvalidParameter
+
+KEY: Final = b"ER"
+ELEMENTS: Final = 3694
+"""What the CCD puts out: 32 dummy elements, the pixels, 14 dummy elements."""
+
+PIXELS: Final = 3648
+FIRST_PIXEL: Final = 32
+SHIELDED: Final = slice(16, 29)
+"""The dummy elements D16 to D28, pixels under a light shield: they show the dark level."""
+
+ANSWER_BYTES: Final = 2 * ELEMENTS
+PITCH_UM: Final = 8.0
+BITS: Final = 12
+FULL_SCALE: Final = 2**BITS - 1
+
+CLOCK_HZ: Final = 2_000_000
+"""The master clock of the firmware as it is given out; SH and ICG count its periods."""
+
+READOUT_CLOCKS: Final = 4 * ELEMENTS
+LEAST_ICG: Final = READOUT_CLOCKS
+LEAST_EXPOSURE_US: Final = 10
+_MOST: Final = 2**32 - 1
+_FLUSH_CLOCKS: Final = 4 * 15_000  # the firmware empties the CCD at this pace before it reads
+_PULSES_BEFORE: Final = 4  # ICG pulses from the new periods to the reading, at most
+_REQUEST: Final = struct.Struct(">2sIIBB")
+REQUEST_BYTES: Final = _REQUEST.size
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of the board: one line, or lines until the next request.
+
+    Args:
+        sh_clocks: SH period in periods of the master clock: the exposure.
+        icg_clocks: ICG period, likewise: from one reading to the next; n times ``sh_clocks``.
+        averages: lines that the board averages, 1 to 255.
+        continuous: True: lines without end, and without a gap between them; False: one.
+        clock_hz: the master clock of the board's firmware.
+
+    Raises:
+        InvalidParameter: the board would not do it.
+    """
+
+    sh_clocks: int
+    icg_clocks: int
+    averages: int = 1
+    continuous: bool = False
+    clock_hz: int = CLOCK_HZ
+
+    def __post_init__(self) -> None:
+        least_sh = -(-self.clock_hz * LEAST_EXPOSURE_US // 1_000_000)
+        if not least_sh <= self.sh_clocks <= _MOST:
+            raise InvalidParameter(
+                f"SH period is {self.sh_clocks}; it must lie between {least_sh} and {_MOST} "
+                f"periods of {self.clock_hz} Hz: the CCD needs {LEAST_EXPOSURE_US} us",
+                sh_clocks=self.sh_clocks,
+            )
+        if not LEAST_ICG <= self.icg_clocks <= _MOST:
+            raise InvalidParameter(
+                f"ICG period is {self.icg_clocks}; it must lie between {LEAST_ICG}, what reading "
+                f"{ELEMENTS} elements takes, and {_MOST}",
+                icg_clocks=self.icg_clocks,
+            )
+        if self.icg_clocks % self.sh_clocks:
+            above = -(-self.icg_clocks // self.sh_clocks) * self.sh_clocks
+            raise InvalidParameter(
+                f"ICG period is {self.icg_clocks}, no multiple of the SH period "
+                f"{self.sh_clocks}; {above} is one",
+                icg_clocks=self.icg_clocks,
+                sh_clocks=self.sh_clocks,
+            )
+        if not 1 <= self.averages <= 255:
+            raise InvalidParameter(
+                f"averages is {self.averages}; it must lie between 1 and 255",
+                averages=self.averages,
+            )
+
+    def encode(self) -> bytes:
+        """Return the 12 bytes, which must be sent in one write."""
+        return _REQUEST.pack(KEY, self.sh_clocks, self.icg_clocks, self.continuous, self.averages)
+
+    @property
+    def exposure_ns(self) -> int:
+        """Length of one exposure [ns]."""
+        return self._ns(self.sh_clocks)
+
+    @property
+    def end_to_answer_ns(self) -> int:
+        """Time from the end of the last exposure to the answer's first bit: the readout [ns]."""
+        return self._ns(READOUT_CLOCKS)
+
+    @property
+    def middle_to_answer_ns(self) -> int:
+        """Time from the middle of all exposures to the answer's first bit [ns]."""
+        spread = (self.averages - 1) * self._ns(self.icg_clocks)
+        return self.end_to_answer_ns + (self.exposure_ns + spread) // 2
+
+    @property
+    def longest_wait_ns(self) -> int:
+        """Time within which a board that works begins to answer [ns].
+
+        The firmware empties the CCD, sets the new periods and lets some pass before it reads.
+        """
+        pulses = _PULSES_BEFORE + self.averages
+        return self._ns(_FLUSH_CLOCKS + pulses * self.icg_clocks + READOUT_CLOCKS)
+
+    def _ns(self, clocks: int) -> int:
+        return clocks * 1_000_000_000 // self.clock_hz
+
+
+def decode_request(data: bytes, clock_hz: int = CLOCK_HZ) -> Request:
+    """Return the request in 12 bytes, as a board reads it.
+
+    Raises:
+        InvalidParameter: these bytes are no request, or one that the board would not do.
+    """
+    if len(data) != REQUEST_BYTES or not data.startswith(KEY):
+        raise InvalidParameter(
+            f"a request has {REQUEST_BYTES} bytes and begins with {KEY!r}; these are {data!r}"
+        )
+    _, sh_clocks, icg_clocks, mode, averages = _REQUEST.unpack(data)
+    return Request(sh_clocks, icg_clocks, averages, bool(mode), clock_hz)
+
+
+def request_for(exposure_us: float, averages: int = 1, clock_hz: int = CLOCK_HZ) -> Request:
+    """Return the request of the nearest possible exposure, read out as soon as possible.
+
+    Args:
+        exposure_us: length of one exposure [us].
+        averages: lines that the board averages.
+        clock_hz: the master clock of the board's firmware.
+
+    Raises:
+        InvalidParameter: the exposure is too short or too long.
+    """
+    sh_clocks = round(exposure_us * clock_hz / 1e6)
+    pulses = max(1, -(-LEAST_ICG // max(1, sh_clocks)))
+    return Request(sh_clocks, pulses * sh_clocks, averages, clock_hz=clock_hz)

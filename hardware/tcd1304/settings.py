@@ -1,0 +1,109 @@
+"""Settings of a device of open TCD1304 boards."""
+
+import re
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Final, get_args
+
+from pydantic import ConfigDict, Field, StringConstraints
+
+from compute.errors import InvalidParameter
+from hardware.driver import PeakMethod
+from hardware.serial.settings import URL_PATTERN
+from hardware.simulated.bounds import check_bounds
+from hardware.tcd1304.light import OFFSET_COUNTS
+from hardware.tcd1304.protocol import (
+    ANSWER_BYTES,
+    CLOCK_HZ,
+    Request,
+    request_for,
+)
+
+_BITS_OF_BYTE: Final = 10  # start, 8 data, stop
+
+
+@dataclass(frozen=True)
+class Tcd1304Board:
+    """One board: the sensor's name, and where its serial port is."""
+
+    name: Annotated[str, StringConstraints(pattern=r"^\S(.{0,62}\S)?$")]
+    port: Annotated[str, StringConstraints(max_length=200, pattern=URL_PATTERN)]
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    def __post_init__(self) -> None:
+        if re.fullmatch(URL_PATTERN, self.port) is None:
+            raise InvalidParameter(
+                f"port is {self.port!r}; it must be like /dev/ttyACM0, COM3, socket://HOST:PORT or "
+                "rfc2217://HOST:PORT",
+                port=self.port,
+            )
+
+
+@dataclass(frozen=True)
+class Tcd1304Settings:
+    """The boards, and how their lines are taken.
+
+    Args:
+        boards: one for each sensor.
+        exposure_us: length of one exposure [us], in steps of one period of the master clock.
+        averages: exposures that a board averages into one line.
+        clock_hz: the master clock of the boards' firmware [Hz].
+        baud_rate: the serial ports' rate.
+        gap_ms: silence that ends an answer [ms]; longer than any pause on the way.
+        saturated_at: the converter's count at which, and below, a pixel is full; dark is high.
+        electrons_per_count: gain of the conversion, an estimate; it weighs the noise.
+        read_noise_electrons: standard deviation of the read noise, likewise.
+        peaks: how the lines' peaks are measured.
+
+    Raises:
+        InvalidParameter: a value is out of its bounds, or two boards have one name or one port.
+    """
+
+    boards: Annotated[tuple[Tcd1304Board, ...], Field(min_length=1, max_length=16)]
+    exposure_us: Annotated[float, Field(ge=10.0, le=6e7)] = 7388.0
+    averages: Annotated[int, Field(ge=1, le=255)] = 1
+    clock_hz: Annotated[int, Field(ge=800_000, le=4_000_000)] = CLOCK_HZ
+    baud_rate: Annotated[int, Field(ge=9600, le=4_000_000)] = 115_200
+    gap_ms: Annotated[float, Field(ge=1.0, le=500.0)] = 50.0
+    saturated_at: Annotated[int, Field(ge=0, le=4094)] = 0
+    electrons_per_count: Annotated[float, Field(ge=0.5, le=1e4)] = 30.0
+    read_noise_electrons: Annotated[float, Field(ge=0.0, le=500.0)] = 75.0
+    peaks: PeakMethod = "fit"
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        for what in ("name", "port"):
+            values = [getattr(board, what) for board in self.boards]
+            twice = next((value for value in values if values.count(value) > 1), None)
+            if twice is not None:
+                raise InvalidParameter(
+                    f'two boards have the {what} "{twice}"; give each one of its own', board=twice
+                )
+        if self.peaks not in get_args(PeakMethod):
+            raise InvalidParameter(
+                f"peaks is {self.peaks!r}; it must be 'fit' or 'centroid'", peaks=self.peaks
+            )
+        _ = self.request  # raises where the board would not do it
+
+    @property
+    def request(self) -> Request:
+        """What is asked of every board."""
+        return request_for(self.exposure_us, self.averages, self.clock_hz)
+
+    @property
+    def transfer_s(self) -> float:
+        """Time that an answer takes over the line [s]."""
+        return ANSWER_BYTES * _BITS_OF_BYTE / self.baud_rate
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """About how many lines a board sends per second, asked for one after the other."""
+        wait_s = self.request.longest_wait_ns * 1e-9
+        return 1.0 / (wait_s + self.transfer_s + self.gap_ms * 1e-3)
+
+    @property
+    def offset_counts(self) -> float:
+        """The count without light."""
+        return float(OFFSET_COUNTS)

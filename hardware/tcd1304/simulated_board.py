@@ -1,0 +1,136 @@
+"""A board that is not there: answers requests on a socket as the firmware does, faults included."""
+
+import socket
+import struct
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from threading import Event, Thread
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from hardware.tcd1304.protocol import (
+    ELEMENTS,
+    FIRST_PIXEL,
+    FULL_SCALE,
+    KEY,
+    PIXELS,
+    REQUEST_BYTES,
+    Request,
+    decode_request,
+)
+
+DARK: Final = 3100
+"""The converter's count where it is dark."""
+
+
+def answer_counts(
+    light: NDArray[np.float64], dark: float = DARK, noise_counts: float = 0.0, seed: int = 0
+) -> NDArray[np.uint16]:
+    """Return what a board's converter reads of light in counts.
+
+    Args:
+        light: counts by which each pixel goes down, shape (3648,).
+        dark: the count without light.
+        noise_counts: standard deviation of the noise.
+        seed: of the noise.
+
+    Returns:
+        Shape (3694,), uint16, dummy elements included.
+    """
+    counts = np.full(ELEMENTS, dark, dtype=np.float64)
+    counts[FIRST_PIXEL : FIRST_PIXEL + PIXELS] -= light
+    counts += np.random.default_rng(seed).normal(0.0, noise_counts, ELEMENTS)
+    whole: NDArray[np.uint16] = np.clip(np.rint(counts), 0, FULL_SCALE).astype(np.uint16)
+    return whole
+
+
+Respond = Callable[[Request], bytes | None]
+"""What a board sends to a request; None: it is unplugged instead."""
+
+
+class SimulatedBoard:
+    """A board behind ``socket://127.0.0.1:PORT``; one client at a time, as a serial port.
+
+    Args:
+        respond: makes the answer's bytes; told anything that is wanted, a right one or not.
+        realtime: True: waits as long as a board exposes and reads out.
+        port: the TCP port; 0: a free one.
+    """
+
+    def __init__(self, respond: Respond, *, realtime: bool = False, port: int = 0) -> None:
+        self.respond = respond
+        self.requests: list[Request] = []
+        self._realtime = realtime
+        self._closed = Event()
+        self._client: socket.socket | None = None
+        self._server = socket.create_server(("127.0.0.1", port))
+        self.port: int = self._server.getsockname()[1]
+        self._thread = Thread(target=self._serve, name="tcd1304-board", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Where the board is."""
+        return f"socket://127.0.0.1:{self.port}"
+
+    def send(self, data: bytes) -> None:
+        """Send bytes that nobody asked for."""
+        client = self._client
+        if client is not None:
+            client.sendall(data)
+
+    def unplug(self) -> None:
+        """Break the connection, as a port whose cable is drawn; it may be connected again."""
+        client = self._client
+        if client is not None:
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            with suppress(OSError):
+                client.shutdown(socket.SHUT_RD)  # wakes the thread that receives, and ends it
+
+    def close(self) -> None:
+        """Switch the board off: connections are refused from now on."""
+        self._closed.set()
+        # Closing alone does not wake a thread that waits in accept or recv.
+        for one in (self._server, self._client):
+            if one is not None:
+                with suppress(OSError):
+                    one.shutdown(socket.SHUT_RDWR)
+                one.close()
+        self._thread.join(5.0)
+
+    def _serve(self) -> None:
+        while not self._closed.is_set():
+            try:
+                client, _ = self._server.accept()
+            except OSError:
+                return
+            self._client = client
+            with client:
+                try:
+                    self._talk(client)
+                except OSError:
+                    continue
+
+    def _talk(self, client: socket.socket) -> None:
+        waiting = b""
+        while data := client.recv(4096):
+            waiting += data
+            # The key is searched as in the firmware, which so outlives bytes of other programs.
+            while (start := waiting.find(KEY)) >= 0 and len(waiting) - start >= REQUEST_BYTES:
+                request_bytes = waiting[start : start + REQUEST_BYTES]
+                waiting = waiting[start + REQUEST_BYTES :]
+                try:
+                    request = decode_request(request_bytes)
+                except InvalidParameter:
+                    continue
+                self.requests.append(request)
+                if self._realtime:
+                    time.sleep(request.middle_to_answer_ns * 1e-9)
+                answer = self.respond(request)
+                if answer is None:
+                    return
+                client.sendall(answer)

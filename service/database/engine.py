@@ -1,8 +1,10 @@
 """The database engine and its transactions, for SQLite and PostgreSQL."""
 
 import logging
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event, text
@@ -11,31 +13,41 @@ from sqlalchemy.exc import DBAPIError, IntegrityError, InterfaceError, Operation
 from sqlalchemy.exc import TimeoutError as NoFreeConnection
 from sqlalchemy.orm import Session
 
+from service.audit.changes import AuditedSession
+from service.database.timeouts import connect_impatiently, timeouts
 from service.errors import NotReady
 
 _log = logging.getLogger(__name__)
 
-_CONNECT_TIMEOUT_S = 5
+POOL_TIMEOUT_S = 5
+"""How long a request waits for a connection while others have all."""
 _BUSY_TIMEOUT_MS = 5000
 
 
 class Database:
     """One database; ``read`` and ``write`` give sessions that are one transaction each."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, *, impatient: bool = False) -> None:
         """Make the engine; nothing is connected yet.
 
         Args:
             url: SQLAlchemy URL, ``sqlite:///file`` or ``postgresql+psycopg://...``.
+            impatient: a statement to PostgreSQL that takes long fails, as those do that requests
+                wait for; a migration or a copy may take its time.
         """
         parts = make_url(url)
         sqlite = parts.get_backend_name() == "sqlite"
-        if parts.get_backend_name() == "postgresql" and "connect_timeout" not in parts.query:
-            # The driver's own is two minutes, for which a request would wait.
-            parts = parts.update_query_dict({"connect_timeout": str(_CONNECT_TIMEOUT_S)})
-        self.engine = create_engine(parts, pool_pre_ping=not sqlite)
+        postgresql = parts.get_backend_name() == "postgresql"
+        self.engine = create_engine(
+            parts,
+            pool_pre_ping=not sqlite,
+            pool_timeout=POOL_TIMEOUT_S,
+            connect_args=timeouts(parts, statements=impatient) if postgresql else {},
+        )
         if sqlite:
             _configure_sqlite(self.engine)
+        elif postgresql and impatient:
+            connect_impatiently(self.engine)
         self._writer = self.engine.execution_options(lumiline_write=True)
 
     @contextmanager
@@ -48,10 +60,12 @@ class Database:
     def write(self) -> Iterator[Session]:
         """Yield a session for writing; commits at the end, rolls back on an exception.
 
+        What is changed through it is written into the audit log with it.
+
         Raises:
             NotReady: the database does not answer, or another process keeps it locked.
         """
-        with _answering(), Session(self._writer) as session, session.begin():
+        with _answering(), AuditedSession(self._writer) as session, session.begin():
             yield session
 
     def check(self) -> None:
@@ -91,14 +105,29 @@ def insert(session: Session, row: object, taken: Exception) -> None:
         raise taken from error
 
 
+def file_of(database: Database) -> Path | None:
+    """Return the file of a SQLite database; None of one in memory."""
+    name = database.engine.url.database
+    return Path(name) if name and name != ":memory:" and not name.startswith("file:") else None
+
+
 def _configure_sqlite(engine: Engine) -> None:
+    @event.listens_for(engine, "do_connect")
+    def make(*_: object) -> None:
+        # Its owner's alone, as SQLite then makes the files beside it, too.
+        name = engine.url.database
+        if name and name != ":memory:" and not name.startswith("file:"):
+            with suppress(OSError):  # SQLite says what is wrong
+                os.close(os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
+
     @event.listens_for(engine, "connect")
     def connect(connection: Any, _record: object) -> None:
         # Python's sqlite3 would begin transactions by itself, and too late; see begin().
         connection.isolation_level = None
         cursor = connection.cursor()
         cursor.execute("PRAGMA journal_mode = WAL")
-        cursor.execute("PRAGMA synchronous = NORMAL")
+        # NORMAL could lose the last transactions, which were answered, when the power fails.
+        cursor.execute("PRAGMA synchronous = FULL")
         cursor.execute("PRAGMA foreign_keys = ON")
         cursor.execute(f"PRAGMA busy_timeout = {_BUSY_TIMEOUT_MS}")
         cursor.close()

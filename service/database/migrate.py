@@ -22,6 +22,12 @@ def alembic_config(connection: Connection) -> Config:
     return config
 
 
+def lock_schema(connection: Connection) -> None:
+    """Let other servers that start wait, until the transaction's end (SQLite: they do anyway)."""
+    if connection.dialect.name == "postgresql":
+        connection.exec_driver_sql("SELECT pg_advisory_xact_lock(5421078)")
+
+
 def migrate(
     database: Database, revision: str = "head", fill: Callable[[Session], None] | None = None
 ) -> bool:
@@ -40,9 +46,7 @@ def migrate(
         Whether it was new.
     """
     with database.engine.execution_options(lumiline_write=True).begin() as connection:
-        if connection.dialect.name == "postgresql":
-            # Several servers may start at once; the lock ends with the transaction.
-            connection.exec_driver_sql("SELECT pg_advisory_xact_lock(5421078)")
+        lock_schema(connection)
         new = MigrationContext.configure(connection).get_current_revision() is None
         command.upgrade(alembic_config(connection), revision)
         if new and fill is not None:

@@ -199,11 +199,36 @@ class RunRow(Base):
     request: Mapped[dict[str, Any]] = mapped_column(JSON, deferred=True)
     result_id: Mapped[str | None] = mapped_column(String(63))
     problem: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    poster: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     owner: Mapped[str | None] = mapped_column(String(200))
     created_at: Mapped[datetime] = mapped_column(UtcDateTime)
     started_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
     finished_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
     heartbeat_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
+    claim: Mapped[str | None] = mapped_column(String(80), unique=True, index=True)
+    """What it is to store its result under; of an open run only."""
+
+
+class DriftCheckRow(Base):
+    """What still markers said of a calibration at some time; never changed."""
+
+    __tablename__ = "drift_checks"
+    __table_args__ = (
+        ForeignKeyConstraint(
+            ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
+        ),
+        Index(None, "device_id", "created_at"),
+    )
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
+    calibration_id: Mapped[str] = mapped_column(String(63))
+    good: Mapped[bool]
+    given: Mapped[dict[str, Any]] = mapped_column(JSON)
+    points: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
+    result: Mapped[dict[str, Any]] = mapped_column(JSON)
+    note: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
 class CaptureRow(Base):
@@ -221,3 +246,104 @@ class CaptureRow(Base):
     note: Mapped[str] = mapped_column(Text)
     created_at: Mapped[datetime] = mapped_column(UtcDateTime)
     updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
+class QualityCheckRow(Base):
+    """A quality check and what it measured; never changed."""
+
+    __tablename__ = "quality_checks"
+    __table_args__ = (
+        ForeignKeyConstraint(
+            ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
+        ),
+        Index(None, "device_id", "created_at"),
+    )
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
+    calibration_id: Mapped[str] = mapped_column(String(63))
+    table_id: Mapped[str | None] = mapped_column(String(63))
+    kind: Mapped[str] = mapped_column(String(32))
+    series: Mapped[str] = mapped_column(String(200))
+    asked: Mapped[dict[str, Any]] = mapped_column(JSON)
+    result: Mapped[dict[str, Any]] = mapped_column(JSON)
+    passed: Mapped[bool | None]
+    note: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
+class WatchRow(Base):
+    """How a device's drift is watched."""
+
+    __tablename__ = "watches"
+
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"), primary_key=True)
+    settings: Mapped[dict[str, Any]] = mapped_column(JSON)
+    updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
+class WatchSampleRow(Base):
+    """What was seen of a running device in one interval; never changed."""
+
+    __tablename__ = "watch_samples"
+    __table_args__ = (
+        ForeignKeyConstraint(
+            ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
+        ),
+        Index(None, "device_id", "at"),
+    )
+
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
+    calibration_id: Mapped[str] = mapped_column(String(63))
+    table_id: Mapped[str | None] = mapped_column(String(63))
+    at: Mapped[datetime] = mapped_column(UtcDateTime)
+    seconds: Mapped[float] = mapped_column(Double)
+    points: Mapped[int]
+    residual_sigma: Mapped[float | None] = mapped_column(Double)
+    inconsistent: Mapped[int]
+    reference_mm: Mapped[list[float] | None] = mapped_column(JSON(none_as_null=True))
+    reference_scatter_mm: Mapped[float | None] = mapped_column(Double)
+    temperature_c: Mapped[float | None] = mapped_column(Double)
+
+
+class ApiKeyRow(Base):
+    """A key that was given out; of its text only the digest is here."""
+
+    __tablename__ = "api_keys"
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200))
+    digest: Mapped[str] = mapped_column(String(64))
+    scopes: Mapped[list[str]] = mapped_column(JSON)
+    created_by: Mapped[str] = mapped_column(String(200))
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
+    expires_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
+    revoked_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
+    last_used_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
+
+
+class AuditRow(Base):
+    """Who changed what, or tried to; the database refuses to change or delete rows."""
+
+    __tablename__ = "audit_log"
+    __table_args__ = (
+        Index(None, "object_kind", "object_id"),
+        Index(None, "at"),
+        {"sqlite_autoincrement": True},  # an id is never given twice
+    )
+
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    at: Mapped[datetime] = mapped_column(UtcDateTime)
+    actor_kind: Mapped[str] = mapped_column(String(16))
+    actor_id: Mapped[str] = mapped_column(String(200))
+    actor_name: Mapped[str] = mapped_column(String(200))
+    operation: Mapped[str] = mapped_column(String(64))
+    outcome: Mapped[str] = mapped_column(String(16))
+    object_kind: Mapped[str] = mapped_column(String(32))
+    object_id: Mapped[str | None] = mapped_column(String(200))
+    before: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    after: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    detail: Mapped[str | None] = mapped_column(Text)
+    request_id: Mapped[str | None] = mapped_column(String(64))
+    address: Mapped[str | None] = mapped_column(String(64))

@@ -12,7 +12,8 @@ from hardware.simulated.bar import PITCH_UM, simulated_sensor_models
 from service.calibrations.run import Outcome, calibration_content
 from service.calibrations.schema import ControlPointErrors
 from service.calibrations.store import activate, add_calibration
-from service.devices.schema import NewDevice, Sensor, SimulatedSource
+from service.devices.schema import NewDevice, SimulatedSource
+from service.devices.sensor import Sensor
 from service.devices.store import add_device
 
 DEVICE_ID: Final = "sim"

@@ -1,0 +1,18 @@
+"""Databases of each kind, migrated and filled."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from service.database.engine import Database
+from service.database.migrate import migrate
+from service.database.seed import seed
+
+
+@pytest.fixture
+def database(database_url: str) -> Iterator[Database]:
+    """A new database with its first content."""
+    opened = Database(database_url)
+    migrate(opened, fill=seed)
+    yield opened
+    opened.close()

@@ -1,7 +1,9 @@
-"""ASGI middleware that refuses request bodies above a limit, before they are read."""
+"""ASGI middleware that refuses request bodies above a limit, and those that do not arrive."""
 
+import time
 from collections.abc import Mapping
 
+from anyio import fail_after
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -12,13 +14,22 @@ from service.problems import problem_type_of
 
 
 class BodyLimit:
-    """Answers 413 when the declared or the received length exceeds the path's limit."""
+    """Answers 413 when the declared or the received length exceeds the path's limit.
+
+    And 408 when the body is not there within a time: whoever sends it byte by byte would otherwise
+    hold a connection for nothing.
+    """
 
     def __init__(
-        self, app: ASGIApp, limit_bytes: int, others: Mapping[str, int] | None = None
+        self,
+        app: ASGIApp,
+        limit_bytes: int,
+        others: Mapping[str, int] | None = None,
+        seconds: float = 60.0,
     ) -> None:
         """Limit bodies to ``limit_bytes``, on the paths of ``others`` to what stands there."""
         self._app = app
+        self._seconds = seconds
         self._limit_bytes = limit_bytes
         self._others = dict(others or {})
 
@@ -33,10 +44,22 @@ class BodyLimit:
             await self._refusal(scope, f"{declared[:20]} bytes", limit)(scope, receive, send)
             return
         received = 0
+        whole = False
+        until = time.monotonic() + self._seconds
 
         async def counted() -> Message:
-            nonlocal received
-            message = await receive()
+            nonlocal received, whole
+            if whole:  # what comes now is the end of the connection, whenever
+                return await receive()
+            try:
+                with fail_after(max(0.0, until - time.monotonic())):
+                    message = await receive()
+            except TimeoutError:
+                raise HTTPException(
+                    408,
+                    f"the body did not arrive within {self._seconds:g} s; {received} bytes came",
+                ) from None
+            whole = not message.get("more_body", False)
             received += len(message.get("body", b""))
             if received > limit:
                 # An HTTPException, because FastAPI turns any other one raised here into 400.

@@ -8,6 +8,7 @@ from service.database.engine import Database
 from service.devices.operation import Operation
 from service.errors import NotReady
 from service.live.manager import LiveManager
+from service.recordings.manager import Recordings
 from service.reports.kept import KeptReports
 from service.runs.manager import RunManager
 from service.settings import Settings
@@ -40,6 +41,11 @@ def _reports(request: Request) -> KeptReports:
     return reports
 
 
+def _recordings(request: Request) -> Recordings:
+    recordings: Recordings = request.app.state.recordings
+    return recordings
+
+
 def _settings(request: Request) -> Settings:
     settings: Settings = request.app.state.settings
     return settings
@@ -50,4 +56,5 @@ OperationDep = Annotated[Operation, Depends(_operation)]
 LiveDep = Annotated[LiveManager, Depends(_live)]
 RunsDep = Annotated[RunManager, Depends(_runs)]
 ReportsDep = Annotated[KeptReports, Depends(_reports)]
+RecordingsDep = Annotated[Recordings, Depends(_recordings)]
 SettingsDep = Annotated[Settings, Depends(_settings)]

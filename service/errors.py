@@ -39,6 +39,12 @@ class UnknownCapture(LumilineError):
     code = "unknown-capture"
 
 
+class UnknownDriftCheck(LumilineError):
+    """No drift check has the given id."""
+
+    code = "unknown-drift-check"
+
+
 class NoSuchFigure(LumilineError):
     """The report has no such figure: the calibration holds nothing that it would show."""
 
@@ -55,6 +61,30 @@ class UnknownRecording(LumilineError):
     """No recording of the given name lies in the data directory's folder of recordings."""
 
     code = "unknown-recording"
+
+
+class RecordingExists(LumilineError):
+    """A recording of this name exists already; recordings are never overwritten."""
+
+    code = "recording-exists"
+
+
+class RecordingInProgress(LumilineError):
+    """The recording is being written, or the device has one that is; stop it first."""
+
+    code = "recording-in-progress"
+
+
+class RecordingInUse(LumilineError):
+    """A running device replays the recording; stop the device first."""
+
+    code = "recording-in-use"
+
+
+class InsufficientStorage(LumilineError):
+    """The disk has less free space than the server leaves, or cannot be written to."""
+
+    code = "insufficient-storage"
 
 
 class UnknownDeviceProfile(LumilineError):
@@ -97,6 +127,12 @@ class CorrectionTableExists(LumilineError):
     """A correction table of this id exists already; tables are never overwritten."""
 
     code = "correction-table-exists"
+
+
+class DriftCheckExists(LumilineError):
+    """A drift check of this id exists already; choose another id, or leave it out."""
+
+    code = "drift-check-exists"
 
 
 class CaptureExists(LumilineError):
@@ -177,6 +213,24 @@ class TableHasHoles(LumilineError):
     code = "table-has-holes"
 
 
+class UnknownQualityCheck(LumilineError):
+    """There is no quality check with this id."""
+
+    code = "unknown-quality-check"
+
+
+class QualityCheckExists(LumilineError):
+    """The id that was chosen for a quality check is taken."""
+
+    code = "quality-check-exists"
+
+
+class CalibrationSwitched(LumilineError):
+    """Another calibration or table came into force while something was measured."""
+
+    code = "calibration-switched"
+
+
 class DeviceNotRunning(LumilineError):
     """What is captured comes from a running device; start it first."""
 
@@ -243,6 +297,84 @@ class Busy(LumilineError):
     code = "busy"
 
 
+class ActivationConflict(LumilineError):
+    """Another request changed what the device uses, meanwhile or before; look, and ask again."""
+
+    code = "activation-conflict"
+
+
+class UnknownKey(LumilineError):
+    """No API key has the given id."""
+
+    code = "unknown-key"
+
+
+class Unauthenticated(LumilineError):
+    """The operation needs a key or token, and none that is valid came with the request."""
+
+    code = "unauthenticated"
+
+
+class MissingScope(LumilineError):
+    """The key or token is valid, and not allowed to do this."""
+
+    code = "missing-scope"
+
+
+class CredentialInQuery(LumilineError):
+    """A key is in the address, which servers and proxies write down; send it in a header."""
+
+    code = "credential-in-query"
+
+
+class QueryTooLong(LumilineError):
+    """The part of the address after the question mark is too long; send less."""
+
+    code = "query-too-long"
+
+
+class TooManyAttempts(LumilineError):
+    """Too many requests of this address came with keys that are not valid; wait."""
+
+    code = "too-many-attempts"
+
+
+class TooManyStreams(LumilineError):
+    """The key has as many open streams as it may; close one."""
+
+    code = "too-many-streams"
+
+
+class BodyTooSlow(LumilineError):
+    """The request's body did not arrive within the time limit."""
+
+    code = "body-too-slow"
+
+
+class BackupUnusable(LumilineError):
+    """A file is no backup of this service, is damaged, or is of a later version."""
+
+    code = "backup-unusable"
+
+
+class DatabaseNotEmpty(LumilineError):
+    """A backup would replace what the database holds; say so, or use an empty one."""
+
+    code = "database-not-empty"
+
+
+class DatabaseInUse(LumilineError):
+    """A server uses the database, which would be replaced under it; stop the server first."""
+
+    code = "database-in-use"
+
+
+class DatabaseDamaged(LumilineError):
+    """What the database holds does not agree with itself."""
+
+    code = "database-damaged"
+
+
 class CrossOrigin(LumilineError):
     """A web page of another origin asked for a change, or for a websocket."""
 
@@ -277,6 +409,24 @@ class UnsupportedMediaType(LumilineError):
     """The request's body is not declared as what the path takes, mostly ``application/json``."""
 
     code = "unsupported-media-type"
+
+
+class MalformedRequest(LumilineError):
+    """What came is not HTTP/1.1 (RFC 9112)."""
+
+    code = "malformed-request"
+
+
+class HeadTooLarge(LumilineError):
+    """The request line and the headers together are larger than the server's limit."""
+
+    code = "head-too-large"
+
+
+class HeadTooSlow(LumilineError):
+    """The request line and the headers did not arrive within the server's time; send again."""
+
+    code = "head-too-slow"
 
 
 class BodyTooLarge(LumilineError):

@@ -11,24 +11,58 @@ from pydantic.json_schema import models_json_schema
 from compute.errors import LumilineError, NonFiniteValue
 from service.errors import (
     BodyTooLarge,
+    BodyTooSlow,
+    CredentialInQuery,
     CrossOrigin,
     DuplicateKey,
     MalformedJson,
+    MissingScope,
     NotReady,
+    QueryTooLong,
+    TooManyAttempts,
+    Unauthenticated,
     UnsupportedMediaType,
 )
 from service.problems import MEDIA_TYPE, PROBLEM_TYPES, Problem, ProblemType, problem_type_of
+from service.security.access import ACCESS, PUBLIC
+from service.security.scopes import SCOPE_MEANINGS
 
 Responses = dict[int | str, dict[str, Any]]
 
 _INVALID: Final = PROBLEM_TYPES["invalid-request"]
 _OF_EVERY_OPERATION: Final = (PROBLEM_TYPES["internal-error"],)
 _OF_RESOURCES: Final = (problem_type_of(NotReady),)
+_OF_ALL_REQUESTS: Final = tuple(
+    problem_type_of(error) for error in (CredentialInQuery, QueryTooLong)
+)
+_OF_THOSE_WITH_SCOPE: Final = tuple(
+    problem_type_of(error) for error in (Unauthenticated, MissingScope, TooManyAttempts)
+)
 _OF_CHANGES: Final = (problem_type_of(CrossOrigin),)
 _OF_BODIES: Final = tuple(
     problem_type_of(error)
-    for error in (MalformedJson, DuplicateKey, UnsupportedMediaType, BodyTooLarge, NonFiniteValue)
+    for error in (
+        MalformedJson,
+        DuplicateKey,
+        UnsupportedMediaType,
+        BodyTooLarge,
+        BodyTooSlow,
+        NonFiniteValue,
+    )
 )
+
+_SCHEME: Final = "key"
+_SCHEMES: Final = {
+    _SCHEME: {
+        "type": "http",
+        "scheme": "bearer",
+        "description": "`Authorization: Bearer lumi_...`: an API key, or a token of the identity "
+        "provider where one is set up. On the server's own machine none is needed, unless the "
+        "server is told to require one. What each scope allows: "
+        + "; ".join(f"`{scope}`: {meaning}" for scope, meaning in SCOPE_MEANINGS.items())
+        + ".",
+    }
+}
 
 TAGS: Final = [
     {"name": "devices", "description": "What is read, by which driver, and what it is doing."},
@@ -42,6 +76,14 @@ TAGS: Final = [
         "description": "Guided measurement: place a marker, hold it, capture it, go to the next.",
     },
     {
+        "name": "drift-checks",
+        "description": "Is a calibration still good? Still markers read again, kept over time.",
+    },
+    {
+        "name": "quality",
+        "description": "Quick checks with known points and distances, a watch on drift, charts.",
+    },
+    {
         "name": "correction-tables",
         "description": "Maps of space: what is added to the readings, by where the marker is.",
     },
@@ -50,12 +92,17 @@ TAGS: Final = [
         "description": "Calibrations and maps computed beside the requests: post, follow, cancel.",
     },
     {"name": "reconstructions", "description": "3D points from readings that you post."},
+    {
+        "name": "recordings",
+        "description": "Line scans and results of running devices in files, to be replayed.",
+    },
     {"name": "line-scans", "description": "Peaks of lines that you post, and their picture."},
     {
         "name": "device-profiles",
         "description": "Tracking devices as published, and what they would reach: planning before "
         "building.",
     },
+    {"name": "keys", "description": "Who may do what, and who did what."},
     {"name": "server", "description": "Health, and what problem types mean."},
 ]
 
@@ -106,12 +153,27 @@ def _document(app: FastAPI) -> dict[str, Any]:
     )
     schemas |= found["$defs"]
     _require_discriminators(schemas, schemas)
+    document["components"]["securitySchemes"] = _SCHEMES
     for path, item in document["paths"].items():
         for method, operation in item.items():
             if method != "parameters":
                 of_path = _OF_RESOURCES if path.startswith("/api/") else ()
-                _complete(operation, (*of_path, *(() if method == "get" else _OF_CHANGES)))
+                others = [*_OF_ALL_REQUESTS, *of_path, *(() if method == "get" else _OF_CHANGES)]
+                _complete(operation, [*others, *_secure(operation)])
     return document
+
+
+def _secure(operation: dict[str, Any]) -> tuple[ProblemType, ...]:
+    """Say which scope an operation needs; return the problems that follow."""
+    scope = ACCESS[operation["operationId"]]
+    if scope == PUBLIC:
+        operation["security"] = []
+        return ()
+    operation["security"] = [{_SCHEME: [scope]}]
+    operation["description"] = (
+        f"{operation.get('description', '')}\n\nNeeds scope `{scope}`.".strip()
+    )
+    return _OF_THOSE_WITH_SCOPE
 
 
 def _require_discriminators(node: Any, schemas: dict[str, Any]) -> None:

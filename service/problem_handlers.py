@@ -17,7 +17,8 @@ from starlette.websockets import WebSocket
 
 from compute.errors import LumilineError, NonFiniteValue
 from service.error_location import location_in_body
-from service.errors import BodyTooLarge, MalformedJson
+from service.errors import BodyTooLarge, BodyTooSlow, MalformedJson
+from service.logs.record import request_record
 from service.problems import (
     MEDIA_TYPE,
     PROBLEM_TYPES,
@@ -32,7 +33,12 @@ _log = logging.getLogger(__name__)
 _INPUT_CHARACTERS = 200
 _SHOWN_IN_DETAIL = 3
 _RETRY_AFTER_S = 5
-_BY_STATUS = {404: "not-found", 405: "method-not-allowed", 413: BodyTooLarge.code}
+_BY_STATUS = {
+    404: "not-found",
+    405: "method-not-allowed",
+    413: BodyTooLarge.code,
+    408: BodyTooSlow.code,
+}
 
 
 def json_safe(value: Any) -> Any:
@@ -190,7 +196,10 @@ async def _unexpected_error(request: Request, error: Exception) -> Response:
     reference = secrets.token_hex(4)
     _log.error("unexpected error, reference %s", reference, exc_info=error)
     detail = f"unexpected error; the server's log has it under reference {reference}"
-    return problem_response(PROBLEM_TYPES["internal-error"], detail, request.url.path)
+    # Answered around all middleware, and so around what names answers.
+    headers = {"X-Request-ID": request_record(request.scope).id}
+    kind = PROBLEM_TYPES["internal-error"]
+    return problem_response(kind, detail, request.url.path, headers=headers)
 
 
 def install_problem_handlers(app: FastAPI) -> None:

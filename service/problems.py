@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from compute import errors as domain
 from compute.errors import LumilineError
+from hardware import errors as drivers
 from service import errors as own
 
 MEDIA_TYPE: Final = "application/problem+json"
@@ -17,10 +18,15 @@ _STATUS: Final[dict[str, int]] = {
     own.UnknownCalibration.code: 404,
     own.UnknownReconstruction.code: 404,
     own.UnknownRecording.code: 404,
+    own.RecordingExists.code: 409,
+    own.RecordingInProgress.code: 409,
+    own.RecordingInUse.code: 409,
+    own.InsufficientStorage.code: 507,
     own.UnknownRun.code: 404,
     own.UnknownCorrectionTable.code: 404,
     own.UnknownCapture.code: 404,
     own.UnknownTarget.code: 404,
+    own.UnknownDriftCheck.code: 404,
     own.NoSuchFigure.code: 404,
     own.UnknownDeviceProfile.code: 404,
     own.UnknownProblem.code: 404,
@@ -37,9 +43,16 @@ _STATUS: Final[dict[str, int]] = {
     own.RunExists.code: 409,
     own.CorrectionTableExists.code: 409,
     own.CaptureExists.code: 409,
+    own.DriftCheckExists.code: 409,
+    own.UnknownQualityCheck.code: 404,
+    own.QualityCheckExists.code: 409,
+    own.CalibrationSwitched.code: 409,
     own.NothingToRollBack.code: 409,
     own.ForeignTable.code: 409,
     own.DeviceNotRunning.code: 409,
+    drivers.DeviceNotConnected.code: 409,
+    drivers.DeviceChanged.code: 409,
+    drivers.MissingLibrary.code: 503,
     own.CaptureIncomplete.code: 409,
     own.CaptureComplete.code: 409,
     own.CaptureOfAnotherDevice.code: 409,
@@ -48,6 +61,21 @@ _STATUS: Final[dict[str, int]] = {
     own.MarkerNotMoved.code: 409,
     own.RunNotEnded.code: 409,
     own.CorrectionTableInUse.code: 409,
+    own.UnknownKey.code: 404,
+    own.ActivationConflict.code: 409,
+    own.DatabaseNotEmpty.code: 409,
+    own.DatabaseInUse.code: 409,
+    own.Unauthenticated.code: 401,
+    own.MissingScope.code: 403,
+    own.CredentialInQuery.code: 400,
+    own.QueryTooLong.code: 414,
+    own.BodyTooSlow.code: 408,
+    own.MalformedRequest.code: 400,
+    own.HeadTooSlow.code: 408,
+    own.HeadTooLarge.code: 431,
+    own.TooManyAttempts.code: 429,
+    own.TooManyStreams.code: 429,
+    own.DatabaseDamaged.code: 500,
     own.WorkerEnded.code: 500,
     own.NotReady.code: 503,
     own.Busy.code: 503,
@@ -102,7 +130,7 @@ class Problem(BaseModel):
 
 
 def _domain_types() -> Iterable[ProblemType]:
-    for module in (domain, own):
+    for module in (domain, drivers, own):
         for _, found in inspect.getmembers(module, inspect.isclass):
             if found is LumilineError or not issubclass(found, LumilineError):
                 continue

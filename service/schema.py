@@ -5,8 +5,15 @@ import re
 from datetime import datetime
 from typing import Annotated, Any, Generic, TypeVar
 
-from fastapi import Path, Query
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import (
+    AfterValidator,
+    AwareDatetime,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    WithJsonSchema,
+)
 
 from compute.errors import InvalidParameter
 
@@ -40,29 +47,6 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^
 
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6, description="[mm]")]
 Position = tuple[Coordinate, Coordinate, Coordinate]
-
-DevicePath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The device's id.",
-        openapi_examples={"sim": {"summary": "the simulated device", "value": "sim"}},
-    ),
-]
-CalibrationPath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The calibration's id.",
-        openapi_examples={"nominal": {"summary": "the simulator's own", "value": "sim-nominal"}},
-    ),
-]
-DeviceFilter = Annotated[
-    str | None,
-    Query(pattern=SLUG_PATTERN, description="Only those of this device.", examples=["sim"]),
-]
-Limit = Annotated[int, Query(ge=1, le=200, description="Most items to return.")]
-Offset = Annotated[int, Query(ge=0, le=2**31 - 1, description="Items to skip.")]
 
 
 class Given(BaseModel):
@@ -98,3 +82,28 @@ def absent() -> Any:
 
 
 Moment = Annotated[datetime, Field(description="UTC, RFC 3339.")]
+
+_YEARS = range(1970, 9999)
+
+
+def _in_years(given: datetime) -> datetime:
+    """Refuse moments whose year has no neighbour: in another time zone they are none."""
+    if given.year not in _YEARS:
+        raise ValueError(f"its year must be {_YEARS[0]} to {_YEARS[-1]}")
+    return given
+
+
+GivenMoment = Annotated[
+    AwareDatetime,
+    AfterValidator(_in_years),
+    # For who makes requests from the schema: the years, as a pattern.
+    WithJsonSchema(
+        {
+            "type": "string",
+            "format": "date-time",
+            "pattern": "^(19[7-9]\\d|[2-8]\\d{3}|9([0-8]\\d|9[0-8])\\d|999[0-8])-",
+            "description": "RFC 3339 with its time zone, of the years 1970 to 9998.",
+        }
+    ),
+]
+"""A moment that a client sends."""

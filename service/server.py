@@ -4,15 +4,16 @@ import html
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from fastapi import APIRouter, Path, Request
-from sqlalchemy.exc import SQLAlchemyError
+from pydantic import Field
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
-from service.database.engine import Database
-from service.dependencies import DatabaseDep
+from service.dependencies import DatabaseDep, RecordingsDep, RunsDep, SettingsDep
 from service.errors import NotReady, UnknownProblem
 from service.openapi import problems
 from service.problems import PROBLEM_TYPES, ProblemType
+from service.readiness import check_ready, failed_devices, limits
 from service.schema import Document
+from service.security.local import why_not_local
 
 if TYPE_CHECKING:
     from service.live.manager import LiveManager
@@ -24,6 +25,17 @@ class Health(Document):
     """The process answers."""
 
     status: Literal["ok"] = "ok"
+
+
+class Readiness(Document):
+    """Requests can be served."""
+
+    status: Literal["ok"] = "ok"
+    limits: list[str] = Field(description="What does not work now although requests are served.")
+    failed_devices: int = Field(description="Devices that failed; the others do not depend on it.")
+    failed: list[str] | None = Field(
+        description="Their ids; null for clients of other machines, who need a key to see them."
+    )
 
 
 class Landing(Document):
@@ -50,13 +62,14 @@ def get_landing(request: Request) -> Landing:
             "problems": "/problems",
             "health": "/healthz",
             "readiness": "/readyz",
+            "metrics": "/metrics",
         },
     )
 
 
 @router.get("/healthz", operation_id="get-health", summary="Is the process alive?")
-def get_health() -> Health:
-    """Answers as long as the process does."""
+async def get_health() -> Health:
+    """Answers as long as the process does, also while all threads wait for the database."""
     return Health()
 
 
@@ -66,24 +79,23 @@ def get_health() -> Health:
     summary="Can requests be served?",
     responses=problems(NotReady),
 )
-def get_readiness(request: Request, database: DatabaseDep) -> Health:
-    """Answers 200 when the database answers and the live pipeline runs."""
-    _check_database(database)
+def get_readiness(
+    request: Request,
+    database: DatabaseDep,
+    runs: RunsDep,
+    recordings: RecordingsDep,
+    settings: SettingsDep,
+) -> Readiness:
+    """Answers 200 when the database answers and is of this version, and all parts run."""
     live: LiveManager | None = request.app.state.live
-    if live is None or not live.ready:
-        raise NotReady("the live pipeline does not run; restart the server", part="live")
-    return Health()
-
-
-def _check_database(database: Database) -> None:
-    try:
-        database.check()
-    except SQLAlchemyError as error:
-        # Not the error's text: it may hold the URL with the password.
-        raise NotReady(
-            f"the database does not answer ({type(error).__name__}); it must accept connections",
-            part="database",
-        ) from error
+    check_ready(database, live, runs, recordings)
+    failed = failed_devices(live) if live is not None else []
+    address = request.client.host if request.client else "unknown"
+    return Readiness(
+        limits=limits(recordings),
+        failed_devices=len(failed),
+        failed=failed if why_not_local(settings, address, request.headers) is None else None,
+    )
 
 
 @router.get("/problems", operation_id="list-problems", summary="List all problem types")

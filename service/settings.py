@@ -1,11 +1,14 @@
 """Settings of the service: from arguments, LUMILINE_... variables, then a TOML file."""
 
+import difflib
 import os
 from dataclasses import dataclass
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Literal
+from urllib.parse import urlsplit
 
-from pydantic import Field
+from pydantic import Field, field_validator, model_validator
 from pydantic_settings import (
     BaseSettings,
     PydanticBaseSettingsSource,
@@ -53,12 +56,20 @@ class Settings(BaseSettings):
     host: str = "127.0.0.1"
     port: int = Field(default=8000, ge=0, le=65535)
     log_level: Literal["critical", "error", "warning", "info", "debug"] = "info"
+    log_format: Literal["text", "json"] = "text"
+    """Log lines as readable text, or one JSON object each."""
     device: str | None = None
     """A device profile to start as a device: the name of a built-in one, or the path of a file."""
     compute_device: str | None = None
     """Where the live pipeline computes: ``cpu``, ``cuda:0``, ...; None: the compute's choice."""
-    stream_queue_messages: int = Field(default=2000, ge=1)
-    """Messages that wait for one stream client before the oldest are dropped (and counted)."""
+    stream_kept_messages: int = Field(default=10_000, ge=1)
+    """Messages of each device that are kept for stream clients which are behind or come back."""
+    stream_lag_s: float = Field(default=1.0, ge=0.0, allow_inf_nan=False)
+    """How far a live client may fall behind before it goes on with the newest [s]."""
+    recording_free_bytes: int = Field(default=2 * 1024**3, ge=0)
+    """What recordings leave free on their disk [bytes]."""
+    recording_flush_s: float = Field(default=1.0, ge=0.01, le=60.0)
+    """How often what is recorded is brought to the file, to be read and safe from a crash [s]."""
     runs_at_once: int = Field(default=1, ge=1, le=64)
     """Calibrations and mappings computed at the same time, each on one core."""
     runs_waiting: int = Field(default=100, ge=1)
@@ -67,6 +78,59 @@ class Settings(BaseSettings):
     """Largest request body [bytes]."""
     table_limit_bytes: int = Field(default=64 * 1024 * 1024, ge=1024)
     """Largest file of a correction table that is uploaded [bytes]."""
+    body_seconds: float = Field(default=60.0, gt=0.0, le=3600.0)
+    """Within which a request's body has to arrive [s]."""
+    authentication: Literal["loopback-open", "required"] = "loopback-open"
+    """``required``: every client needs a key; else none on this machine does, while only it can
+    reach the server."""
+    trusted_proxies: tuple[str, ...] = ()
+    """Addresses or networks of proxies whose X-Forwarded-For is believed; with any, every client
+    needs a key."""
+    failed_logins_per_minute: int = Field(default=30, ge=1, le=10_000)
+    """Failed log-ins of one address before it has to wait."""
+    connections: int = Field(default=512, ge=1)
+    """Connections and requests at the same time; more are answered with 503."""
+    streams_per_key: int = Field(default=100, ge=1)
+    """Open streams of one key, or of all local programs."""
+    oidc_issuer: str | None = None
+    """Identity provider whose tokens are taken beside keys; its URL as in the tokens."""
+    oidc_audience: str | None = None
+    """The audience that its tokens must name; required with ``oidc_issuer``."""
+    oidc_jwks_url: str | None = None
+    """Where the provider's keys are; None: as its ``.well-known/openid-configuration`` says."""
+    oidc_scope_claim: str = Field(default="scope", min_length=1)
+    """The tokens' member with the scopes: a text with spaces, or a list."""
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _addresses(cls, given: tuple[str, ...]) -> tuple[str, ...]:
+        for one in given:
+            try:
+                found = ip_network(one)
+            except ValueError as error:
+                raise ValueError(
+                    f"{one!r} is no IP address or network ({error}); give such as 10.0.0.5 or "
+                    "10.0.0.0/24"
+                ) from None
+            if found.prefixlen == 0:
+                raise ValueError(f"{one!r} is every address; name the proxies")
+        return given
+
+    @field_validator("oidc_issuer", "oidc_jwks_url")
+    @classmethod
+    def _secure(cls, url: str | None) -> str | None:
+        parts = urlsplit(url or "https://none")
+        if parts.scheme == "https" and parts.hostname:
+            return url
+        if parts.scheme == "http" and parts.hostname in ("127.0.0.1", "localhost", "::1"):
+            return url
+        raise ValueError("must be an https:// URL (http:// only on this machine)")
+
+    @model_validator(mode="after")
+    def _complete(self) -> "Settings":
+        if self.oidc_issuer is not None and not self.oidc_audience:
+            raise ValueError("oidc_issuer needs oidc_audience: tokens for others are not ours")
+        return self
 
     @property
     def effective_database_url(self) -> str:
@@ -88,9 +152,26 @@ class Settings(BaseSettings):
         file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Order of the sources: arguments, environment, TOML file."""
+        _check_environment({f"LUMILINE_{name.upper()}" for name in settings_cls.model_fields})
         file = configuration_file()
         if not file.is_file():
             if os.environ.get("LUMILINE_CONFIG"):
                 raise FileNotFoundError(f"LUMILINE_CONFIG names {file}, which is not a file")
             return init_settings, env_settings
         return init_settings, env_settings, TomlConfigSettingsSource(settings_cls, toml_file=file)
+
+
+def _check_environment(settings: set[str]) -> None:
+    """Refuse variables that look like settings and are none: one may be misspelt.
+
+    Those of tests are left alone.
+    """
+    known = settings | {"LUMILINE_CONFIG"}
+    for name in sorted(os.environ):
+        given = name.upper()
+        if not given.startswith("LUMILINE_") or given.startswith("LUMILINE_TEST_"):
+            continue
+        if given not in known:
+            near = difflib.get_close_matches(given, known, n=1)
+            meant = f"did you mean {near[0]}?" if near else "README.md and docs/ name them"
+            raise ValueError(f"the environment has {name}, which is no setting; {meant}")

@@ -1,54 +1,73 @@
 """The websocket stream: points and peaks of one device, as they are made."""
 
 import asyncio
-from typing import Any
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, Final
 
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
-from starlette.datastructures import QueryParams
+from starlette.datastructures import State
 
-from compute.errors import InvalidParameter, LumilineError
-from service.errors import UpgradeRequired
-from service.live.hub import StreamEnded, Subscription
+from compute.errors import LumilineError
+from service.errors import NotReady, UpgradeRequired
 from service.live.manager import LiveManager
-from service.live.messages import CONTENTS, ENCODINGS, Content, Encoding, describe_message, encode
+from service.live.messages import describe_message, encode
+from service.live.subscription import StreamEnded, Subscription, Wanted
 from service.problem_handlers import problem_response
 from service.problems import problem_type_of
-from service.schema import checked_slug
+from service.security.credential import SUBPROTOCOL, subprotocols
+from service.security.guard import ACT
+from service.security.principal import Principal
+from service.stream_query import wanted_of
+
+if TYPE_CHECKING:
+    from service.security.authenticator import Authenticator
+    from service.security.open_streams import OpenStreams
 
 router = APIRouter()
+
+CHECKED_EVERY_S: Final = 2.0
+"""How often an open stream is checked against its key's revocation and end."""
 
 
 @router.websocket("/api/v1/stream")
 async def stream(websocket: WebSocket) -> None:
-    """Send a greeting, then one message for each frame, until the client or the service ends.
+    """Send a greeting, then frames and status messages, until the client or the service ends.
 
-    Query: ``device``; ``content``: ``points`` (the default), ``peaks`` or ``points,peaks``;
-    ``encoding``: ``msgpack`` (the default, binary frames) or ``json`` (text frames). A request
-    that cannot be served is answered with a problem document instead of a websocket.
+    Query: see ``service.stream_query`` and docs/stream.md. A request that cannot be served is
+    answered with a problem document instead of a websocket.
     """
-    try:
-        device_id, content, encoding = _request(websocket.query_params)
-        await run_sync(websocket.app.state.operation.status, device_id)
-    except LumilineError as error:
-        path = websocket.url.path
-        response = problem_response(problem_type_of(type(error)), error.detail, path)
-        await websocket.send_denial_response(response)
-        return
+    principal: Principal = websocket.scope[ACT].principal
+    with ExitStack() as stack:
+        try:
+            wanted = wanted_of(websocket.query_params)
+            await run_sync(websocket.app.state.operation.status, wanted.device_id)
+            stack.enter_context(websocket.app.state.open_streams.one_more(principal))
+        except LumilineError as error:
+            path = websocket.url.path
+            response = problem_response(problem_type_of(type(error)), error.detail, path)
+            await websocket.send_denial_response(response)
+            return
+        await _serve(websocket, wanted, principal)
+
+
+async def _serve(websocket: WebSocket, wanted: Wanted, principal: Principal) -> None:
     live: LiveManager = websocket.app.state.live
-    capacity = websocket.app.state.settings.stream_queue_messages
-    await websocket.accept()
-    subscription = Subscription(device_id, content, encoding, capacity)
-    live.hub.subscribe(subscription)
+    offered = subprotocols(websocket.headers)
+    await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
+    subscription = live.hub.subscribe(wanted)
     try:
-        await _send(websocket, encode(_greeting(live, subscription), encoding))
+        await _send(websocket, encode(_greeting(live, subscription), wanted.encoding))
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(_forward(websocket, subscription))
             tasks.create_task(_until_closed(websocket))
+            tasks.create_task(_until_ended(websocket.app.state, principal))
     except* WebSocketDisconnect:
         pass
-    except* StreamEnded:
-        await websocket.close(1001, "the device was deleted")
+    except* _NotAllowedAnyMore as ended:
+        await websocket.close(1008, str(ended.exceptions[0]))
+    except* StreamEnded as ended:
+        await websocket.close(1001, str(ended.exceptions[0]))
     finally:
         live.hub.unsubscribe(subscription)
 
@@ -62,34 +81,11 @@ def stream_by_http() -> None:
     )
 
 
-def _request(query: QueryParams) -> tuple[str, frozenset[Content], Encoding]:
-    """Return device, content and encoding of the query; raises InvalidParameter."""
-    unknown = sorted(set(query) - {"device", "content", "encoding"})
-    if unknown:
-        raise InvalidParameter(
-            f'the query has "{unknown[0]}"; it may have device, content and encoding'
-        )
-    if not query.get("device"):
-        raise InvalidParameter("the query names no device; add ?device=ID")
-    chosen: set[Content] = set()
-    for word in query.get("content", "points").split(","):
-        match = next((known for known in CONTENTS if known == word), None)
-        if match is None:
-            raise InvalidParameter(
-                f'content has "{word}"; it must be one or more of {", ".join(CONTENTS)}'
-            )
-        chosen.add(match)
-    wanted = query.get("encoding", "msgpack")
-    encoding = next((known for known in ENCODINGS if known == wanted), None)
-    if encoding is None:
-        raise InvalidParameter(f'encoding is "{wanted}"; it must be {" or ".join(ENCODINGS)}')
-    return checked_slug(query["device"]), frozenset(chosen), encoding
-
-
 def _greeting(live: LiveManager, subscription: Subscription) -> dict[str, Any]:
     """Return the first message: what will come, and how things stand."""
-    description = live.describe(subscription.device_id)
-    status = live.status(subscription.device_id)
+    wanted = subscription.wanted
+    description = live.describe(wanted.device_id)
+    status = live.status(wanted.device_id)
     unknown: dict[str, Any] = {
         "sensors": [],
         "frame_rate_hz": None,
@@ -100,11 +96,16 @@ def _greeting(live: LiveManager, subscription: Subscription) -> dict[str, Any]:
     return {
         "type": "hello",
         "version": 1,
-        "device": subscription.device_id,
-        "content": sorted(subscription.content),
+        "device": wanted.device_id,
+        "content": sorted(wanted.content),
+        "mode": "lossless" if wanted.lossless else "live",
+        "stream": subscription.log.id,
+        "next": subscription.start,
+        "resumed": subscription.resumed,
         **(describe_message(description) if description else unknown),
         "state": status.state,
         "reason": status.reason,
+        "link": status.link.state if status.link else None,
         "calibration": status.calibration_id,
     }
 
@@ -120,6 +121,24 @@ async def _until_closed(websocket: WebSocket) -> None:
         message = await websocket.receive()
         if message["type"] == "websocket.disconnect":
             raise WebSocketDisconnect(message.get("code", 1005))
+
+
+class _NotAllowedAnyMore(Exception):
+    """The key or token of a stream has expired or was revoked."""
+
+
+async def _until_ended(state: State, principal: Principal) -> None:
+    """Raise _NotAllowedAnyMore once a key is revoked or anything expires."""
+    authenticator: Authenticator = state.authenticator
+    streams: OpenStreams = state.open_streams
+    while principal.kind != "local":
+        await asyncio.sleep(CHECKED_EVERY_S)
+        try:
+            reason = await run_sync(authenticator.why_ended, principal, limiter=streams.checks)
+        except NotReady:
+            continue  # a database that does not answer must not end a measurement
+        if reason is not None:
+            raise _NotAllowedAnyMore(reason)
 
 
 async def _send(websocket: WebSocket, payload: bytes | str) -> None:

@@ -16,13 +16,13 @@ from service.settings import Settings
 
 
 @contextmanager
-def serving(folder: Path, stream_queue_messages: int = 400) -> Iterator[str]:
+def serving(folder: Path, stream_lag_s: float = 1.0) -> Iterator[str]:
     """Yield the base URL of a running service, ``http://127.0.0.1:PORT``."""
     settings = Settings(
         data_dir=folder,
         compute_device="cpu",
         log_level="warning",
-        stream_queue_messages=stream_queue_messages,
+        stream_lag_s=stream_lag_s,
     )
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))

@@ -1,10 +1,9 @@
 """The pointer of a device to its calibration and table, and the history of its moves."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from sqlalchemy import func, select
+from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from service.database.models import ActivationRow, ActiveCalibrationRow, DeviceRow
@@ -89,17 +88,10 @@ def _newest(session: Session, device_id: str, before: int | None) -> ActivationR
     return session.scalars(query.order_by(ActivationRow.id.desc()).limit(1)).first()
 
 
-def activations(
-    session: Session, device_id: str, limit: int, offset: int
-) -> tuple[Sequence[ActivationRow], int]:
-    """Return a page of a device's activations, newest first, and how many there are."""
-    condition = ActivationRow.device_id == device_id
-    total = session.scalar(select(func.count()).select_from(ActivationRow).where(condition))
-    rows = session.scalars(
+def activations(device_id: str) -> Select[ActivationRow]:
+    """Return a device's activations, newest first."""
+    return (
         select(ActivationRow)
-        .where(condition)
+        .where(ActivationRow.device_id == device_id)
         .order_by(ActivationRow.id.desc())
-        .limit(limit)
-        .offset(offset)
-    ).all()
-    return rows, total or 0
+    )

@@ -7,7 +7,7 @@ from service.calibrations.observations import observations
 from service.calibrations.run import result_of
 from service.calibrations.schema import ControlPoint
 from service.database.models import CalibrationRow
-from service.devices.schema import Sensor
+from service.devices.sensor import Sensor
 
 
 def controlled(row: CalibrationRow, sensors: list[Sensor]) -> Controlled:

@@ -2,7 +2,8 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Path, Query, Response
+from fastapi import APIRouter, Body, Path, Query
+from starlette.responses import JSONResponse
 from starlette.status import HTTP_201_CREATED
 
 from compute.errors import (
@@ -28,6 +29,7 @@ from service.calibrations.sensors import check_sensors
 from service.dependencies import DatabaseDep, OperationDep
 from service.devices.store import get_device, sensors_of_row
 from service.errors import (
+    ActivationConflict,
     CalibrationActive,
     CalibrationExists,
     CalibrationOfAnotherDevice,
@@ -38,7 +40,9 @@ from service.errors import (
 )
 from service.json_body import FromJson, JsonRoute
 from service.openapi import problems
-from service.schema import SLUG_PATTERN, CalibrationPath, DeviceFilter, Limit, Offset, Page
+from service.pages import PagingDep, page_of
+from service.parameters import CalibrationPath, DeviceFilter, ExpectedActive
+from service.schema import SLUG_PATTERN, Page
 
 router = APIRouter(prefix="/api/v1/calibrations", tags=["calibrations"], route_class=JsonRoute)
 
@@ -64,16 +68,18 @@ RetiredPath = Annotated[
 @router.get("", operation_id="list-calibrations", summary="List calibrations")
 def list_calibrations(
     database: DatabaseDep,
+    paging: PagingDep,
     device: DeviceFilter = None,
     state: Annotated[State | None, Query(description="Only those in this state.")] = None,
-    limit: Limit = 50,
-    offset: Offset = 0,
 ) -> Page[CalibrationSummary]:
     """Calibrations without their numbers, newest first."""
     with database.read() as session:
-        rows, total = store.list_calibrations(session, device, state, limit, offset)
-        items = [store.summary(session, row) for row in rows]
-    return Page(items=items, total=total, limit=limit, offset=offset)
+        return page_of(
+            session,
+            store.calibrations(device, state),
+            paging,
+            lambda row: store.summary(session, row),
+        )
 
 
 @router.post(
@@ -81,6 +87,7 @@ def list_calibrations(
     operation_id="create-calibration",
     summary="Calibrate a device",
     status_code=HTTP_201_CREATED,
+    response_model=CalibrationDocument,
     responses=problems(
         UnknownDevice,
         CalibrationExists,
@@ -94,9 +101,7 @@ def list_calibrations(
         NoConvergence,
     ),
 )
-def create_calibration(
-    request: NewCalibrationBody, database: DatabaseDep, response: Response
-) -> CalibrationDocument:
+def create_calibration(request: NewCalibrationBody, database: DatabaseDep) -> JSONResponse:
     """Calibrate every sensor from control points. The calibration is stored, not activated.
 
     Each sensor needs at least seven points that do not lie in one plane. The control points are
@@ -112,20 +117,26 @@ def create_calibration(
         check_sensors(device.id, sensors_of_row(device), sensors)
         row = store.add_calibration(session, request.device, outcome, request.note, request.id)
         made = store.document(session, row)
-    response.headers["Location"] = f"/api/v1/calibrations/{made.id}"
-    return made
+    location = {"Location": f"/api/v1/calibrations/{made['id']}"}
+    return JSONResponse(made, HTTP_201_CREATED, location)
 
 
 @router.get(
     "/{calibration_id}",
     operation_id="get-calibration",
     summary="Read a calibration",
+    response_model=CalibrationDocument,
     responses=problems(UnknownCalibration),
 )
-def get_calibration(calibration_id: CalibrationPath, database: DatabaseDep) -> CalibrationDocument:
-    """One calibration: models, joint covariance, residuals, control-point errors."""
+def get_calibration(calibration_id: CalibrationPath, database: DatabaseDep) -> JSONResponse:
+    """One calibration: models, joint covariance, residuals, control-point errors.
+
+    What is hashed is sent as it was stored: one that an earlier version made has no members that
+    came later.
+    """
     with database.read() as session:
-        return store.document(session, store.get_calibration(session, calibration_id))
+        found = store.document(session, store.get_calibration(session, calibration_id))
+    return JSONResponse(found)
 
 
 @router.get(
@@ -164,17 +175,17 @@ def compare_calibrations(
     "/{calibration_id}/activate",
     operation_id="activate-calibration",
     summary="Activate a calibration",
-    responses=problems(UnknownCalibration, CalibrationRetired, SensorsChanged),
+    responses=problems(UnknownCalibration, CalibrationRetired, SensorsChanged, ActivationConflict),
 )
 def activate_calibration(
-    calibration_id: CalibrationPath, operation: OperationDep
+    calibration_id: CalibrationPath, operation: OperationDep, expected: ExpectedActive = None
 ) -> CalibrationSummary:
     """Make this the active calibration of its device, in a running one from the next frame on.
 
     The move is written into the device's history of activations. To roll back, activate the
-    previous one again.
+    previous one again. Of activations at the same moment one wins; the others are told.
     """
-    return operation.activate(calibration_id)
+    return operation.activate(calibration_id, expected)
 
 
 @router.post(

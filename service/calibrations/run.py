@@ -94,7 +94,7 @@ def calibration_outcome(
     result = assess(points, observed, geometry(sensors), sigma, settings, progress)
     left_out = next((one for one in result.cross_validation if one.scheme == "points"), None)
     errors = ControlPointErrors(
-        fitted=_point_errors(
+        fitted=point_errors(
             fitted_errors(result, points, used_readings(result, points, observed), sigma)
         ),
         leave_one_out=None
@@ -119,7 +119,8 @@ def control_arrays(
     return points, observed.readings_px, sigma
 
 
-def _point_errors(differences_mm: NDArray[np.float64]) -> PointErrors:
+def point_errors(differences_mm: NDArray[np.float64]) -> PointErrors:
+    """Return differences (N, 3) [mm] with their figures; NaN where there is no position."""
     statistics = AxisErrors.of(differences_mm)
     return PointErrors(
         statistics=statistics if statistics.points else None,

@@ -1,17 +1,18 @@
 """Calibrations as clients send and receive them."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Discriminator, Field, StringConstraints, Tag
 
 from compute.calibration.result import AxisErrors, Calibration, UnknownPlaces
 from compute.calibration.settings import (
     CalibrationSettings,
-    Distortion,
     LabelPolicy,
     Loss,
     Method,
 )
+from compute.calibration.terms import Preset
+from compute.camera.field_distortion import Term
 from compute.camera.model import Vector3
 from service.calibrations.comparison import Comparison
 from service.schema import Document, Given, Moment, Name, Note, Position, Slug
@@ -21,7 +22,7 @@ LEAVE_ONE_OUT_POINTS = 100
 """Most control points that are left out one by one, and that a request calibrates in full."""
 
 State = Literal["active", "available", "retired"]
-Provenance = Literal["fitted", "self-calibrated", "nominal"]
+Provenance = Literal["fitted", "self-calibrated", "updated", "nominal"]
 
 
 class Reading(Given):
@@ -52,6 +53,28 @@ Readings = Annotated[
 ]
 
 
+_SETS: Final = ("none", "auto", *get_args(Preset))
+
+
+def _distortion_kind(value: Any) -> str | None:
+    if isinstance(value, list | tuple):
+        return "terms"
+    return "set" if value in _SETS else None
+
+
+# One message for what is neither, where a plain union has one of each member's.
+GivenDistortion = Annotated[
+    Annotated[Literal["none", "auto", Preset], Tag("set")]
+    | Annotated[tuple[Term, ...], Tag("terms")],
+    Discriminator(
+        _distortion_kind,
+        custom_error_type="unknown_distortion",
+        custom_error_message=f"Input should be one of {', '.join(_SETS)}, or terms u^i v^j as "
+        "pairs of powers such as [[3, 0], [1, 2]]",
+    ),
+]
+
+
 class ControlPoint(Given):
     """A point of known position and what the sensors read of it."""
 
@@ -69,7 +92,7 @@ class CalibrationOptions(Given):
         "distortion asked for. `dlt-iterative`: the published direct linear transformation with a "
         "cubic term, for comparison.",
     )
-    distortion: Distortion = Field(
+    distortion: GivenDistortion = Field(
         default="none",
         description="Terms of the lens's distortion: `none`, `auto` (chosen by cross-validation "
         "over blocks of space), the name of a set, or the terms themselves as pairs of powers of "
@@ -125,6 +148,13 @@ class ControlPointErrors(Document):
     )
 
 
+class ParentCalibration(Document):
+    """The calibration that an updated one was made from."""
+
+    id: str
+    content_hash: str
+
+
 class CalibrationSummary(Document):
     """A calibration without its numbers."""
 
@@ -133,14 +163,16 @@ class CalibrationSummary(Document):
     state: State
     provenance: Provenance = Field(
         description="`fitted`: from control points. `self-calibrated`: from subjects at unknown "
-        "places. `nominal`: a design's values, not measured."
+        "places. `updated`: from its `parent` and still markers. `nominal`: a design's values, "
+        "not measured."
     )
     method: Method | UnknownPlaces
     note: str
     point_count: int
     content_hash: str = Field(
         description="SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) of the object "
-        "of the members device, provenance, points and result."
+        "of the members device, provenance, points, result and, of an updated one, parent, as a "
+        "GET of the calibration sends them."
     )
     created_at: Moment
     retired_at: Moment | None
@@ -149,6 +181,9 @@ class CalibrationSummary(Document):
 class CalibrationDocument(CalibrationSummary):
     """A calibration, whole."""
 
+    parent: ParentCalibration | None = Field(
+        default=None, description="Of an updated one, which was made from it."
+    )
     points: list[ControlPoint]
     result: Calibration
     errors: ControlPointErrors

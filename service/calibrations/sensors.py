@@ -35,8 +35,8 @@ def check_sensors(
     """
     if not same_sensors(now, made):
         raise SensorsChanged(
-            f'device "{device_id}" has the sensors {_listed(now)}; the calibration was made for '
-            f"{_listed(made)}; calibrate the sensors that the device has now",
+            f'device "{device_id}" has the sensors {listed(now)}; the calibration was made for '
+            f"{listed(made)}; calibrate the sensors that the device has now",
             device=device_id,
         )
 
@@ -45,5 +45,6 @@ def _layout(sensors: Sequence[_Sensor]) -> list[tuple[str, int]]:
     return [(sensor.name, sensor.pixels) for sensor in sensors]
 
 
-def _listed(sensors: Sequence[_Sensor]) -> str:
+def listed(sensors: Sequence[_Sensor]) -> str:
+    """Return sensors in words."""
     return ", ".join(f'"{name}" ({pixels} px)' for name, pixels in _layout(sensors))

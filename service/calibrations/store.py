@@ -1,15 +1,15 @@
 """Calibrations in the database: created, read, activated, retired; never changed."""
 
 import secrets
-from collections.abc import Sequence
 from datetime import UTC, datetime
+from typing import Any
 
-from sqlalchemy import ColumnElement, func, select
+from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from service.calibrations.activation import Target, active, lock_device, move
 from service.calibrations.run import Outcome
-from service.calibrations.schema import CalibrationDocument, CalibrationSummary, State
+from service.calibrations.schema import CalibrationSummary, State
 from service.database.engine import insert
 from service.database.models import ActiveCalibrationRow, CalibrationRow
 from service.errors import (
@@ -37,29 +37,19 @@ def active_id(session: Session, device_id: str) -> str | None:
     return pointer.calibration_id if pointer is not None else None
 
 
-def list_calibrations(
-    session: Session, device_id: str | None, state: State | None, limit: int, offset: int
-) -> tuple[Sequence[CalibrationRow], int]:
-    """Return a page of calibrations, newest first, and how many the filter matches."""
+def calibrations(device_id: str | None, state: State | None) -> Select[CalibrationRow]:
+    """Return those that the filter matches, newest first."""
     active = select(ActiveCalibrationRow.calibration_id)
-    conditions: list[ColumnElement[bool]] = []
+    found = select(CalibrationRow).order_by(CalibrationRow.created_at.desc(), CalibrationRow.id)
     if device_id is not None:
-        conditions.append(CalibrationRow.device_id == device_id)
+        found = found.where(CalibrationRow.device_id == device_id)
     if state == "active":
-        conditions.append(CalibrationRow.id.in_(active))
+        found = found.where(CalibrationRow.id.in_(active))
     elif state == "retired":
-        conditions.append(CalibrationRow.retired_at.is_not(None))
+        found = found.where(CalibrationRow.retired_at.is_not(None))
     elif state == "available":
-        conditions += [CalibrationRow.retired_at.is_(None), CalibrationRow.id.not_in(active)]
-    total = session.scalar(select(func.count()).select_from(CalibrationRow).where(*conditions))
-    rows = session.scalars(
-        select(CalibrationRow)
-        .where(*conditions)
-        .order_by(CalibrationRow.created_at.desc(), CalibrationRow.id)
-        .limit(limit)
-        .offset(offset)
-    ).all()
-    return rows, total or 0
+        found = found.where(CalibrationRow.retired_at.is_(None), CalibrationRow.id.not_in(active))
+    return found
 
 
 def check_unused(session: Session, calibration_id: str | None) -> None:
@@ -164,14 +154,14 @@ def summary(session: Session, row: CalibrationRow) -> CalibrationSummary:
     return CalibrationSummary.model_validate(_members(session, row))
 
 
-def document(session: Session, row: CalibrationRow) -> CalibrationDocument:
-    """Return the calibration, whole."""
-    numbers = {
-        "points": row.content["points"],
-        "result": row.content["result"],
-        "errors": row.errors,
-    }
-    return CalibrationDocument.model_validate(_members(session, row) | numbers)
+def document(session: Session, row: CalibrationRow) -> dict[str, Any]:
+    """Return the calibration, whole, as the JSON object of a CalibrationDocument.
+
+    The members that are hashed are as they were stored: what an earlier version stored has no
+    members that came later, and they would not be in its hash.
+    """
+    shown = summary(session, row).model_dump(mode="json")
+    return shown | {"parent": None} | row.content | {"errors": row.errors}
 
 
 def _members(session: Session, row: CalibrationRow) -> dict[str, object]:

@@ -38,7 +38,9 @@ from service.errors import (
 )
 from service.json_body import FromJson, JsonRoute
 from service.openapi import problems
-from service.schema import SLUG_PATTERN, DeviceFilter, Limit, Offset, Page
+from service.pages import PagingDep, page_of
+from service.parameters import DeviceFilter
+from service.schema import SLUG_PATTERN, Page
 
 router = APIRouter(prefix="/api/v1/captures", tags=["captures"], route_class=JsonRoute)
 
@@ -58,13 +60,11 @@ _guard = Lock()
 
 @router.get("", operation_id="list-captures", summary="List capture sessions")
 def list_captures(
-    database: DatabaseDep, device: DeviceFilter = None, limit: Limit = 50, offset: Offset = 0
+    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
 ) -> Page[Capture]:
     """Capture sessions, newest first."""
     with database.read() as session:
-        rows, total = store.list_captures(session, device, limit, offset)
-        items = [store.document(row) for row in rows]
-    return Page(items=items, total=total, limit=limit, offset=offset)
+        return page_of(session, store.captures(device), paging, store.document)
 
 
 @router.post(

@@ -1,12 +1,11 @@
 """Capture sessions in the database: begun, filled target by target, turned into control points."""
 
 import secrets
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from math import dist
 from typing import Any
 
-from sqlalchemy import func, select
+from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from compute.errors import DuplicatePoint
@@ -39,20 +38,10 @@ def get_capture(session: Session, capture_id: str, *, lock: bool = False) -> Cap
     return row
 
 
-def list_captures(
-    session: Session, device_id: str | None, limit: int, offset: int
-) -> tuple[Sequence[CaptureRow], int]:
-    """Return a page of capture sessions, newest first, and how many the filter matches."""
-    conditions = [] if device_id is None else [CaptureRow.device_id == device_id]
-    total = session.scalar(select(func.count()).select_from(CaptureRow).where(*conditions))
-    rows = session.scalars(
-        select(CaptureRow)
-        .where(*conditions)
-        .order_by(CaptureRow.created_at.desc(), CaptureRow.id)
-        .limit(limit)
-        .offset(offset)
-    ).all()
-    return rows, total or 0
+def captures(device_id: str | None) -> Select[CaptureRow]:
+    """Return those that the filter matches, newest first."""
+    found = select(CaptureRow).order_by(CaptureRow.created_at.desc(), CaptureRow.id)
+    return found if device_id is None else found.where(CaptureRow.device_id == device_id)
 
 
 def add_capture(session: Session, request: NewCapture, device: DeviceRow) -> CaptureRow:

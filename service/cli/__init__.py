@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.administration import register
 from service.version import package_version
 
 app = typer.Typer(
@@ -89,18 +90,19 @@ def reproduce(
 @app.command()
 def bench(
     name: Annotated[
-        str | None, typer.Argument(help="live, centroids, points, rays, simulation.")
+        str | None, typer.Argument(help="live, load, signal, points, calibration, ...")
     ] = None,
-    seconds: Annotated[float, typer.Option(min=1.0, help="Duration of live.")] = 60.0,
+    seconds: Annotated[float, typer.Option(min=1.0, help="Duration of live, load.")] = 60.0,
+    rate: Annotated[float, typer.Option(min=1.0, help="Frames a second of load.")] = 5000.0,
     device: Annotated[
-        str | None, typer.Option(help="cpu, cuda:0, ... for centroids, rays.")
+        str | None, typer.Option(help="cpu, cuda:0, ... for signal, reconstruct, rays.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
 ) -> None:
     """Measure speed beside the peers a user would pick instead. No name: list them."""
     from service.cli.bench import run
 
-    run(name, seconds=seconds, device=device, as_json=as_json)
+    run(name, seconds=seconds, rate_hz=rate, device=device, as_json=as_json)
 
 
 @app.command()
@@ -191,6 +193,36 @@ def map_volume(
 
 
 @app.command()
+def drift(
+    markers: Annotated[
+        Path, typer.Argument(help="CSV of still markers, read now: X_mm,Y_mm,Z_mm,NAME_px,...")
+    ],
+    calibration: Annotated[
+        Path, typer.Option(help="Calibration as JSON, from `calibrate` or the service.")
+    ],
+    earlier: Annotated[
+        Path | None,
+        typer.Option(help="CSV of the same markers as they read when it was made: finer."),
+    ] = None,
+    position_sigma: Annotated[
+        float, typer.Option(min=0.0, help=r"Deviation of the markers' coordinates \[mm].")
+    ] = 0.0,
+    output: Annotated[
+        Path | None, typer.Option(help="Write the calibration, brought up to date, as JSON.")
+    ] = None,
+    sensors: Annotated[
+        str | None, typer.Option(help="Sensors that may have changed, as 'A,B'; left out: all.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+) -> None:
+    """Check whether a calibration still holds; exit code 1 where it does not. Quickly update it."""
+    from service.cli.drift import DriftOptions, run
+
+    options = DriftOptions(position_sigma, sensors, as_json)
+    run(markers, calibration, earlier, options, output)
+
+
+@app.command()
 def record(
     output: Annotated[Path, typer.Argument(help="HDF5 file to write.")],
     seconds: Annotated[float, typer.Option(min=0.001, help="Duration.")] = 5.0,
@@ -210,16 +242,61 @@ def record(
 @app.command()
 def replay(
     recording: Annotated[Path, typer.Argument(help="HDF5 file of a recording.")],
-    calibration: Annotated[Path, typer.Option(help="Calibration as JSON, from `calibrate`.")],
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Calibration as JSON, from `calibrate`; left out: the recorded ones."),
+    ] = None,
     table: Annotated[
         Path | None, typer.Option(help="Correction table (HDF5) of that calibration.")
     ] = None,
     output: Annotated[Path | None, typer.Option(help="File; left out: standard output.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Compare with the recorded results, bit by bit.")
+    ] = False,
+    batch: Annotated[
+        int, typer.Option(min=1, max=64, help="Frames that are processed together.")
+    ] = 64,
+    as_json: Annotated[bool, typer.Option("--json", help="Of --check, for machines.")] = False,
 ) -> None:
     """Reconstruct a recording: one JSON message a frame, as the stream sends them."""
-    from service.cli.offline import run_replay
+    from service.cli.replay import run_check, run_replay
 
-    run_replay(recording, calibration, table, output)
+    if check:
+        run_check(recording, batch, as_json=as_json)
+    else:
+        run_replay(recording, calibration, table, output)
+
+
+@app.command("simulate-serial")
+def simulate_serial(
+    listen: Annotated[str | None, typer.Option(help="HOST:PORT to be reached at.")] = None,
+    pty: Annotated[bool, typer.Option("--pty", help="Be a pseudo-terminal instead.")] = False,
+    link: Annotated[
+        Path | None, typer.Option(help="Of a pseudo-terminal: a symbolic link to make.")
+    ] = None,
+    rate: Annotated[float | None, typer.Option(help="Exposures per second.")] = None,
+    cycle: Annotated[
+        int | None, typer.Option(min=1, help="Render so many exposures and repeat them.")
+    ] = None,
+    part: Annotated[
+        int | None, typer.Option(min=1, help="Counts in a message; left out: an exposure's all.")
+    ] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="Simulation settings as JSON, as in a device's source.")
+    ] = None,
+) -> None:
+    """Be a device that speaks the line-scan protocol, in a process of its own."""
+    from service.cli.simulate_serial import run
+
+    run(listen, terminal=pty, link=link, rate_hz=rate, cycle=cycle, part=part, settings=settings)
+
+
+@app.command()
+def cameras(as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False) -> None:
+    """List the GenICam cameras that can be seen from here; needs the library Aravis."""
+    from service.cli.cameras import run
+
+    run(as_json=as_json)
 
 
 @app.command()
@@ -299,6 +376,9 @@ def peaks(
         as_json=as_json,
         detail=detail,
     )
+
+
+register(app)
 
 
 def main() -> None:

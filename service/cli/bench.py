@@ -12,18 +12,23 @@ from service.cli.spawn import running_service
 
 BENCHMARKS = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
+    "load": "4 sensors x 2048 pixels at full rate, a recorder, 50 clients, some of them stalled",
     "signal": "raw lines to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
     "reconstruct": "readings to points through a correction table, beside SciPy, numba, CuPy",
     "calibration": "19 points x 4 sensors, beside SciPy and pyceres on eleven parameters",
     "rays": "exact rays through a lens, beside optiland",
+    "decoder": "the serial protocol: bytes to exposures on one core; a million mutated messages",
+    "clock": "a device's clock on the host's, from late arrivals, beside a decayed regression",
     "simulation": "simulated frames of a profile's device on one core, beside ideal lenses",
 }
 
 BARE_SECONDS = 10.0
 
 
-def run(name: str | None, *, seconds: float, device: str | None, as_json: bool) -> None:
+def run(
+    name: str | None, *, seconds: float, rate_hz: float, device: str | None, as_json: bool
+) -> None:
     """List the benchmarks, or run one."""
     if name is None:
         table = Table(title="benchmarks: lumiline bench NAME", title_justify="left")
@@ -34,6 +39,10 @@ def run(name: str | None, *, seconds: float, device: str | None, as_json: bool) 
         console.print(table)
     elif name == "live":
         _live(seconds, as_json=as_json)
+    elif name == "load":
+        from service.cli import bench_load
+
+        bench_load.run(rate_hz, seconds, as_json=as_json)
     elif name == "signal":
         from benchmarks import signal
 
@@ -55,6 +64,14 @@ def run(name: str | None, *, seconds: float, device: str | None, as_json: bool) 
         from benchmarks import rays
 
         rays.main([*(["--json"] if as_json else []), *(["--device", device] if device else [])])
+    elif name == "decoder":
+        from service.cli.bench_decoder import run as decoder
+
+        decoder(as_json=as_json)
+    elif name == "clock":
+        from service.cli.bench_clock import run as clock
+
+        clock(as_json=as_json)
     elif name == "simulation":
         from benchmarks import simulation
 

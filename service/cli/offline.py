@@ -1,20 +1,13 @@
-"""Line scans without a server: recorded to a file, and replayed through a calibration."""
+"""Line scans recorded to a file without a server."""
 
-import os
 import signal
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
-import typer
 from pydantic import TypeAdapter, ValidationError
 
-from compute.errors import InvalidParameter, LumilineError
-from service.cli.calibration_file import read_calibration
+from compute.errors import LumilineError
 from service.cli.output import console, fail, progress
 
 if TYPE_CHECKING:
@@ -73,50 +66,3 @@ def _profile(device: str, given: bytes | None, seconds: float) -> "RenderedDrive
     profile = load_profile(device)
     chosen = TypeAdapter(ProfileSettings).validate_json(given or b"{}")
     return ProfileDriver(profile.name, profile, replace(chosen, realtime=False, duration_s=seconds))
-
-
-def run_replay(path: Path, calibration: Path, table: Path | None, output: Path | None) -> None:
-    """Replay a recording through a calibration; print one JSON message a frame."""
-    from hardware.replay import ReplayDriver
-    from service.correction_tables.hdf5 import read_table
-    from service.live.messages import encode, frame_messages
-    from service.live.processor import MAX_FRAMES, DeviceProcessor
-
-    try:
-        known = read_calibration(calibration)
-        corrections = None if table is None else read_table(table.read_bytes()).table
-        if corrections is not None and corrections.calibration_hash != known.content_hash:
-            raise InvalidParameter(
-                f"the table {table} was made for the calibration with the hash "
-                f"{corrections.calibration_hash}; {calibration} has {known.content_hash}"
-            )
-        driver = ReplayDriver("replay", path, speed=None)
-        driver.open()
-        processor = DeviceProcessor("replay", driver.description, "cpu")
-        processor.set_calibration(
-            str(calibration), known.calibration, None if table is None else str(table), corrections
-        )
-        with _output(output) as target, progress("replaying") as done:
-            frames, count = driver.frames(), 0
-            while batch := list(islice(frames, MAX_FRAMES)):
-                for message in frame_messages(processor.process(batch), frozenset({"points"})):
-                    target.write(f"{encode(message, 'json')!s}\n")
-                count += len(batch)
-                done(count)
-        driver.close()
-    except BrokenPipeError:
-        # The reader of our output has gone, `| head` for example; nothing is left to say.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValidationError) as error:
-        raise fail(str(error)) from error
-    except LumilineError as error:
-        raise fail(error.detail) from error
-
-
-@contextmanager
-def _output(path: Path | None) -> Iterator[TextIO]:
-    if path is None:
-        yield typer.get_text_stream("stdout")
-    else:
-        with path.open("w", encoding="utf-8") as file:
-            yield file

@@ -1,15 +1,15 @@
 """`lumiline reproduce`: published tests, the reference figures and ours side by side."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from rich.markup import escape
-from rich.progress import track
 from rich.table import Table
 
-from service.cli.output import console, error_table, fail, print_json, progress_console
+from service.cli.output import console, error_table, fail, print_json, progress
 from validation.all_cases import ALL_CASES
 from validation.cases import CaseResult
+from validation.progress import Listener, listening
 from validation.tables import Cell, ResultTable, TablesCase, TablesResult
 
 SETTLED_PX = 0.01
@@ -25,12 +25,12 @@ def run(name: str | None, *, as_json: bool, output: Path | None = None) -> None:
     if name != "all" and name not in ALL_CASES:
         raise fail(f'there is no case "{name}"; the cases are {", ".join(ALL_CASES)} and all')
     chosen = list(ALL_CASES.values()) if name == "all" else [ALL_CASES[name]]
-    results = [
-        case.run()
-        for case in track(
-            chosen, "reproducing", console=progress_console, transient=True, disable=as_json
-        )
-    ]
+    results = []
+    with progress("reproducing", float(len(chosen)), quiet=as_json) as done:
+        for place, case in enumerate(chosen):
+            with listening(_from(place, done)):
+                results.append(case.run())
+            done(place + 1.0)
     if as_json:
         print_json(results if name == "all" else results[0])
         return
@@ -39,6 +39,10 @@ def run(name: str | None, *, as_json: bool, output: Path | None = None) -> None:
             _print_tables(result)
         else:
             _print(result)
+
+
+def _from(place: int, done: Callable[[float], None]) -> Listener:
+    return lambda share, _stage: done(place + share)
 
 
 def _draw(name: str | None, output: Path) -> None:

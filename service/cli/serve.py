@@ -1,10 +1,7 @@
 """`lumiline serve`: runs the service under uvicorn."""
 
-import copy
 import gc
-import logging.config
-from collections.abc import Iterator
-from contextlib import contextmanager
+import os
 from typing import Any, Final
 
 import typer
@@ -22,27 +19,23 @@ def run(**given: Any) -> None:
     Args:
         given: settings from the command line; None: not given.
     """
+    own_files()
     settings = load_settings(**given)
-    import uvicorn
-
+    from service import graceful
     from service.app import create_app
+    from service.cli.first_key import first_key
     from service.cli.start_check import check_start
+    from service.logs.setup import logging_as
 
-    options = server_options(settings)
-    with logged(options["log_config"]):
+    with logging_as(settings):
         check_start(settings)
-    uvicorn.run(create_app(settings, started=settle_memory), **options)
+        first_key(settings)
+        graceful.run_server(create_app(settings, started=settle_memory), server_options(settings))
 
 
-@contextmanager
-def logged(log_config: dict[str, Any]) -> Iterator[None]:
-    """Log before uvicorn runs, which then sets up its loggers itself."""
-    logging.config.dictConfig(log_config)
-    try:
-        yield
-    finally:
-        for name in log_config["loggers"]:
-            logging.getLogger(name).handlers.clear()
+def own_files() -> None:
+    """Let files that this process makes be its user's alone, in the data directory above all."""
+    os.umask(os.umask(0o077) | 0o077)
 
 
 def settle_memory() -> None:
@@ -57,15 +50,10 @@ def settle_memory() -> None:
 
 def server_options(settings: Settings) -> dict[str, Any]:
     """Return uvicorn's options for these settings."""
-    from uvicorn.config import LOGGING_CONFIG
-
-    log_config = copy.deepcopy(LOGGING_CONFIG)
-    # Ours in the same form, on standard error.
-    level = settings.log_level.upper()
-    for name in ("service", "hardware"):
-        log_config["loggers"][name] = {"handlers": ["default"], "level": level}
     return {
-        "log_config": log_config,
+        # Ours, in service/logs: one form for all loggers, and a line for each request.
+        "log_config": None,
+        "access_log": False,
         "host": settings.host,
         "port": settings.port,
         "log_level": settings.log_level,
@@ -73,6 +61,11 @@ def server_options(settings: Settings) -> dict[str, Any]:
         # time and memory for each client, and gains nothing.
         "ws_per_message_deflate": False,
         "timeout_graceful_shutdown": 5,
+        "limit_concurrency": settings.connections,
+        "http": "service.bounded_http:BoundedHttp",
+        # Of a proxy nothing is believed that no setting says is there: see docs/security.md.
+        "proxy_headers": bool(settings.trusted_proxies),
+        "forwarded_allow_ips": list(settings.trusted_proxies),
     }
 
 

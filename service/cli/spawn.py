@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
@@ -15,20 +16,35 @@ START_TIMEOUT_S = 180.0
 """The first start on a machine compiles the kernels."""
 
 
+@dataclass(frozen=True)
+class RunningService:
+    """A service that runs: where it answers, and its process."""
+
+    url: str
+    pid: int
+
+
 class ServiceFailedError(RuntimeError):
     """The service did not start; the message holds the end of its log."""
 
 
 @contextmanager
 def running_service(data_dir: Path) -> Iterator[str]:
-    """Run ``lumiline serve`` on a free port and yield its base URL; ends it afterwards.
+    """Run ``lumiline serve`` and yield its base URL; see ``service_process``."""
+    with service_process(data_dir) as service:
+        yield service.url
+
+
+@contextmanager
+def service_process(data_dir: Path) -> Iterator[RunningService]:
+    """Run ``lumiline serve`` on a free port; ends it afterwards.
 
     Args:
         data_dir: its data directory, which also gets its log, ``service.log``.
     """
     data_dir.mkdir(parents=True, exist_ok=True)
     log_path = data_dir / "service.log"
-    port = _free_port()
+    port = free_port()
     # The embedded default, whatever this user's environment says of another database.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("LUMILINE_")}
     with log_path.open("w", encoding="utf-8") as log:
@@ -40,7 +56,7 @@ def running_service(data_dir: Path) -> Iterator[str]:
         url = f"http://127.0.0.1:{port}"
         try:
             _wait_until_ready(process, url, log_path)
-            yield url
+            yield RunningService(url, process.pid)
         finally:
             process.terminate()
             try:
@@ -50,7 +66,8 @@ def running_service(data_dir: Path) -> Iterator[str]:
                 process.wait()
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """Return a port of this machine that nobody listens on."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

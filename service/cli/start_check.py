@@ -21,8 +21,8 @@ def check_start(settings: Settings) -> None:
     Raises:
         typer.Exit: the message was printed; code 2 for a setting that means nothing, else 1.
     """
-    database = _database(settings.effective_database_url)
-    name = _without_password(database.engine.url)
+    database = open_database(settings.effective_database_url)
+    name = without_password(database.engine.url)
     try:
         named = prepare(settings, database)
         trace_optics(settings, database, named)
@@ -39,10 +39,7 @@ def check_start(settings: Settings) -> None:
             _FAILED,
         ) from None
     except (SQLAlchemyError, NotReady) as error:
-        reason = str(error.orig if isinstance(error, DBAPIError) else error)
-        for secret in _secrets(database.engine.url):
-            reason = reason.replace(secret, "***")
-        reason = "; ".join(line.strip() for line in reason.splitlines() if line.strip())
+        reason = why_unusable(error, database.engine.url)
         raise _end(f"database {name} cannot be used: {reason}", _FAILED) from None
     except LumilineError as error:
         raise _end(f"setting device: {error.detail}", _WRONG_SETTING) from None
@@ -50,7 +47,16 @@ def check_start(settings: Settings) -> None:
         database.close()
 
 
-def _database(url: str) -> Database:
+def why_unusable(error: Exception, url: URL) -> str:
+    """Return what a database's error says, in one line and without the URL's passwords."""
+    reason = str(error.orig if isinstance(error, DBAPIError) else error)
+    for secret in _secrets(url):
+        reason = reason.replace(secret, "***")
+    return "; ".join(line.strip() for line in reason.splitlines() if line.strip())
+
+
+def open_database(url: str) -> Database:
+    """Return the database of a URL; one that means nothing ends the command."""
     try:
         return Database(url)
     except (ArgumentError, ImportError, ValueError) as error:
@@ -68,8 +74,9 @@ def _secrets(url: URL) -> list[str]:
     return [secret for secret in given if secret]
 
 
-def _without_password(url: URL) -> str:
-    shown = url.difference_update_query(["password", "connect_timeout"])
+def without_password(url: URL) -> str:
+    """Return a database's URL as it may be shown."""
+    shown = url.difference_update_query(["password"])
     return shown.render_as_string(hide_password=True)
 
 

@@ -15,6 +15,7 @@ from service.correction_tables.upload import read_apart
 from service.database.engine import Database
 from service.dependencies import DatabaseDep, OperationDep
 from service.errors import (
+    ActivationConflict,
     Busy,
     CorrectionTableExists,
     CorrectionTableInUse,
@@ -27,7 +28,9 @@ from service.errors import (
     UnsupportedMediaType,
 )
 from service.openapi import problems
-from service.schema import SLUG_PATTERN, DeviceFilter, Limit, Offset, Page
+from service.pages import PagingDep, page_of
+from service.parameters import DeviceFilter, ExpectedActive
+from service.schema import SLUG_PATTERN, Page
 
 TABLES_PATH: Final = "/api/v1/correction-tables"
 
@@ -57,18 +60,20 @@ SparePath = Annotated[
 @router.get("", operation_id="list-correction-tables", summary="List correction tables")
 def list_tables(
     database: DatabaseDep,
+    paging: PagingDep,
     device: DeviceFilter = None,
     calibration: Annotated[
         str | None, Query(pattern=SLUG_PATTERN, description="Only those of this calibration.")
     ] = None,
-    limit: Limit = 50,
-    offset: Offset = 0,
 ) -> Page[CorrectionTableDocument]:
     """Tables without their numbers, newest first."""
     with database.read() as session:
-        rows, total = store.list_tables(session, device, calibration, limit, offset)
-        items = [store.document(session, row) for row in rows]
-    return Page(items=items, total=total, limit=limit, offset=offset)
+        return page_of(
+            session,
+            store.tables(device, calibration),
+            paging,
+            lambda row: store.document(session, row),
+        )
 
 
 @router.post(
@@ -178,22 +183,25 @@ def download_table(table_id: TablePath, database: DatabaseDep) -> Response:
         NoActiveCalibration,
         ForeignTable,
         SensorsChanged,
+        ActivationConflict,
     ),
 )
-def activate_table(table_id: TablePath, operation: OperationDep) -> CorrectionTableDocument:
+def activate_table(
+    table_id: TablePath, operation: OperationDep, expected: ExpectedActive = None
+) -> CorrectionTableDocument:
     """Let the device correct its readings by this table, a running one from the next frame on.
 
     Its parent must be the active calibration. Activating another calibration ends its use. The
     move is written into the device's history of activations.
     """
-    return operation.activate_table(table_id)
+    return operation.activate_table(table_id, expected)
 
 
 @router.post(
     "/{table_id}/deactivate",
     operation_id="deactivate-correction-table",
     summary="Stop using a correction table",
-    responses=problems(UnknownCorrectionTable, SensorsChanged),
+    responses=problems(UnknownCorrectionTable, SensorsChanged, ActivationConflict),
 )
 def deactivate_table(table_id: TablePath, operation: OperationDep) -> CorrectionTableDocument:
     """Let the device go on without the table; one that is not in use stays as it is."""

@@ -1,13 +1,12 @@
 """Correction tables in the database: stored, read, activated with their calibration."""
 
 import secrets
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Literal
 
 import numpy as np
-from sqlalchemy import ColumnElement, func, select
+from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 
 from service.calibrations.activation import Target, active, lock_device, move
@@ -52,24 +51,16 @@ def get_table(session: Session, table_id: str) -> CorrectionTableRow:
     return row
 
 
-def list_tables(
-    session: Session, device_id: str | None, calibration_id: str | None, limit: int, offset: int
-) -> tuple[Sequence[CorrectionTableRow], int]:
-    """Return a page of tables, newest first, and how many the filter matches."""
-    conditions: list[ColumnElement[bool]] = []
+def tables(device_id: str | None, calibration_id: str | None) -> Select[CorrectionTableRow]:
+    """Return those that the filter matches, newest first."""
+    found = select(CorrectionTableRow).order_by(
+        CorrectionTableRow.created_at.desc(), CorrectionTableRow.id
+    )
     if device_id is not None:
-        conditions.append(CorrectionTableRow.device_id == device_id)
+        found = found.where(CorrectionTableRow.device_id == device_id)
     if calibration_id is not None:
-        conditions.append(CorrectionTableRow.calibration_id == calibration_id)
-    total = session.scalar(select(func.count()).select_from(CorrectionTableRow).where(*conditions))
-    rows = session.scalars(
-        select(CorrectionTableRow)
-        .where(*conditions)
-        .order_by(CorrectionTableRow.created_at.desc(), CorrectionTableRow.id)
-        .limit(limit)
-        .offset(offset)
-    ).all()
-    return rows, total or 0
+        found = found.where(CorrectionTableRow.calibration_id == calibration_id)
+    return found
 
 
 def check_unused(session: Session, table_id: str | None) -> None:
@@ -92,7 +83,7 @@ def find_parent(session: Session, content: TableContent) -> CalibrationRow:
     Of several with the same content the active one, else the newest.
 
     Raises:
-        ForeignTable: there is none, or its sensors are others.
+        ForeignTable: there is none, or the table is of another device or of other sensors.
     """
     wanted = content.table.calibration_hash
     rows = session.scalars(
@@ -106,6 +97,13 @@ def find_parent(session: Session, content: TableContent) -> CalibrationRow:
             f"the table belongs to the calibration with the content hash {wanted[:64]}, which is "
             "not on this server; a table works with the calibration it was made from only",
             calibration_hash=wanted[:64],
+        )
+    if content.device != rows[0].device_id:
+        raise ForeignTable(
+            f'the table is of device "{content.device[:63]}", its calibration "{rows[0].id}" of '
+            f'"{rows[0].device_id}"; upload it as it was downloaded',
+            calibration=rows[0].id,
+            device=rows[0].device_id,
         )
     check_sensor_names(rows[0], content)
     return rows[0]

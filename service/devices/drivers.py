@@ -8,7 +8,16 @@ from pydantic import TypeAdapter, ValidationError
 
 from compute.errors import InvalidParameter
 from hardware.driver import Driver, SensorDescription
-from service.devices.schema import ExternalSource, ProfileSource, ReplaySource, Sensor, Source
+from service.devices.schema import (
+    ExternalSource,
+    GenicamSource,
+    ProfileSource,
+    ReplaySource,
+    SerialSource,
+    Source,
+    Tcd1304Source,
+)
+from service.devices.sensor import Sensor
 from service.errors import DeviceWithoutDriver, UnknownRecording
 from service.settings import DataFolders
 
@@ -42,6 +51,18 @@ def make_driver(device_id: str, source: Source, folders: DataFolders) -> Driver:
 
         profile = find_profile(source.profile, folders.profiles)
         return ProfileDriver(device_id, profile, source.settings)
+    if isinstance(source, SerialSource):
+        from hardware.serial.driver import SerialDriver
+
+        return SerialDriver(device_id, source.settings)
+    if isinstance(source, Tcd1304Source):
+        from hardware.tcd1304.driver import Tcd1304Driver
+
+        return Tcd1304Driver(device_id, source.settings)
+    if isinstance(source, GenicamSource):
+        from hardware.genicam.driver import GenicamDriver
+
+        return GenicamDriver(device_id, source.settings)
     from hardware.simulated.driver import SimulatedDriver
 
     return SimulatedDriver(device_id, source.settings)

@@ -2,18 +2,21 @@
 
 import logging
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Final
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
+from hardware.driver import DeviceDescription
 from service.calibrations import store as calibrations
 from service.calibrations.activation import active, before_last, lock_device, move
+from service.calibrations.basis import Basis, Reached, basis_of, check_basis
 from service.calibrations.run import result_of
 from service.calibrations.schema import CalibrationSummary
-from service.calibrations.sensors import check_sensors
+from service.calibrations.sensors import check_sensors, listed, same_sensors
 from service.correction_tables import store as tables
 from service.correction_tables.schema import CorrectionTableDocument
 from service.database.engine import Database
@@ -21,12 +24,17 @@ from service.database.models import DeviceRow
 from service.devices import store
 from service.devices.drivers import make_driver, sensors_of
 from service.devices.schema import Device, DeviceChange, NewDevice
+from service.devices.sensor import Sensor
+from service.errors import SensorsChanged
 from service.live.in_force import InForce
-from service.live.manager import LiveManager
+from service.live.manager import Accept, LiveManager
 from service.live.session import DeviceStatus
 from service.settings import DataFolders
 
 _log = logging.getLogger(__name__)
+
+_RUNS: Final = ("starting", "running", "disconnected")
+"""States in which a device's sensors do not change."""
 
 
 class Operation:
@@ -70,7 +78,7 @@ class Operation:
             sensors = sensors_of(device_id, change.source, self._folders)
         with self._exclusive(device_id):
             # Before the transaction: the live side may be busy starting another device.
-            running = self._live.status(device_id).state == "running"
+            running = self._live.status(device_id).state in _RUNS
             with self._database.write() as session:
                 row = store.change_device(session, device_id, change, sensors, running=running)
                 return store.document(session, row)
@@ -86,15 +94,17 @@ class Operation:
         """Start a device with its active calibration, again if it is running.
 
         Raises:
-            UnknownDevice, DeviceWithoutDriver, or what the driver raises when it is opened.
+            UnknownDevice, DeviceWithoutDriver, SensorsChanged, or what the driver raises when it
+            is opened. A device that is unplugged is no error: it is waited for.
         """
         with self._exclusive(device_id):
             with self._database.read() as session:
                 row = store.get_device(session, device_id)
                 source = store.source_of(row)
                 found = _in_force(session, device_id)
+                stored = store.sensors_of_row(row)
             driver = make_driver(device_id, source, self._folders)
-            self._live.start_device(device_id, driver, found)
+            self._live.start_device(device_id, driver, found, _only_with(device_id, stored))
             return self._live.status(device_id)
 
     def stop(self, device_id: str) -> DeviceStatus:
@@ -112,29 +122,35 @@ class Operation:
             store.get_device(session, device_id)
         return self._live.status(device_id)
 
-    def activate(self, calibration_id: str) -> CalibrationSummary:
+    def activate(self, calibration_id: str, expected: str | None = None) -> CalibrationSummary:
         """Make a calibration its device's active one, in the database and then live.
 
         What is refused is refused before the database's commit. After it nothing is: where the
         running device cannot take the calibration it keeps its own, until its next start.
+        ``expected`` is the calibration that is to be active until then.
 
         Raises:
             UnknownCalibration, CalibrationRetired, SensorsChanged.
+            ActivationConflict: another is active than expected, or another move came first.
         """
         with self._database.read() as session:
             device_id = calibrations.get_calibration(session, calibration_id).device_id
-        with self._moving(device_id) as session:
+            basis = basis_of(session, device_id, expected)
+        with self._moving(basis, lambda now: now.calibration_id == calibration_id) as session:
             return calibrations.summary(session, calibrations.activate(session, calibration_id))
 
-    def activate_table(self, table_id: str) -> CorrectionTableDocument:
+    def activate_table(self, table_id: str, expected: str | None = None) -> CorrectionTableDocument:
         """Let a correction table's device use it, in the database and then live.
 
         Raises:
             UnknownCorrectionTable, NoActiveCalibration, ForeignTable, SensorsChanged.
+            ActivationConflict: another calibration is active than expected, or another move came
+                first.
         """
         with self._database.read() as session:
             device_id = tables.get_table(session, table_id).device_id
-        with self._moving(device_id) as session:
+            basis = basis_of(session, device_id, expected)
+        with self._moving(basis, lambda now: now.table_id == table_id) as session:
             return tables.document(session, tables.activate_table(session, table_id))
 
     def deactivate_table(self, table_id: str) -> CorrectionTableDocument:
@@ -142,32 +158,39 @@ class Operation:
 
         Raises:
             UnknownCorrectionTable, SensorsChanged.
+            ActivationConflict: another move came first.
         """
         with self._database.read() as session:
             device_id = tables.get_table(session, table_id).device_id
-        with self._moving(device_id) as session:
+            basis = basis_of(session, device_id)
+        with self._moving(basis, lambda now: now.table_id != table_id) as session:
             return tables.document(session, tables.deactivate_table(session, table_id))
 
-    def roll_back(self, device_id: str) -> Device:
+    def roll_back(self, device_id: str, expected: str | None = None) -> Device:
         """Go back to what the device used before its last activation; again: further back.
 
         Raises:
             UnknownDevice, NothingToRollBack, CalibrationRetired, SensorsChanged.
+            ActivationConflict: another calibration is active than expected, or another move came
+                first.
         """
         with self._database.read() as session:
             store.get_device(session, device_id)
-        with self._moving(device_id) as session:
-            lock_device(session, device_id)
+            basis = basis_of(session, device_id, expected)
+        with self._moving(basis, lambda _: False) as session:
             target = before_last(session, device_id)
             calibrations.usable(session, target.calibration_id)
             move(session, device_id, target)
             return store.document(session, store.get_device(session, device_id))
 
     @contextmanager
-    def _moving(self, device_id: str) -> Iterator[Session]:
+    def _moving(self, basis: Basis, reached: Reached) -> Iterator[Session]:
         """Yield a transaction that moves the device's pointer; after its commit tell the device."""
+        device_id = basis.device_id
         with self._exclusive(device_id):
             with self._database.write() as session:
+                lock_device(session, device_id)
+                check_basis(session, basis, reached)
                 yield session
                 found = _in_force(session, device_id)
                 if found.calibration is not None:
@@ -193,6 +216,21 @@ class Operation:
                 _log.exception("device %s was not started", device_id)
 
 
+def _only_with(device_id: str, stored: Sequence[Sensor]) -> Accept:
+    """Return what refuses a device whose sensors are not the stored ones."""
+
+    def accept(description: DeviceDescription) -> None:
+        if not same_sensors(description.sensors, stored):
+            raise SensorsChanged(
+                f'device "{device_id}" is stored with the sensors {listed(stored)}; what is '
+                f"connected has {listed(description.sensors)}; connect the right one, or send its "
+                "source anew, which reads its sensors",
+                device=device_id,
+            )
+
+    return accept
+
+
 def _in_force(session: Session, device_id: str) -> InForce:
     """Return the calibration and the table that the device's pointer names."""
     pointer = active(session, device_id)
@@ -201,5 +239,13 @@ def _in_force(session: Session, device_id: str) -> InForce:
     calibration = calibrations.get_calibration(session, pointer.calibration_id)
     table = None
     if pointer.table_id is not None:
-        table = tables.content_of(tables.get_table(session, pointer.table_id)).table
-    return InForce(calibration.id, result_of(calibration.content), pointer.table_id, table)
+        table = tables.get_table(session, pointer.table_id)
+    return InForce(
+        calibration.id,
+        result_of(calibration.content),
+        pointer.table_id,
+        tables.content_of(table).table if table else None,
+        calibration.content,
+        calibration.content_hash,
+        table.data if table else None,
+    )

@@ -22,7 +22,8 @@ from service.calibrations.schema import ControlPointErrors
 from service.calibrations.store import activate, add_calibration
 from service.database.models import DeviceRow
 from service.devices.drivers import usable_sensors
-from service.devices.schema import NewDevice, ProfileSource, Sensor
+from service.devices.schema import NewDevice, ProfileSource
+from service.devices.sensor import Sensor
 from service.devices.store import add_device, source_of
 
 _GRID: Final = 6  # control points along each side of the volume

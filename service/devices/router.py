@@ -6,12 +6,15 @@ from fastapi import APIRouter, Body, Path, Query, Response
 from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from compute.errors import InvalidParameter, InvalidRecording
+from hardware.errors import DeviceNotConnected
 from service.calibrations.activation import activations
+from service.database.models import ActivationRow
 from service.dependencies import DatabaseDep, OperationDep
 from service.devices import store
 from service.devices.examples import CHANGES, NEW_DEVICES
 from service.devices.schema import Activation, Device, DeviceChange, NewDevice, Status
 from service.errors import (
+    ActivationConflict,
     CalibrationRetired,
     DeviceExists,
     DeviceInUse,
@@ -25,7 +28,9 @@ from service.errors import (
 )
 from service.json_body import FromJson, JsonRoute
 from service.openapi import problems
-from service.schema import SLUG_PATTERN, DevicePath, Limit, Offset, Page
+from service.pages import PagingDep, page_of
+from service.parameters import DevicePath, ExpectedActive
+from service.schema import SLUG_PATTERN, Page
 
 router = APIRouter(prefix="/api/v1/devices", tags=["devices"], route_class=JsonRoute)
 
@@ -34,12 +39,10 @@ ChangeBody = Annotated[DeviceChange, FromJson(), Body(openapi_examples=CHANGES)]
 
 
 @router.get("", operation_id="list-devices", summary="List devices")
-def list_devices(database: DatabaseDep, limit: Limit = 50, offset: Offset = 0) -> Page[Device]:
+def list_devices(database: DatabaseDep, paging: PagingDep) -> Page[Device]:
     """Devices by id."""
     with database.read() as session:
-        rows, total = store.list_devices(session, limit, offset)
-        items = [store.document(session, row) for row in rows]
-    return Page(items=items, total=total, limit=limit, offset=offset)
+        return page_of(session, store.devices(), paging, lambda row: store.document(session, row))
 
 
 @router.post(
@@ -48,11 +51,19 @@ def list_devices(database: DatabaseDep, limit: Limit = 50, offset: Offset = 0) -
     summary="Create a device",
     status_code=HTTP_201_CREATED,
     responses=problems(
-        DeviceExists, UnknownRecording, UnknownDeviceProfile, InvalidParameter, InvalidRecording
+        DeviceExists,
+        DeviceNotConnected,
+        UnknownRecording,
+        UnknownDeviceProfile,
+        InvalidParameter,
+        InvalidRecording,
     ),
 )
 def create_device(request: NewDeviceBody, operation: OperationDep, response: Response) -> Device:
-    """Create a device. It is not started; sensors are given for an external one only."""
+    """Create a device. It is not started; sensors are given for an external one only.
+
+    A device on a port has to be connected, because it says itself which sensors it has.
+    """
     device = operation.create(request)
     response.headers["Location"] = f"/api/v1/devices/{device.id}"
     return device
@@ -80,6 +91,7 @@ def get_device(device_id: DevicePath, database: DatabaseDep) -> Device:
         UnknownDeviceProfile,
         DeviceInUse,
         DeviceRunning,
+        DeviceNotConnected,
         InvalidParameter,
         InvalidRecording,
     ),
@@ -128,12 +140,16 @@ def delete_device(
         UnknownRecording,
         UnknownDeviceProfile,
         DeviceWithoutDriver,
+        SensorsChanged,
         InvalidParameter,
         InvalidRecording,
     ),
 )
 def start_device(device_id: DevicePath, operation: OperationDep) -> Status:
-    """Start the device with its active calibration; one that is running starts anew."""
+    """Start the device with its active calibration; one that is running starts anew.
+
+    One that is unplugged is "disconnected", with the reason, and runs once it is connected.
+    """
     return Status(device=device_id, status=operation.start(device_id))
 
 
@@ -163,14 +179,18 @@ def get_device_status(device_id: DevicePath, operation: OperationDep) -> Status:
     "/{device_id}/roll-back",
     operation_id="roll-back-device",
     summary="Go back to what was active before",
-    responses=problems(UnknownDevice, NothingToRollBack, CalibrationRetired, SensorsChanged),
+    responses=problems(
+        UnknownDevice, NothingToRollBack, CalibrationRetired, SensorsChanged, ActivationConflict
+    ),
 )
-def roll_back_device(device_id: DevicePath, operation: OperationDep) -> Device:
+def roll_back_device(
+    device_id: DevicePath, operation: OperationDep, expected: ExpectedActive = None
+) -> Device:
     """Go back to the calibration and table before the last activation; again: further back.
 
     In a running device from the next frame on. The move is written into the history.
     """
-    return operation.roll_back(device_id)
+    return operation.roll_back(device_id, expected)
 
 
 @router.get(
@@ -180,24 +200,23 @@ def roll_back_device(device_id: DevicePath, operation: OperationDep) -> Device:
     responses=problems(UnknownDevice),
 )
 def list_activations(
-    device_id: DevicePath, database: DatabaseDep, limit: Limit = 50, offset: Offset = 0
+    device_id: DevicePath, database: DatabaseDep, paging: PagingDep
 ) -> Page[Activation]:
     """Which calibration and table were in use since when, newest first; nothing is removed."""
     with database.read() as session:
         store.get_device(session, device_id)
-        rows, total = activations(session, device_id, limit, offset)
-    items = [
-        Activation(
-            id=row.id,
-            device=row.device_id,
-            calibration_id=row.calibration_id,
-            previous_calibration_id=row.previous_calibration_id,
-            table_id=row.table_id,
-            previous_table_id=row.previous_table_id,
-            restores_id=row.restores_id,
-            activated_at=row.activated_at,
-            actor=row.actor,
-        )
-        for row in rows
-    ]
-    return Page(items=items, total=total, limit=limit, offset=offset)
+        return page_of(session, activations(device_id), paging, _activation)
+
+
+def _activation(row: ActivationRow) -> Activation:
+    return Activation(
+        id=row.id,
+        device=row.device_id,
+        calibration_id=row.calibration_id,
+        previous_calibration_id=row.previous_calibration_id,
+        table_id=row.table_id,
+        previous_table_id=row.previous_table_id,
+        restores_id=row.restores_id,
+        activated_at=row.activated_at,
+        actor=row.actor,
+    )

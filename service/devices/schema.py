@@ -2,26 +2,19 @@
 
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field, StringConstraints
-from pydantic.dataclasses import dataclass as checked_dataclass
+from pydantic import Field, StringConstraints
 
-from hardware.driver import SensorDescription
+from hardware.genicam.settings import GenicamSettings
+from hardware.serial.settings import SerialSettings
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.settings import SimulationSettings
+from hardware.tcd1304.settings import Tcd1304Settings
+from service.devices.sensor import Sensor
 from service.live.session import DeviceStatus
-from service.schema import Document, Given, Moment, Name, Slug, Text200, absent
+from service.schema import Document, Given, Moment, Slug, Text200, absent
 
 RECORDING_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
 PROFILE_PATTERN = r"^[a-z0-9]([a-z0-9.-]{0,61}[a-z0-9])?$"
-
-
-@checked_dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
-class Sensor(SensorDescription):
-    """One line sensor: name, number of pixels, pixel pitch [um]."""
-
-    name: Name
-    pixels: Annotated[int, Field(ge=8, le=65536)]
-    pitch_um: Annotated[float, Field(gt=0, le=1000, description="Pixel pitch [um].")]
 
 
 class SimulatedSource(Given):
@@ -52,7 +45,30 @@ class ReplaySource(Given):
         StringConstraints(max_length=200, pattern=RECORDING_PATTERN),
         Field(description="File name below the folder `recordings`."),
     ]
-    speed: Annotated[float, Field(gt=0, le=1000, description="1: as recorded.")] = 1.0
+    speed: Annotated[float, Field(gt=0, le=1000)] | None = Field(
+        default=1.0, description="1: as recorded; null: as fast as frames are processed."
+    )
+
+
+class SerialSource(Given):
+    """A device on a serial port that speaks the line-scan protocol (docs/serial-protocol.md)."""
+
+    kind: Literal["serial"]
+    settings: SerialSettings
+
+
+class Tcd1304Source(Given):
+    """Open TCD1304 boards, each at a serial port (docs/tcd1304.md)."""
+
+    kind: Literal["tcd1304"]
+    settings: Tcd1304Settings
+
+
+class GenicamSource(Given):
+    """GenICam line-scan cameras, GigE Vision or USB3 Vision (docs/genicam.md)."""
+
+    kind: Literal["genicam"]
+    settings: GenicamSettings
 
 
 class ExternalSource(Given):
@@ -63,7 +79,14 @@ class ExternalSource(Given):
 
 
 Source = Annotated[
-    SimulatedSource | ProfileSource | ReplaySource | ExternalSource, Field(discriminator="kind")
+    SimulatedSource
+    | ProfileSource
+    | ReplaySource
+    | SerialSource
+    | Tcd1304Source
+    | GenicamSource
+    | ExternalSource,
+    Field(discriminator="kind"),
 ]
 
 

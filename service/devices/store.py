@@ -1,10 +1,9 @@
 """Devices in the database."""
 
-from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from pydantic import TypeAdapter
-from sqlalchemy import delete, func, select
+from sqlalchemy import Select, delete, func, select
 from sqlalchemy.orm import Session
 
 from service.calibrations.activation import active
@@ -17,10 +16,15 @@ from service.database.models import (
     CaptureRow,
     CorrectionTableRow,
     DeviceRow,
+    DriftCheckRow,
+    QualityCheckRow,
     ReconstructionRow,
     RunRow,
+    WatchRow,
+    WatchSampleRow,
 )
-from service.devices.schema import Device, DeviceChange, NewDevice, Sensor, Source
+from service.devices.schema import Device, DeviceChange, NewDevice, Source
+from service.devices.sensor import Sensor
 from service.errors import DeviceExists, DeviceInUse, DeviceRunning, UnknownDevice
 
 _SOURCE: TypeAdapter[Source] = TypeAdapter(Source)
@@ -37,13 +41,9 @@ def get_device(session: Session, device_id: str, *, lock: bool = False) -> Devic
     return row
 
 
-def list_devices(session: Session, limit: int, offset: int) -> tuple[Sequence[DeviceRow], int]:
-    """Return a page of devices by id, and how many there are."""
-    total = session.scalar(select(func.count()).select_from(DeviceRow))
-    rows = session.scalars(
-        select(DeviceRow).order_by(DeviceRow.id).limit(limit).offset(offset)
-    ).all()
-    return rows, total or 0
+def devices() -> Select[DeviceRow]:
+    """Return all devices, by id."""
+    return select(DeviceRow).order_by(DeviceRow.id)
 
 
 def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> DeviceRow:
@@ -130,6 +130,9 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
             ActivationRow,
             ActiveCalibrationRow,
             CorrectionTableRow,
+            DriftCheckRow,
+            QualityCheckRow,
+            WatchSampleRow,
             CalibrationRow,
         ):
             session.execute(delete(table).where(table.device_id == device_id))
@@ -141,6 +144,7 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
             captures=CaptureRow,
             runs=RunRow,
         )
+    session.execute(delete(WatchRow).where(WatchRow.device_id == device_id))
     session.delete(row)
     session.flush()
 
@@ -176,7 +180,7 @@ def source_of(row: DeviceRow) -> Source:
     """
     source = row.source
     settings = source.get("settings")
-    if settings and "peaks" not in settings:
+    if settings and source["kind"] in ("simulated", "profile") and "peaks" not in settings:
         source = {**source, "settings": {**settings, "peaks": "centroid"}}
     return _SOURCE.validate_python(source)
 

@@ -1,6 +1,7 @@
 """The one thread that owns Warp: processes the frames of all devices, batch by batch."""
 
 import logging
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from queue import Empty, SimpleQueue
@@ -24,6 +25,7 @@ class ComputeThread:
         self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._workers: dict[str, Callable[[], bool]] = {}
         self._closing = False
+        self._since_s: float | None = None
         self._thread = Thread(target=self._run, name="compute", daemon=True)
 
     def start(self) -> None:
@@ -34,6 +36,12 @@ class ComputeThread:
     def alive(self) -> bool:
         """Whether the thread runs."""
         return self._thread.is_alive()
+
+    @property
+    def busy_s(self) -> float:
+        """How long it is at the batch, or the job, that it has in hand [s]; 0 when it waits."""
+        since = self._since_s
+        return 0.0 if since is None else time.monotonic() - since
 
     def wake(self) -> None:
         """Say that there is something to do; callable from any thread, never blocks."""
@@ -73,6 +81,7 @@ class ComputeThread:
 
     def _run(self) -> None:
         while not self._closing:
+            self._since_s = None
             self._wake.wait()
             # Cleared before the work is looked at: what comes meanwhile wakes the next round.
             self._wake.clear()
@@ -81,6 +90,7 @@ class ComputeThread:
                 busy = False
                 self._run_jobs()
                 for name, worker in list(self._workers.items()):
+                    self._since_s = time.monotonic()
                     try:
                         busy = worker() or busy
                     except Exception:  # noqa: BLE001
@@ -97,4 +107,5 @@ class ComputeThread:
                 job = self._jobs.get_nowait()
             except Empty:
                 return
+            self._since_s = time.monotonic()
             job()

@@ -67,7 +67,7 @@ def frame_points(
     position = peaks.position_px.reshape(shape).astype(np.float64)
     flags = np.where(np.isfinite(position), peaks.flags.reshape(shape), 0)
     position[(flags & use.unusable) != 0] = np.nan
-    doubtful = position[(flags & use.doubtful) != 0]
+    doubtful = np.where((flags & use.doubtful) != 0, position, np.nan)
     # By frame, peak and sensor for the calibration's figures, which are by sensor.
     own = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
     spread = reading_sigma(active.calibration, own, own)
@@ -101,8 +101,9 @@ def frame_points(
     readings, deviations = np.array(rows), np.array(sigmas)
     points = active.solver.solve(readings, deviations)
     found_flags = np.where(ambiguous, int(PointFlag.AMBIGUOUS), 0)
-    if len(doubtful):
-        from_doubtful = np.isin(readings, doubtful).any(axis=1)
+    if np.isfinite(doubtful).any():
+        # Each against its own frame's: what else is in the batch must not matter.
+        from_doubtful = (readings[..., None] == doubtful[owner]).any(axis=(1, 2))
         found_flags |= np.where(from_doubtful, int(PointFlag.DOUBTFUL_PEAK), 0)
     points = replace(points, flags=(points.flags | found_flags).astype(np.int32))
     return points, np.array(owner, dtype=np.intp)

@@ -1,137 +1,117 @@
-"""The hub: hands what the compute thread publishes to every stream, without waiting for any."""
+"""The hub: one log for each device, and the clients that read it."""
 
-import asyncio
-from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from functools import partial
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from service.live.batch import FrameBatch
-from service.live.messages import (
-    Content,
-    Encoding,
-    Payload,
-    encode,
-    frame_messages,
-    missed_message,
-)
+from service.live.stream_batch import StreamBatch
+from service.live.stream_log import StreamLog
+from service.live.subscription import Subscription, Wanted
 
+if TYPE_CHECKING:
+    import asyncio
 
-class StreamEnded(Exception):
-    """There will be no more messages."""
-
-
-class Subscription:
-    """One client's bounded queue. When it is full the oldest is dropped, counted and told."""
-
-    def __init__(
-        self,
-        device_id: str,
-        content: frozenset[Content],
-        encoding: Encoding,
-        capacity: int,
-    ) -> None:
-        """Create it in the event loop that takes the messages, at most ``capacity`` waiting."""
-        self.device_id = device_id
-        self.content = content
-        self.encoding = encoding
-        self.loop = asyncio.get_running_loop()
-        self.missed = 0
-        self._capacity = capacity
-        self._queue: deque[Payload] = deque()
-        self._ready = asyncio.Event()
-        self._ended = False
-
-    def offer(self, payloads: Iterable[Payload]) -> None:
-        """Add messages; runs in the loop."""
-        for payload in payloads:
-            if len(self._queue) == self._capacity:
-                self._queue.popleft()
-                self.missed += 1
-            self._queue.append(payload)
-        self._ready.set()
-
-    def end(self) -> None:
-        """Let ``next`` raise StreamEnded after what waits; runs in the loop."""
-        self._ended = True
-        self._ready.set()
-
-    async def next(self) -> Payload:
-        """Return the next message, or how many were missed since the last.
-
-        Raises:
-            StreamEnded: the device was deleted and all its messages were taken.
-        """
-        while not self._queue:
-            if self._ended:
-                raise StreamEnded
-            self._ready.clear()
-            await self._ready.wait()
-        if self.missed:
-            message = missed_message(self.device_id, self.missed)
-            self.missed = 0
-            return encode(message, self.encoding)
-        return self._queue.popleft()
+KEPT_MESSAGES = 10_000
+"""Messages of each device that are kept for clients which are behind or come back."""
+LAG_S = 1.0
+"""How far a client that is not lossless may fall behind."""
 
 
 class Hub:
-    """Subscriptions by device; publishing encodes once for each kind of client."""
+    """Publishing appends to the device's log; nothing that a client does holds it up."""
 
-    def __init__(self) -> None:
-        self._subscriptions: dict[str, list[Subscription]] = {}
+    def __init__(self, kept_messages: int = KEPT_MESSAGES, lag_s: float = LAG_S) -> None:
+        """Make a hub; see KEPT_MESSAGES and LAG_S."""
+        self._kept_messages = kept_messages
+        self._lag_s = lag_s
+        self._logs: dict[str, StreamLog] = {}
+        self._clients: dict[str, tuple[Subscription, ...]] = {}
         self._lock = Lock()
 
-    def subscribe(self, subscription: Subscription) -> None:
-        """Add a client; it receives what is published from now on."""
+    def log(self, device_id: str) -> StreamLog:
+        """Return the device's log, made when it is first asked for."""
         with self._lock:
-            self._subscriptions.setdefault(subscription.device_id, []).append(subscription)
+            found = self._logs.get(device_id)
+            if found is None:
+                found = self._logs[device_id] = StreamLog(self._kept_messages)
+            return found
+
+    def subscribe(self, wanted: Wanted) -> Subscription:
+        """Add a client; called in the event loop that takes its messages."""
+        subscription = Subscription(wanted, self.log(wanted.device_id), self._lag_s)
+        with self._lock:
+            here = self._clients.get(wanted.device_id, ())
+            self._clients[wanted.device_id] = (*here, subscription)
+        return subscription
 
     def unsubscribe(self, subscription: Subscription) -> None:
-        """Remove a client."""
+        """Remove a client; may be called again."""
+        device_id = subscription.wanted.device_id
         with self._lock:
-            self._subscriptions[subscription.device_id].remove(subscription)
+            here = self._clients.get(device_id, ())
+            self._clients[device_id] = tuple(one for one in here if one is not subscription)
 
     def subscribers(self, device_id: str) -> int:
         """Return the number of clients of a device."""
-        return len(self._subscriptions.get(device_id, ()))
+        return len(self._clients.get(device_id, ()))
 
     def publish_batch(self, batch: FrameBatch) -> None:
-        """Hand a batch of frames to the device's clients; callable from any thread."""
-        messages: dict[frozenset[Content], list[dict[str, Any]]] = {}
-        payloads: dict[tuple[frozenset[Content], Encoding], list[Payload]] = {}
-        for client in self._clients(batch.device_id):
-            key = (client.content, client.encoding)
-            if key not in payloads:
-                if client.content not in messages:
-                    messages[client.content] = list(frame_messages(batch, client.content))
-                payloads[key] = [
-                    encode(message, client.encoding) for message in messages[client.content]
-                ]
-            _deliver(client, payloads[key])
+        """Put a batch of frames into the device's log; callable from any thread."""
+        self.log(batch.device_id).append_batch(StreamBatch.of(batch))
+        self._tell(batch.device_id, _wake_for_frames)
 
     def publish(self, device_id: str, message: dict[str, Any]) -> None:
-        """Hand one message to all of the device's clients; callable from any thread."""
-        for client in self._clients(device_id):
-            _deliver(client, [encode(message, client.encoding)])
+        """Put a message that is no frame into the device's log; callable from any thread."""
+        self.log(device_id).append(message)
+        self._tell(device_id, _wake)
 
     def end(self, device_id: str, message: dict[str, Any]) -> None:
-        """Send all clients of a device a last message and end their streams."""
+        """Send all clients of a device a last message, end their streams and forget the log."""
         self.publish(device_id, message)
-        for client in self._clients(device_id):
-            _call(client, client.end)
-
-    def _clients(self, device_id: str) -> list[Subscription]:
+        self._tell(device_id, partial(_end, "the device was deleted", False))
         with self._lock:
-            return list(self._subscriptions.get(device_id, ()))
+            self._logs.pop(device_id, None)
+
+    def close(self, reason: str) -> None:
+        """End all streams at once: their devices go on and would never come to an end."""
+        for device_id in tuple(self._clients):
+            self._tell(device_id, partial(_end, reason, True))
+
+    @property
+    def clients(self) -> int:
+        """How many clients there are."""
+        return sum(len(here) for here in tuple(self._clients.values()))
+
+    def logs(self) -> dict[str, StreamLog]:
+        """Return the logs of all devices that have one."""
+        with self._lock:
+            return dict(self._logs)
+
+    def _tell(self, device_id: str, action: Callable[[tuple[Subscription, ...]], None]) -> None:
+        """Call an action with the device's clients in their loop, once for all of them."""
+        loops: dict[asyncio.AbstractEventLoop, list[Subscription]] = {}
+        for client in self._clients.get(device_id, ()):
+            loops.setdefault(client.loop, []).append(client)
+        for loop, clients in loops.items():
+            try:
+                loop.call_soon_threadsafe(action, tuple(clients))
+            except RuntimeError:
+                # The loop is closed: the service is ending and its clients are gone.
+                continue
 
 
-def _deliver(client: Subscription, payloads: list[Payload]) -> None:
-    _call(client, client.offer, payloads)
+def _wake_for_frames(clients: tuple[Subscription, ...]) -> None:
+    for client in clients:
+        client.wake(frames=True)
 
 
-def _call(client: Subscription, action: Callable[..., None], *arguments: object) -> None:
-    try:
-        client.loop.call_soon_threadsafe(action, *arguments)
-    except RuntimeError:
-        # The loop is closed: the service is ending and the client is gone.
-        return
+def _wake(clients: tuple[Subscription, ...]) -> None:
+    for client in clients:
+        client.wake(frames=False)
+
+
+def _end(reason: str, at_once: bool, clients: tuple[Subscription, ...]) -> None:
+    for client in clients:
+        client.end(reason, at_once=at_once)

@@ -2,111 +2,182 @@
 
 import logging
 import time
-from threading import Lock, RLock
+from collections.abc import Callable
+from threading import RLock
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter, LumilineError
 from hardware.driver import DeviceDescription, Driver
+from hardware.link import LinkedDriver, LinkState
 from service.errors import DeviceNotRunning
 from service.live.compute_thread import ComputeThread
 from service.live.hub import Hub
 from service.live.in_force import NOTHING, InForce
+from service.live.latency import LatencyCounts
 from service.live.line_model import FindProfile, LineModel, built_in_profile, line_model
-from service.live.messages import describe_message, status_message
+from service.live.messages import status_message
+from service.live.opening import Opening
 from service.live.processor import DeviceProcessor
 from service.live.reader import Reader
 from service.live.ring import FrameRing
 from service.live.session import DeviceSession, DeviceStatus
-from service.live.tap import PeakTap
+from service.live.tap import PeakTap, Tap
 
 _log = logging.getLogger(__name__)
 
 RING_SECONDS = 2.0
 RING_LEAST = 256
+FIRST_ATTEMPT_S = 3.0
+"""How long a start waits for a device that may not be there; then it goes on by itself."""
 _LOOK_S = 0.1
+
+Accept = Callable[[DeviceDescription], None]
+"""Raises a LumilineError when a device is not what it should be."""
+
+
+def any_device(_: DeviceDescription) -> None:
+    """Accept it."""
 
 
 class LiveManager:
     """Starts and stops devices; all methods may be called from any thread."""
 
     def __init__(
-        self, compute_device: str | None = None, find_profile: FindProfile = built_in_profile
+        self,
+        compute_device: str | None = None,
+        find_profile: FindProfile = built_in_profile,
+        hub: Hub | None = None,
     ) -> None:
         """Start the compute thread; ``compute_device`` is "cpu", "cuda:0" or None for the best.
 
-        ``find_profile`` returns the device profiles that descriptions name.
+        ``find_profile`` returns the device profiles that descriptions name; ``hub`` is where
+        frames are published, one of its own by default.
         """
-        self.hub = Hub()
+        self.hub = Hub() if hub is None else hub
         self._compute_device = compute_device
         self._find_profile = find_profile
         self._compute = ComputeThread()
         self._compute.start()
         # Read without the lock, which may be held while a driver is opened or closed.
         self._sessions: dict[str, DeviceSession] = {}
+        self._openings: dict[str, Opening] = {}
         self._refused: dict[str, str] = {}
         self._lock = RLock()
-        self._taps_lock = Lock()
 
     @property
     def ready(self) -> bool:
         """Whether the compute thread runs."""
         return self._compute.alive
 
+    @property
+    def busy_s(self) -> float:
+        """How long the compute thread is at the batch, or the job, that it has in hand [s]."""
+        return self._compute.busy_s
+
     def start_device(
         self,
         device_id: str,
         driver: Driver,
         found: InForce = NOTHING,
-    ) -> DeviceDescription:
+        accept: Accept = any_device,
+    ) -> DeviceDescription | None:
         """Open the driver and start its reader; raises LumilineError when it cannot be opened.
 
         A device that is running is stopped first. One that cannot be started is "failed", with
-        the reason. The first start in a process takes the time to load the kernels.
+        the reason. One that can be unplugged, and is, becomes "disconnected" and is tried again
+        until it is there, or is stopped: then there is no description yet. ``accept`` checks the
+        description before anything is made of it. The first start in a process takes the time
+        to load the kernels.
         """
+        previous = self._openings.get(device_id)
         with self._lock:
             self.stop_device(device_id)
-            try:
-                session = self._open(device_id, driver, found)
-            except LumilineError as error:
-                self._sessions.pop(device_id, None)
-                self._refused[device_id] = error.detail
-                self.hub.publish(device_id, status_message(device_id, "failed", error.detail))
-                raise
+            opening = Opening(
+                device_id,
+                driver,
+                found,
+                lambda opening: self._opened(device_id, opening, accept),
+                lambda opening: self._opening_changed(device_id, opening),
+            )
             self._refused.pop(device_id, None)
-            session.reader = Reader(device_id, driver, session.ring, lambda: self._ended(session))
-            self._compute.submit(lambda: self._compute.add(device_id, session.work)).result()
-            self._sessions[device_id] = session
-            status = status_message(device_id, "running", None)
-            self.hub.publish(device_id, status | describe_message(session.description))
-            session.reader.start()
-            return session.description
+            self._openings[device_id] = opening
+            self.hub.publish(device_id, status_message(device_id, "starting", None))
+            if not isinstance(driver, LinkedDriver):
+                try:
+                    opening.attempt()
+                except LumilineError as error:
+                    self._refuse(device_id, error.detail)
+                    raise
+                finally:
+                    self._openings.pop(device_id, None)
+        # Not under the lock: other devices go on while this one's is waited for.
+        if isinstance(driver, LinkedDriver):
+            if previous is not None:
+                previous.join()
+            opening.start(FIRST_ATTEMPT_S)
+        session = self._sessions.get(device_id)
+        return session.description if session is not None and session.running else None
 
-    def _open(
-        self,
-        device_id: str,
-        driver: Driver,
-        found: InForce,
-    ) -> DeviceSession:
-        """Open the driver and make the buffers; on an error the driver is closed again."""
-        driver.open()
-        try:
-            description = driver.description
-            # Here and not in the compute thread: it takes tenths of a second.
-            model = line_model(description, self._find_profile)
+    def _opened(self, device_id: str, opening: Opening, accept: Accept) -> None:
+        """Make the buffers of a device whose driver is open, and start its reader.
+
+        Raises:
+            LumilineError: it is another device than it should be, or cannot be used.
+        """
+        driver = opening.driver
+        description = driver.description
+        accept(description)
+        # Here and not in the compute thread: it takes tenths of a second.
+        model = line_model(description, self._find_profile)
+        with self._lock:
+            if opening.cancelled.is_set():
+                driver.close()
+                return
             session = self._compute.submit(
                 lambda: self._prepare(device_id, description, model)
             ).result()
-            self._set(session, found)
-        except BaseException:
-            driver.close()
-            raise
-        return session
+            self._set(session, opening.found)
+            session.reader = Reader(
+                device_id,
+                driver,
+                session.ring,
+                lambda: self._tell_behind(session),
+                lambda: self._tell_behind(session),
+            )
+            self._compute.submit(lambda: self._compute.add(device_id, session.work)).result()
+            self._sessions[device_id] = session
+            self._openings.pop(device_id, None)
+            self.hub.publish(device_id, session.status_message())
+            session.reader.start()
+
+    def _opening_changed(self, device_id: str, opening: Opening) -> None:
+        """Tell of a device that is waited for, or given up."""
+        with self._lock:
+            if opening.cancelled.is_set():
+                return
+            if opening.state == "failed":
+                self._openings.pop(device_id, None)
+                self._refuse(device_id, opening.reason or "")
+            else:
+                message = status_message(device_id, opening.state, opening.reason, opening.state)
+                self.hub.publish(device_id, message)
+
+    def _refuse(self, device_id: str, reason: str) -> None:
+        """Keep and tell why a device was not started."""
+        self._sessions.pop(device_id, None)
+        self._refused[device_id] = reason
+        self.hub.publish(device_id, status_message(device_id, "failed", reason))
 
     def stop_device(self, device_id: str) -> None:
         """Stop the device and close its driver; nothing happens when it is not running."""
         with self._lock:
+            opening = self._openings.pop(device_id, None)
+            if opening is not None:
+                opening.cancel()
+                self.hub.publish(device_id, status_message(device_id, "stopped", None))
+                return
             session = self._sessions.get(device_id)
             if session is None or session.reader is None or session.stopped:
                 return
@@ -133,6 +204,9 @@ class LiveManager:
         changed meanwhile, and sensors and calibration work together from the next start.
         """
         with self._lock:
+            opening = self._openings.get(device_id)
+            if opening is not None:
+                opening.found = found
             session = self._sessions.get(device_id)
             if session is None or not session.running:
                 return
@@ -144,22 +218,59 @@ class LiveManager:
     def _set(self, session: DeviceSession, found: InForce) -> None:
         """Hand calibration and table to the processor, between two batches in its own thread."""
         given = found.calibration_id, found.calibration, found.table_id, found.table
-        self._compute.submit(lambda: session.processor.set_calibration(*given)).result()
+        for tap in session.taps:
+            tap.prepare(found)
+
+        def switch() -> None:
+            session.processor.set_calibration(*given)
+            session.in_force = found
+
+        self._compute.submit(switch).result()
 
     def status(self, device_id: str) -> DeviceStatus:
         """Return the device's status; "stopped" for one never started. Never waits."""
+        subscribers = self.hub.subscribers(device_id)
+        opening = self._openings.get(device_id)
+        if opening is not None:
+            link = (
+                None if opening.state == "starting" else LinkState("disconnected", opening.reason)
+            )
+            return DeviceStatus(opening.state, opening.reason, subscribers=subscribers, link=link)
         session = self._sessions.get(device_id)
         if session is not None:
             return session.status()
         reason = self._refused.get(device_id)
-        return DeviceStatus(
-            "failed" if reason else "stopped", reason, subscribers=self.hub.subscribers(device_id)
-        )
+        return DeviceStatus("failed" if reason else "stopped", reason, subscribers=subscribers)
+
+    def latencies(self) -> dict[str, LatencyCounts]:
+        """Return the latencies of every device that was started. Never waits."""
+        return {name: session.latency.counts() for name, session in tuple(self._sessions.items())}
+
+    def statuses(self) -> dict[str, DeviceStatus]:
+        """Return the status of every device that was started, or tried to. Never waits."""
+        names = {*tuple(self._sessions), *tuple(self._openings), *tuple(self._refused)}
+        return {name: self.status(name) for name in sorted(names)}
 
     def describe(self, device_id: str) -> DeviceDescription | None:
         """Return what the device's driver says it is; None for one never started. Never waits."""
         session = self._sessions.get(device_id)
         return session.description if session else None
+
+    def session(self, device_id: str) -> DeviceSession:
+        """Return a running device's session; raises DeviceNotRunning. Never waits."""
+        session = self._sessions.get(device_id)
+        if session is None or not session.running:
+            raise self._not_running(device_id)
+        return session
+
+    def attach(self, session: DeviceSession, tap: Tap) -> None:
+        """Let a tap have the batches of a session from now on."""
+        tap.prepare(session.in_force)
+        session.attach(tap)
+
+    def detach(self, session: DeviceSession, tap: Tap) -> None:
+        """Let it have no more."""
+        session.detach(tap)
 
     def collect(
         self, device_id: str, frames: int, marker: int | None, timeout_s: float
@@ -177,35 +288,38 @@ class LiveManager:
             peak.
 
         Raises:
-            DeviceNotRunning: it does not run, or ends meanwhile.
+            DeviceNotRunning: it does not run, ends meanwhile, or is disconnected.
         """
         session = self._sessions.get(device_id)
-        if session is None or not session.running:
-            raise _not_running(device_id)
+        if session is None or not session.connected:
+            raise self._not_running(device_id)
         tap = PeakTap(session.ring.last_sequence, frames, marker)
         end = time.monotonic() + timeout_s
-        with self._taps_lock:
-            session.taps = (*session.taps, tap)
+        self.attach(session, tap)
         try:
             while not tap.wait(max(0.0, min(_LOOK_S, end - time.monotonic()))):
-                if not session.running:
-                    raise _not_running(device_id)
+                if not session.connected:
+                    raise self._not_running(device_id)
                 if time.monotonic() >= end:
                     break
         finally:
-            with self._taps_lock:
-                session.taps = tuple(one for one in session.taps if one is not tap)
+            self.detach(session, tap)
         return tap.readings(len(session.description.sensors))
 
     def close(self) -> None:
         """Stop all devices and the compute thread."""
         with self._lock:
+            openings = list(self._openings.values())
+            for opening in openings:
+                opening.cancel()
             readers = [s.reader for s in self._sessions.values() if s.reader is not None]
             for reader in readers:
                 reader.close_driver()
             self._compute.close()
             for reader in readers:
                 reader.stop()
+        for opening in openings:
+            opening.join()
 
     def _prepare(
         self, device_id: str, description: DeviceDescription, model: LineModel
@@ -216,23 +330,27 @@ class LiveManager:
         processor = DeviceProcessor(device_id, description, self._compute_device, model)
         return DeviceSession(device_id, description, processor, ring, self.hub)
 
-    def _ended(self, session: DeviceSession) -> None:
-        """Tell the clients that a device ended by itself, behind its last frames."""
-        reader = session.reader
-        assert reader is not None
+    def _tell_behind(self, session: DeviceSession) -> None:
+        """Tell the clients how a device stands now, behind its last frames."""
 
         def tell() -> None:
             while session.work():
                 pass
-            self.hub.publish(
-                session.device_id,
-                status_message(session.device_id, reader.state, reader.reason),
-            )
+            if not session.stopped:
+                self.hub.publish(session.device_id, session.status_message())
 
         self._compute.submit(tell)
 
-
-def _not_running(device_id: str) -> DeviceNotRunning:
-    return DeviceNotRunning(
-        f'device "{device_id}" does not run; start it to capture what it sees', device=device_id
-    )
+    def _not_running(self, device_id: str) -> DeviceNotRunning:
+        """Return the error of a device from which nothing can be captured now."""
+        status = self.status(device_id)
+        if status.state == "disconnected":
+            return DeviceNotRunning(
+                f'device "{device_id}" is disconnected: {status.reason}; connect it, and it goes '
+                "on by itself",
+                device=device_id,
+            )
+        return DeviceNotRunning(
+            f'device "{device_id}" does not run; start it to capture what it sees',
+            device=device_id,
+        )

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf, log, sqrt
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,6 +117,14 @@ class PeakFinding:
     def reads(self) -> bool:
         """Whether there are ever any peaks."""
         return self._find is not None
+
+    def settings(self) -> dict[str, Any]:
+        """Return as a JSON object by what peaks are found, beyond the device's description."""
+        return {
+            "method": self.method,
+            "error_px": None if self.error_px is None else self.error_px.tolist(),
+            "unfitted_error_px": self.unfitted_error_px,
+        }
 
     def find(self, lines: NDArray[np.uint16]) -> PeakBatch:
         """Return the peaks of the lines of F frames, uint16, shape (F x S, P)."""

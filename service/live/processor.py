@@ -47,6 +47,11 @@ class DeviceProcessor:
             load_kernels(len(self._names), compute_device)
 
     @property
+    def finding(self) -> PeakFinding:
+        """How peaks are found."""
+        return self._finding
+
+    @property
     def calibration_id(self) -> str | None:
         """The calibration in force."""
         active = self._active

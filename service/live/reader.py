@@ -7,7 +7,9 @@ from typing import Literal
 
 from compute.errors import LumilineError
 from hardware.driver import Driver
+from hardware.link import LinkedDriver, LinkState
 from service.live.ring import FrameRing
+from service.logs.context import in_device
 
 _log = logging.getLogger(__name__)
 
@@ -20,9 +22,18 @@ class Reader:
     """Runs a driver's blocking generator in a thread of its own until it ends or is stopped."""
 
     def __init__(
-        self, device_id: str, driver: Driver, ring: FrameRing, ended: Callable[[], None]
+        self,
+        device_id: str,
+        driver: Driver,
+        ring: FrameRing,
+        ended: Callable[[], None],
+        link_changed: Callable[[], None],
     ) -> None:
-        """Prepare the thread; ``ended`` is called from it when the frames end by themselves."""
+        """Prepare the thread.
+
+        From it ``ended`` is called when the frames end by themselves, and ``link_changed`` when
+        the device was lost, came back, or sends nothing of use.
+        """
         self.state: ReaderState = "running"
         self.reason: str | None = None
         self._device_id = device_id
@@ -32,9 +43,22 @@ class Reader:
         self._stopping = False
         self._thread = Thread(target=self._run, name=f"reader-{device_id}", daemon=True)
 
+        self._link_changed = link_changed
+        self._linked = driver if isinstance(driver, LinkedDriver) else None
+
     def start(self) -> None:
         """Start to read; the driver is open."""
+        if self._linked is not None:
+            self._linked.listen(self._told)
         self._thread.start()
+
+    def link(self) -> LinkState | None:
+        """Return how the link to the device stands; None of a device that cannot be unplugged."""
+        return None if self._linked is None else self._linked.link()
+
+    def _told(self, _: LinkState) -> None:
+        if not self._stopping:
+            self._link_changed()
 
     def close_driver(self) -> None:
         """End the frames without waiting for the thread."""
@@ -52,8 +76,13 @@ class Reader:
             self.state = "stopped"
 
     def _run(self) -> None:
+        in_device(self._device_id)
         try:
+            # A recording as fast as it is taken loses nothing; a device does not wait for us.
+            waits = bool(getattr(self._driver, "waits", False))
             for frame in self._driver.frames():
+                if waits:
+                    self._ring.wait_for_room(lambda: self._stopping)
                 self._ring.put(frame)
         except LumilineError as error:
             self.reason, self.state = error.detail, "failed"

@@ -2,9 +2,12 @@
 
 from collections import deque
 from collections.abc import Callable
-from threading import Lock
+from threading import Event, Lock
+from typing import Final
 
 from hardware.frame import LineFrame
+
+_LOOK_S: Final = 0.1
 
 
 class FrameRing:
@@ -19,6 +22,7 @@ class FrameRing:
         self._capacity = capacity
         self._notify = notify
         self._lock = Lock()
+        self._taken = Event()
         self._last: int | None = None
         self.received = 0
         """Frames put in."""
@@ -40,6 +44,13 @@ class FrameRing:
             self._frames.append(frame)
         self._notify()
 
+    def wait_for_room(self, given_up: Callable[[], bool]) -> None:
+        """Wait until a frame can be put without dropping another, for sources that can wait."""
+        while len(self._frames) >= self._capacity and not given_up():
+            self._taken.clear()
+            if len(self._frames) >= self._capacity:
+                self._taken.wait(_LOOK_S)
+
     @property
     def last_sequence(self) -> int:
         """Sequence number of the newest frame that was put in; -1 before the first."""
@@ -52,8 +63,10 @@ class FrameRing:
             if len(self._frames) <= most:
                 taken = list(self._frames)
                 self._frames.clear()
-                return taken
-            return [self._frames.popleft() for _ in range(most)]
+            else:
+                taken = [self._frames.popleft() for _ in range(most)]
+        self._taken.set()
+        return taken
 
     def __len__(self) -> int:
         """Return the number of frames that wait."""

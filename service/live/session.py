@@ -3,21 +3,26 @@
 import logging
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Literal
 
 from hardware.driver import DeviceDescription
+from hardware.link import LinkState
 from service.live.hub import Hub
-from service.live.messages import status_message
+from service.live.in_force import NOTHING
+from service.live.latency import Latency
+from service.live.messages import describe_message, status_message
 from service.live.processor import MAX_FRAMES, DeviceProcessor
 from service.live.ring import FrameRing
 
 if TYPE_CHECKING:
+    from service.live.batch import FrameBatch
     from service.live.reader import Reader
-    from service.live.tap import PeakTap
+    from service.live.tap import Tap
 
 _log = logging.getLogger(__name__)
 
-DeviceState = Literal["stopped", "running", "ended", "failed"]
+DeviceState = Literal["stopped", "starting", "running", "disconnected", "ended", "failed"]
 
 BATCH_SECONDS = 0.02
 """How long the frames of one device may keep those of the others waiting."""
@@ -28,8 +33,10 @@ class DeviceStatus:
     """What a device is doing, and what was lost where since it was started.
 
     Args:
-        state: running, stopped by request, ended by itself (a recording), or failed.
-        reason: why it failed, or ended; None otherwise.
+        state: starting (its driver is being opened), running, disconnected (its device is not
+            there, and is tried again until it is), stopped by request, ended by itself (a
+            recording), or failed.
+        reason: why it failed, ended or is disconnected, or what is wrong with its link.
         calibration_id: the calibration that points are reconstructed with; None: peaks only.
         table_id: the correction table that readings are corrected by; None: they are not.
         frames: frames received from the driver.
@@ -37,6 +44,7 @@ class DeviceStatus:
         frames_dropped_ring: frames dropped because the compute thread did not keep up.
         frames_processed: frames that were published.
         subscribers: connected streams.
+        link: of a device that can be unplugged, how its link stands; None of others.
     """
 
     state: DeviceState
@@ -48,6 +56,7 @@ class DeviceStatus:
     frames_dropped_ring: int = 0
     frames_processed: int = 0
     subscribers: int = 0
+    link: LinkState | None = None
 
 
 class DeviceSession:
@@ -67,9 +76,14 @@ class DeviceSession:
         self.ring = ring
         self.hub = hub
         self.reader: Reader | None = None
-        self.taps: tuple[PeakTap, ...] = ()
-        """Who takes readings beside the streams; replaced as a whole, so that it may be read."""
+        self._taps_lock = Lock()
+        self.taps: tuple[Tap, ...] = ()
+        """Who takes batches beside the streams; replaced as a whole, so that it may be read."""
+        self.in_force = NOTHING
+        """What batches are processed with; changed in the compute thread, as they are."""
         self.processed = 0
+        self.latency = Latency()
+        """From the exposure of a batch's oldest frame until its streams have it."""
         self.failure: str | None = None
         self.stopped = False
         self._batch = MAX_FRAMES
@@ -84,9 +98,9 @@ class DeviceSession:
         begin = time.monotonic()
         try:
             batch = self.processor.process(frames)
-            for tap in self.taps:
-                tap.offer(batch)
+            self._offer(batch)
             self.hub.publish_batch(batch)
+            self.latency.count((time.time_ns() - frames[0].exposure_host_ns) * 1e-9)
         except Exception as error:  # noqa: BLE001 - becomes the status
             self._fail(error)
             return False
@@ -96,9 +110,35 @@ class DeviceSession:
         self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(per_frame, 1e-6))))
         return True
 
+    def attach(self, tap: "Tap") -> None:
+        """Let a tap have the batches from now on."""
+        with self._taps_lock:
+            self.taps = (*self.taps, tap)
+
+    def detach(self, tap: "Tap") -> None:
+        """Let it have no more."""
+        with self._taps_lock:
+            self.taps = tuple(one for one in self.taps if one is not tap)
+
+    def _offer(self, batch: "FrameBatch") -> None:
+        """Offer a batch to all taps; one that fails has no more, and the device goes on."""
+        for tap in self.taps:
+            try:
+                tap.offer(batch)
+            except Exception as error:  # noqa: BLE001 - of the tap, not of the device
+                self.detach(tap)
+                _log.error(
+                    "device %s: %s failed and has no more of its frames",
+                    self.device_id,
+                    type(tap).__name__,
+                    exc_info=error,
+                    extra={"device": self.device_id},
+                )
+
     def _fail(self, error: Exception) -> None:
         """Give the device up: its driver is closed, clients are told, the log has the cause."""
-        _log.error("device %s: processing failed", self.device_id, exc_info=error)
+        device = {"device": self.device_id}
+        _log.error("device %s: processing failed", self.device_id, exc_info=error, extra=device)
         self.failure = f"processing failed: {type(error).__name__}: {error}"
         if self.reader is not None:
             self.reader.close_driver()
@@ -106,15 +146,45 @@ class DeviceSession:
 
     @property
     def running(self) -> bool:
-        """Whether frames still come."""
+        """Whether frames still come, or will when the device is connected again."""
         return self.failure is None and self.reader is not None and self.reader.state == "running"
+
+    @property
+    def drained(self) -> bool:
+        """Whether taps have had all that they will ever have."""
+        if self.stopped or self.failure is not None:
+            return True
+        taken = self.processed + self.ring.dropped
+        return not self.running and taken >= self.ring.received
+
+    @property
+    def connected(self) -> bool:
+        """Whether it runs and its device is there."""
+        return self.running and self._standing()[0] == "running"
+
+    def _standing(self) -> tuple[DeviceState, str | None, LinkState | None]:
+        """Return the state, its reason, and the link's."""
+        assert self.reader is not None
+        link = self.reader.link()
+        if self.failure:
+            return "failed", self.failure, link
+        state, reason = self.reader.state, self.reader.reason
+        if state != "running" or link is None:
+            return state, reason, link
+        return "disconnected" if link.state == "disconnected" else "running", link.reason, link
+
+    def status_message(self) -> dict[str, Any]:
+        """Return the message that tells how things stand."""
+        state, reason, link = self._standing()
+        message = status_message(self.device_id, state, reason, link.state if link else None)
+        return message | describe_message(self.description) if state == "running" else message
 
     def status(self) -> DeviceStatus:
         """Return how things stand."""
-        assert self.reader is not None
+        state, reason, link = self._standing()
         return DeviceStatus(
-            "failed" if self.failure else self.reader.state,
-            self.failure or self.reader.reason,
+            state,
+            reason,
             self.processor.calibration_id,
             self.processor.table_id,
             self.ring.received,
@@ -122,4 +192,5 @@ class DeviceSession:
             self.ring.dropped,
             self.processed,
             self.hub.subscribers(self.device_id),
+            link,
         )

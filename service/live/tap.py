@@ -1,12 +1,14 @@
-"""PeakTap: takes the readings of one marker out of a running device's frames."""
+"""Taps: what takes a running device's batches; PeakTap the readings of one marker in them."""
 
 from threading import Condition
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.signal.peaks import PeakFlag
 from service.live.batch import FrameBatch
+from service.live.in_force import InForce
 
 Array = NDArray[np.float64]
 
@@ -14,6 +16,18 @@ UNCLEAR = (
     PeakFlag.SATURATED | PeakFlag.CLIPPED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
 )
 """Peaks whose position is not what it would be of one marker alone in the middle of a line."""
+
+
+class Tap(Protocol):
+    """Takes the batches of a running device beside the streams."""
+
+    def prepare(self, found: InForce) -> None:
+        """Learn what is about to be in force; called in a thread that may wait."""
+        ...
+
+    def offer(self, batch: FrameBatch) -> None:
+        """Take what is wanted of a batch; called in the compute thread, never waits long."""
+        ...
 
 
 class PeakTap:
@@ -30,6 +44,9 @@ class PeakTap:
         self._marker = marker
         self._rows: list[tuple[Array, Array]] = []
         self._changed = Condition()
+
+    def prepare(self, found: InForce) -> None:
+        """Do nothing: readings do not depend on it."""
 
     def offer(self, batch: FrameBatch) -> None:
         """Take what is wanted of a batch; called in the compute thread, never waits long."""

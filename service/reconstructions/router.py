@@ -22,6 +22,8 @@ from service.errors import (
 )
 from service.json_body import FromJson, JsonRoute
 from service.openapi import problems
+from service.pages import PagingDep, page_of
+from service.parameters import DeviceFilter
 from service.reconstructions import store
 from service.reconstructions.examples import NEW_RECONSTRUCTIONS
 from service.reconstructions.run import run_reconstruction
@@ -30,7 +32,7 @@ from service.reconstructions.schema import (
     Reconstruction,
     ReconstructionSummary,
 )
-from service.schema import SLUG_PATTERN, DeviceFilter, Limit, Offset, Page
+from service.schema import SLUG_PATTERN, Page
 
 router = APIRouter(
     prefix="/api/v1/reconstructions", tags=["reconstructions"], route_class=JsonRoute
@@ -51,12 +53,11 @@ ReconstructionPath = Annotated[
 
 @router.get("", operation_id="list-reconstructions", summary="List reconstructions")
 def list_reconstructions(
-    database: DatabaseDep, device: DeviceFilter = None, limit: Limit = 50, offset: Offset = 0
+    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
 ) -> Page[ReconstructionSummary]:
     """Reconstructions without their points, newest first."""
     with database.read() as session:
-        items, total = store.list_reconstructions(session, device, limit, offset)
-    return Page(items=list(items), total=total, limit=limit, offset=offset)
+        return page_of(session, store.reconstructions(device), paging, store.summary)
 
 
 @router.post(

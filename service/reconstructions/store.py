@@ -1,12 +1,11 @@
 """Reconstructions in the database."""
 
 import secrets
-from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from pydantic import TypeAdapter
-from sqlalchemy import func, select
-from sqlalchemy.orm import Session
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session, defer
 
 from service.calibrations.activation import active
 from service.calibrations.store import active_id, get_calibration
@@ -110,38 +109,26 @@ def get_reconstruction(session: Session, reconstruction_id: str) -> Reconstructi
     return row
 
 
-def list_reconstructions(
-    session: Session, device_id: str | None, limit: int, offset: int
-) -> tuple[Sequence[ReconstructionSummary], int]:
-    """Return a page of reconstructions, newest first, and how many the filter matches."""
-    conditions = [] if device_id is None else [ReconstructionRow.device_id == device_id]
-    total = session.scalar(select(func.count()).select_from(ReconstructionRow).where(*conditions))
-    rows = session.execute(
-        select(
-            ReconstructionRow.id,
-            ReconstructionRow.device_id,
-            ReconstructionRow.calibration_id,
-            ReconstructionRow.table_id,
-            ReconstructionRow.point_count,
-            ReconstructionRow.created_at,
-        )
-        .where(*conditions)
+def reconstructions(device_id: str | None) -> Select[ReconstructionRow]:
+    """Return those that the filter matches, newest first, without their points."""
+    found = (
+        select(ReconstructionRow)
+        .options(defer(ReconstructionRow.points), defer(ReconstructionRow.estimates))
         .order_by(ReconstructionRow.created_at.desc(), ReconstructionRow.id)
-        .limit(limit)
-        .offset(offset)
-    ).all()
-    summaries = [
-        ReconstructionSummary(
-            id=row.id,
-            device=row.device_id,
-            calibration_id=row.calibration_id,
-            table=row.table_id,
-            point_count=row.point_count,
-            created_at=row.created_at,
-        )
-        for row in rows
-    ]
-    return summaries, total or 0
+    )
+    return found if device_id is None else found.where(ReconstructionRow.device_id == device_id)
+
+
+def summary(row: ReconstructionRow) -> ReconstructionSummary:
+    """Return the reconstruction without its points."""
+    return ReconstructionSummary(
+        id=row.id,
+        device=row.device_id,
+        calibration_id=row.calibration_id,
+        table=row.table_id,
+        point_count=row.point_count,
+        created_at=row.created_at,
+    )
 
 
 def document(row: ReconstructionRow) -> Reconstruction:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,24 @@ SUSPICIOUS_SIGMA = 3.5
 """Residuals larger than so many standard deviations are listed."""
 
 
+Relation = Literal["before", "active", "chosen"]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Another calibration beside the one that is reported.
+
+    Args:
+        name: its id.
+        relation: whether it was active before this one, is active now, or was asked for.
+        comparison: the differences.
+    """
+
+    name: str
+    relation: Relation
+    comparison: Comparison
+
+
 @dataclass(frozen=True)
 class ReportContent:
     """A calibration and the observations that it rests on.
@@ -32,8 +51,8 @@ class ReportContent:
         readings_px: shape (N, S) [px], NaN where not seen.
         sigma_px: the readings' own deviations, shape (N, S) [px]; None: not given.
         provenance: what is known of where it comes from, in words, by name.
-        previous: id of the calibration that it is compared with, with the differences; the
-            previous one is the second of the two. None: there is none.
+        compared: another calibration that it is compared with, the second of the two in the
+            comparison; None: there is none.
     """
 
     title: str
@@ -43,7 +62,7 @@ class ReportContent:
     readings_px: Array
     sigma_px: Array | None = None
     provenance: Mapping[str, str] = field(default_factory=dict)
-    previous: tuple[str, Comparison] | None = None
+    compared: Compared | None = None
 
     @property
     def sensors(self) -> tuple[str, ...]:

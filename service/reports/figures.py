@@ -1,7 +1,7 @@
 """The figures of a calibration's report: drawn once, written as SVG or PNG."""
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal
 
 import matplotlib as mpl
@@ -25,21 +25,33 @@ _MANY: Final = 800
 _FINE: Final = 21
 
 
-def draw(figure: str, content: ReportContent, kind: Literal["svg", "png"]) -> bytes | None:
-    """Return one of ``FIGURES``; None where the content has nothing for it.
+Kind = Literal["svg", "png"]
+
+
+def draw(figure: str, content: ReportContent, kind: Kind) -> bytes | None:
+    """Return one of ``FIGURES``; None where the content has nothing for it."""
+    drawn = draw_as(figure, content, (kind,))
+    return None if drawn is None else drawn[kind]
+
+
+def draw_as(figure: str, content: ReportContent, kinds: Sequence[Kind]) -> dict[Kind, bytes] | None:
+    """Return one of ``FIGURES``, drawn once, in several formats.
 
     No state of pyplot's is used. Names are drawn as they are: no dollar sign begins a formula.
     """
     settings: dict[Any, Any] = {"font.size": 9, "axes.titlesize": 10, "text.parse_math": False}
+    found: dict[Kind, bytes] = {}
     with mpl.rc_context(settings):
         made = FIGURES[figure](content)
         if made is None:
             return None
         FigureCanvasAgg(made)
-        drawn = io.BytesIO()
-        metadata = {"Date": None, "Creator": None} if kind == "svg" else None
-        made.savefig(drawn, format=kind, dpi=_DPI, metadata=metadata)
-    return drawn.getvalue()
+        for kind in kinds:
+            drawn = io.BytesIO()
+            metadata = {"Date": None, "Creator": None} if kind == "svg" else None
+            made.savefig(drawn, format=kind, dpi=_DPI, metadata=metadata)
+            found[kind] = drawn.getvalue()
+    return found
 
 
 def _style(number: int) -> tuple[str, str]:
@@ -228,10 +240,10 @@ def uncertainty(content: ReportContent) -> Figure | None:
 
 
 def comparison(content: ReportContent) -> Figure | None:
-    """Differences of the parameters from the previous calibration, in deviations."""
-    if content.previous is None:
+    """Differences of the parameters from another calibration, in deviations."""
+    if content.compared is None:
         return None
-    name, found = content.previous
+    name, found = content.compared.name, content.compared.comparison
     rows = [row for row in found.parameters if row.sigmas is not None]
     if not rows:
         return None

@@ -9,9 +9,10 @@ from starlette.responses import HTMLResponse, Response
 from service.dependencies import DatabaseDep, ReportsDep
 from service.errors import Busy, CalibrationOfAnotherDevice, NoSuchFigure, UnknownCalibration
 from service.openapi import problems
+from service.parameters import CalibrationPath
 from service.reports.apart import figure_apart, page_apart
 from service.reports.stored import report_key, stored_report
-from service.schema import SLUG_PATTERN, CalibrationPath
+from service.schema import SLUG_PATTERN
 
 router = APIRouter(prefix="/api/v1/calibrations", tags=["calibrations"])
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from typing import Final
 
 import numpy as np
 from sqlalchemy import select
@@ -15,11 +16,18 @@ from service.calibrations.schema import ControlPoint
 from service.calibrations.sensors import same_sensors
 from service.calibrations.store import active_id, get_calibration
 from service.database.models import ActivationRow, CalibrationRow
-from service.devices.schema import Sensor
+from service.devices.sensor import Sensor
 from service.devices.store import get_device, sensors_of_row
 from service.errors import CalibrationOfAnotherDevice
-from service.reports.content import ReportContent
+from service.reports.content import Compared, Relation, ReportContent
 from service.version import package_version
+
+_FROM: Final[dict[str, str]] = {
+    "fitted": "control points",
+    "self-calibrated": "subjects at unknown places",
+    "updated": "its parent and still markers",
+    "nominal": "a design's values",
+}
 
 
 def report_key(session: Session, calibration_id: str, previous_id: str | None = None) -> str:
@@ -29,12 +37,12 @@ def report_key(session: Session, calibration_id: str, previous_id: str | None = 
     """
     row = get_calibration(session, calibration_id)
     device = get_device(session, row.device_id)
-    previous = _previous(session, row, previous_id)
+    other = _other(session, row, previous_id)
     parts = [
         package_version(),
         [row.id, row.content_hash, row.note, row.created_at.isoformat()],
         [device.id, device.title, device.sensors],
-        [previous.id, previous.content_hash] if previous is not None else None,
+        [other[0].id, other[0].content_hash, other[1]] if other is not None else None,
     ]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
@@ -56,19 +64,20 @@ def stored_report(
     """
     row = get_calibration(session, calibration_id)
     device = get_device(session, row.device_id)
-    previous = _previous(session, row, previous_id)
+    other = _other(session, row, previous_id)
     points = [ControlPoint.model_validate(point) for point in row.content["points"]]
     sensors = _sensors(row, sensors_of_row(device))
     held = controlled(row, sensors)
     observed = observations(points, sensors)
     compared = None
-    if previous is not None and same_sensors(_sensors(previous, sensors), sensors):
-        compared = previous.id, compare(held, controlled(previous, sensors))
+    if other is not None and same_sensors(_sensors(other[0], sensors), sensors):
+        found, relation = other
+        compared = Compared(found.id, relation, compare(held, controlled(found, sensors)))
     provenance = {
         "calibration": row.id,
         "device": f"{device.title} ({device.id})",
         "made": f"{row.created_at:%Y-%m-%d %H:%M:%S} UTC",
-        "from": "control points" if row.provenance == "fitted" else "a design's values",
+        "from": _FROM[row.provenance] + _parent(row),
         "note": row.note or "none",
         "content hash": row.content_hash,
         "report by": f"Lumiline {package_version()}",
@@ -81,7 +90,7 @@ def stored_report(
         readings_px=held.readings_px,
         sigma_px=observed.sigma_px if np.isfinite(observed.sigma_px).any() else None,
         provenance=provenance,
-        previous=compared,
+        compared=compared,
     )
 
 
@@ -94,9 +103,15 @@ def _sensors(row: CalibrationRow, now: list[Sensor]) -> list[Sensor]:
     ]
 
 
-def _previous(
+def _parent(row: CalibrationRow) -> str:
+    parent = row.content.get("parent")
+    return "" if parent is None else f", parent {parent['id']} ({parent['content_hash']})"
+
+
+def _other(
     session: Session, row: CalibrationRow, previous_id: str | None
-) -> CalibrationRow | None:
+) -> tuple[CalibrationRow, Relation] | None:
+    """Return the calibration to compare with, and what it is to this one."""
     if previous_id is not None:
         found = get_calibration(session, previous_id)
         if found.device_id != row.device_id:
@@ -105,7 +120,7 @@ def _previous(
                 f'"{row.device_id}"; compare calibrations of one device',
                 calibration=found.id,
             )
-        return found
+        return found, "chosen"
     before = session.scalars(
         select(ActivationRow)
         .where(
@@ -116,6 +131,9 @@ def _previous(
         .order_by(ActivationRow.id)
         .limit(1)
     ).first()
-    name = before.previous_calibration_id if before is not None else None
-    name = name or active_id(session, row.device_id)
-    return get_calibration(session, name) if name is not None and name != row.id else None
+    if before is not None and before.previous_calibration_id is not None:
+        return get_calibration(session, before.previous_calibration_id), "before"
+    name = active_id(session, row.device_id)
+    if name is None or name == row.id:
+        return None
+    return get_calibration(session, name), "active"

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from service.reports.content import ReportContent
-from service.reports.page import pictures, report_page
+from service.reports.figures import FIGURES, draw_as
+from service.reports.page import report_page
 
 
 def write_report(content: ReportContent, page: Path, folder: Path | None = None) -> None:
@@ -12,8 +13,15 @@ def write_report(content: ReportContent, page: Path, folder: Path | None = None)
     Raises:
         OSError: a file cannot be written.
     """
-    page.write_text(report_page(content), encoding="utf-8")
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, png in pictures(content).items():
-            (folder / f"{name}.png").write_bytes(png)
+    if folder is None:
+        page.write_text(report_page(content), encoding="utf-8")
+        return
+    drawn = {name: draw_as(name, content, ("svg", "png")) for name in FIGURES}
+    figures = {name: kinds for name, kinds in drawn.items() if kinds is not None}
+    page.write_text(
+        report_page(content, {name: kinds["svg"] for name, kinds in figures.items()}),
+        encoding="utf-8",
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, kinds in figures.items():
+        (folder / f"{name}.png").write_bytes(kinds["png"])

@@ -1,78 +1,34 @@
-"""Calibration runs: checked when posted, computed in the run's process, stored when done."""
+"""Calibration runs: checked when posted, stored when done."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from sqlalchemy.orm import Session
 
 from compute.calibration.checks import check_observations
-from compute.calibration.run import Progress
-from compute.calibration.settings import CalibrationSettings
-from hardware.driver import SensorDescription
 from service.calibrations.observations import geometry
-from service.calibrations.run import Outcome, calibration_outcome, control_arrays
-from service.calibrations.schema import ControlPoint
+from service.calibrations.run import Outcome, control_arrays
 from service.calibrations.sensors import check_sensors
 from service.calibrations.store import add_calibration
 from service.database.models import RunRow
-from service.devices.schema import Sensor
 from service.devices.store import get_device, sensors_of_row
-from service.schema import Document
+from service.runs.tasks.calibration import Request, compute
 
 
-class Request(Document):
-    """What a run keeps of its request."""
-
-    points: list[ControlPoint]
-    sensors: list[Sensor]
-    settings: CalibrationSettings
-    result_id: str | None
-    capture: str | None
-    note: str
-
-
-def request_of(
-    points: list[ControlPoint],
-    sensors: list[Sensor],
-    settings: CalibrationSettings,
-    *,
-    result_id: str | None,
-    capture: str | None,
-    note: str,
-) -> dict[str, Any]:
+def request_of(request: Request) -> dict[str, Any]:
     """Return the request as it is stored, checked as far as that takes no time.
 
     Raises:
         LumilineError: what is wrong with the points or the settings.
     """
-    arrays = control_arrays(points, sensors)
-    check_observations(arrays[0], arrays[1], geometry(sensors), arrays[2])
-    request = Request(
-        points=points,
-        sensors=sensors,
-        settings=settings,
-        result_id=result_id,
-        capture=capture,
-        note=note,
-    )
+    arrays = control_arrays(request.points, request.sensors)
+    check_observations(arrays[0], arrays[1], geometry(request.sensors), arrays[2])
     return request.model_dump(mode="json")
 
 
 def task(_session: Session, row: RunRow) -> tuple[Callable[..., Any], tuple[Any, ...]]:
     """Return what the run's process calls, with its arguments."""
-    request = Request.model_validate(row.request)
-    return compute, (row.device_id, request.points, request.sensors, request.settings)
-
-
-def compute(
-    tell: Progress,
-    device_id: str,
-    points: list[ControlPoint],
-    sensors: Sequence[SensorDescription],
-    settings: CalibrationSettings,
-) -> Outcome:
-    """Calibrate; runs in the run's process."""
-    return calibration_outcome(tell, device_id, points, sensors, settings)
+    return compute, (row.device_id, Request.model_validate(row.request))
 
 
 def store(session: Session, row: RunRow, outcome: Outcome) -> str:

@@ -7,6 +7,7 @@ import numpy as np
 from compute.camera.stack import CameraStack
 from hardware.simulated.bar import WORKING_CENTRE_MM, simulated_sensor_models
 from service.calibrations.examples import NEW_CALIBRATIONS, simulated_points
+from service.drift_checks.examples import STILL_POINTS
 
 _POINTS: Final = NEW_CALIBRATIONS["frame"]["value"]["points"]
 
@@ -37,6 +38,19 @@ NEW_MAPPING_RUNS: Final[dict[str, Any]] = {
             "calibration": "sim-nominal",
             "points": simulated_points(_GRID @ _TURNED.T),
             "note": "The simulator has no distortion: a map of nothing but rounding",
+        },
+    },
+}
+
+NEW_UPDATE_RUNS: Final[dict[str, Any]] = {
+    "frame": {
+        "summary": "Eight of the frame's markers, which stand still, read again",
+        "value": {
+            "id": "sim-update-run",
+            "device": "sim",
+            "calibration": "sim-nominal",
+            "points": STILL_POINTS,
+            "position_sigma_mm": 0.05,
         },
     },
 }

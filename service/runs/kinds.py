@@ -7,7 +7,7 @@ from typing import Any, Final
 from sqlalchemy.orm import Session
 
 from service.database.models import RunRow
-from service.runs import calibration, mapping, self_calibration
+from service.runs import calibration, mapping, self_calibration, update
 
 Task = tuple[Callable[..., Any], tuple[Any, ...]]
 
@@ -32,5 +32,6 @@ KINDS: Final[dict[str, RunKind]] = {
     "self-calibration": RunKind(
         self_calibration.task, self_calibration.store, "/api/v1/calibrations"
     ),
+    "update": RunKind(update.task, update.store, "/api/v1/calibrations"),
     "mapping": RunKind(mapping.task, mapping.store, "/api/v1/correction-tables"),
 }

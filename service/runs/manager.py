@@ -3,7 +3,8 @@
 import logging
 import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from threading import Event, Lock, Thread
 from typing import Any, Final, TypeVar
 
@@ -14,9 +15,11 @@ from service.errors import NotReady
 from service.problem_handlers import json_safe
 from service.problems import PROBLEM_TYPES
 from service.runs import store
+from service.runs.durations import RunDurations
 from service.runs.kinds import KINDS
 from service.runs.process import WorkerProcess
 from service.runs.worker import Done, Failed, Progress
+from service.security.principal import Act, current_act
 
 _log = logging.getLogger(__name__)
 
@@ -43,6 +46,8 @@ class RunManager:
         self._lock = Lock()
         self._running: dict[str, Thread] = {}
         self._cancelled: set[str] = set()
+        self.durations = RunDurations()
+        """Of the runs that came to their end here."""
         self._dispatcher = Thread(target=self._dispatch, name="runs", daemon=True)
 
     def start(self) -> None:
@@ -51,6 +56,11 @@ class RunManager:
             for run_id in store.interrupt_lost(session, starting=True):
                 _log.warning("run %s was interrupted by the end of the server before", run_id)
         self._dispatcher.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether runs are taken."""
+        return self._dispatcher.is_alive()
 
     def submitted(self) -> None:
         """Say that a run waits; callable from any thread."""
@@ -169,8 +179,11 @@ class RunManager:
             row = store.still_own(session, run_id)
             if row is None:
                 return False
-            row.result_id = keep(session, row, result)
+            with _by_its_poster(row):
+                row.result_id = keep(session, row, result)
+                session.flush()
             store.finish(row, "succeeded", "done")
+            self.durations.ended(row)
         return True
 
     def _failed(self, run_id: str, message: Failed) -> None:
@@ -200,6 +213,7 @@ class RunManager:
                 row = store.still_own(session, run_id)
                 if row is not None:
                     store.finish(row, state, stage, problem)
+                    self.durations.ended(row)
 
         try:
             self._insist(write)
@@ -215,6 +229,17 @@ class RunManager:
             except NotReady:
                 if self._closing.wait(_RETRY_S):
                     raise
+
+
+@contextmanager
+def _by_its_poster(row: RunRow) -> Iterator[None]:
+    """Have what is stored told as the doing of whoever posted the run."""
+    act = None if row.poster is None else Act.of_stored(row.poster)
+    token = current_act.set(act)
+    try:
+        yield
+    finally:
+        current_act.reset(token)
 
 
 def _problem(code: str, detail: str, context: Mapping[str, object]) -> dict[str, Any]:

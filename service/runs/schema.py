@@ -4,9 +4,16 @@ from typing import Annotated
 
 from pydantic import Field
 
-from compute.calibration.settings import CalibrationSettings, Distortion, LabelPolicy
+from compute.calibration.settings import CalibrationSettings, LabelPolicy
 from compute.mapping.settings import MappingMethod, MappingSettings
-from service.calibrations.schema import MAX_POINTS, CalibrationOptions, ControlPoint
+from service.calibrations.schema import (
+    MAX_POINTS,
+    CalibrationOptions,
+    ControlPoint,
+    GivenDistortion,
+    SensorName,
+)
+from service.drift_checks.schema import GivenStillSet
 from service.runs.store import Kind, State
 from service.schema import Document, Given, Moment, Note, Slug
 
@@ -46,7 +53,7 @@ class Run(Document):
 class NewCalibrationRun(CalibrationOptions):
     """Control points, or a capture session that holds them, from which a device is calibrated."""
 
-    distortion: Distortion = Field(
+    distortion: GivenDistortion = Field(
         default="auto",
         description="As of a calibration; a run chooses the terms by cross-validation by default, "
         "but with a published method, which has none.",
@@ -123,3 +130,40 @@ class NewMappingRun(Given):
     def settings(self) -> MappingSettings:
         """Return the settings for the computation; raises InvalidParameter."""
         return MappingSettings(self.method, self.pitch_mm, self.smoothness, self.near_points)
+
+
+class NewUpdateRun(GivenStillSet):
+    """Still markers read again, or a drift check that holds them, that bring a calibration up to
+    date.
+    """
+
+    id: Slug | None = Field(default=None, description="The run's; left out: the server's choice.")
+    device: Slug
+    calibration: Slug | None = Field(
+        default=None,
+        description="The parent; left out: the drift check's, or the device's active calibration.",
+    )
+    result_id: Slug | None = Field(
+        default=None, description="Of the calibration to be made; left out: the server's choice."
+    )
+    drift_check: Slug | None = Field(
+        default=None,
+        description="A drift check of the parent: its markers, in place of points or capture.",
+    )
+    sensors: Annotated[list[SensorName], Field(min_length=1, max_length=64)] | None = Field(
+        default=None,
+        description="Those that may have changed, as a drift check tells; left out: all.",
+    )
+    allowance: (
+        Annotated[
+            dict[SensorName, Annotated[float, Field(gt=0, le=1e6)]],
+            Field(min_length=1, max_length=64),
+        ]
+        | None
+    ) = Field(
+        default=None,
+        description="Standard deviation of what each parameter may have changed by, by its name in "
+        "the models; others stay. Left out: turns of 5 mrad about each axis and 10 px of the "
+        "principal distance.",
+    )
+    note: Note = ""

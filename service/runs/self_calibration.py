@@ -1,33 +1,19 @@
-"""Self-calibration runs: checked when posted, computed in the run's process, stored when done."""
+"""Self-calibration runs: checked when posted, stored when done."""
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 from sqlalchemy.orm import Session
 
 from compute.calibration.result import Calibration
-from compute.calibration.run import Progress
-from compute.camera.model import SensorModel
 from service.calibrations.run import Outcome, calibration_content, result_of
 from service.calibrations.schema import ControlPointErrors
 from service.calibrations.sensors import check_sensors
 from service.calibrations.store import add_calibration, get_calibration
 from service.database.models import CalibrationRow, RunRow
-from service.devices.schema import Sensor
 from service.devices.store import get_device, sensors_of_row
-from service.runs.self_calibration_schema import NewRecording, recording_of
-from service.schema import Document
-
-
-class Request(Document):
-    """What a run keeps of its request."""
-
-    start: str
-    recordings: list[NewRecording]
-    sensors: list[Sensor]
-    datum: Literal["start", "first-pose"]
-    result_id: str | None
-    note: str
+from service.runs.self_calibration_schema import recording_of
+from service.runs.tasks.self_calibration import Request, compute
 
 
 def request_of(request: Request, start: CalibrationRow) -> dict[str, Any]:
@@ -50,15 +36,6 @@ def task(session: Session, row: RunRow) -> tuple[Callable[..., Any], tuple[Any, 
     request = Request.model_validate(row.request)
     start = get_calibration(session, request.start)
     return compute, (request, result_of(start.content).models)
-
-
-def compute(tell: Progress, request: Request, start: tuple[SensorModel, ...]) -> Calibration:
-    """Calibrate; runs in the run's process."""
-    from compute.calibration.selfcalibration.run import self_calibrate
-
-    recordings = [recording_of(given, list(request.sensors)) for given in request.recordings]
-    found = self_calibrate(start, recordings, datum=request.datum, progress=tell)
-    return found.calibration
 
 
 def store(session: Session, row: RunRow, result: Calibration) -> str:

@@ -3,13 +3,13 @@
 import os
 import secrets
 import socket
-from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final, Literal, get_args
 
-from sqlalchemy import ColumnElement, func, or_, select, update
+from sqlalchemy import Select, func, or_, select, update
 from sqlalchemy.orm import Session
 
+from compute.errors import LumilineError
 from service.database.engine import insert
 from service.database.models import RunRow
 from service.errors import (
@@ -20,8 +20,9 @@ from service.errors import (
     RunNotEnded,
     UnknownRun,
 )
+from service.security.principal import current_act
 
-Kind = Literal["calibration", "self-calibration", "mapping"]
+Kind = Literal["calibration", "self-calibration", "update", "mapping"]
 State = Literal["queued", "running", "succeeded", "failed", "cancelled", "interrupted"]
 OPEN: Final = ("queued", "running")
 STATES: Final[tuple[State, ...]] = get_args(State)
@@ -43,31 +44,16 @@ def get_run(session: Session, run_id: str) -> RunRow:
     return row
 
 
-def list_runs(
-    session: Session,
-    device_id: str | None,
-    kind: Kind | None,
-    state: State | None,
-    limit: int,
-    offset: int,
-) -> tuple[Sequence[RunRow], int]:
-    """Return a page of runs, newest first, and how many the filter matches."""
-    conditions: list[ColumnElement[bool]] = []
+def runs(device_id: str | None, kind: Kind | None, state: State | None) -> Select[RunRow]:
+    """Return those that the filter matches, newest first."""
+    found = select(RunRow).order_by(RunRow.created_at.desc(), RunRow.id)
     if device_id is not None:
-        conditions.append(RunRow.device_id == device_id)
+        found = found.where(RunRow.device_id == device_id)
     if kind is not None:
-        conditions.append(RunRow.kind == kind)
+        found = found.where(RunRow.kind == kind)
     if state is not None:
-        conditions.append(RunRow.state == state)
-    total = session.scalar(select(func.count()).select_from(RunRow).where(*conditions))
-    rows = session.scalars(
-        select(RunRow)
-        .where(*conditions)
-        .order_by(RunRow.created_at.desc(), RunRow.id)
-        .limit(limit)
-        .offset(offset)
-    ).all()
-    return rows, total or 0
+        found = found.where(RunRow.state == state)
+    return found
 
 
 def add_run(
@@ -91,7 +77,12 @@ def add_run(
     )
     if (waiting or 0) >= most_waiting:
         raise Busy(f"{waiting} runs wait already, as many as may; send this one again later")
-    _check_unclaimed(session, kind, request.get("result_id"))
+    result_id: str | None = request.get("result_id")
+    wanted = None if result_id is None else _claim_of(kind, result_id)
+    if result_id is not None:
+        other = session.scalar(select(RunRow.id).where(RunRow.claim == wanted))
+        if other is not None:
+            raise _claimed(kind, result_id, other)
     identity = run_id or f"run-{secrets.token_hex(8)}"
     taken = RunExists(
         f'run "{identity}" exists already; choose another id, or leave it out', run=identity
@@ -108,35 +99,36 @@ def add_run(
         request=request,
         result_id=None,
         problem=None,
+        poster=None if (act := current_act.get()) is None else act.as_stored(),
         owner=None,
         created_at=datetime.now(UTC),
         started_at=None,
         finished_at=None,
         heartbeat_at=None,
+        claim=None,
     )
     insert(session, row, taken)
+    if result_id is not None:
+        row.claim = wanted
+        # Unique: of two transactions at the same moment, of any devices, one gets it.
+        insert(session, row, _claimed(kind, result_id, None))
     return row
 
 
-def _check_unclaimed(session: Session, kind: Kind, result_id: str | None) -> None:
-    """Refuse an id under which a run that has not ended will store its result."""
-    if result_id is None:
-        return
-    maps = kind == "mapping"
-    run_id = session.scalars(
-        select(RunRow.id)
-        .where(
-            RunRow.state.in_(OPEN),
-            RunRow.kind == "mapping" if maps else RunRow.kind != "mapping",
-            RunRow.request["result_id"].as_string() == result_id,
-        )
-        .limit(1)
-    ).first()
-    if run_id is None:
-        return
-    what = "correction table" if maps else "calibration"
-    raise (CorrectionTableExists if maps else CalibrationExists)(
-        f'run "{run_id}" is to make {what} "{result_id}"; choose another result_id, leave it out, '
+def _claim_of(kind: Kind, result_id: str) -> str:
+    """Return what a run claims until it ends: the id of its result among those of its sort."""
+    return f"{'table' if kind == 'mapping' else 'calibration'}/{result_id}"
+
+
+def _claimed(kind: Kind, result_id: str, run_id: str | None) -> LumilineError:
+    what, error = (
+        ("correction table", CorrectionTableExists)
+        if kind == "mapping"
+        else ("calibration", CalibrationExists)
+    )
+    which = "another run" if run_id is None else f'run "{run_id}"'
+    return error(
+        f'{which} is to make {what} "{result_id}"; choose another result_id, leave it out, '
         "or cancel that run",
         run=run_id,
         result=result_id,
@@ -189,6 +181,7 @@ def finish(row: RunRow, state: State, stage: str, problem: dict[str, Any] | None
     """End a run."""
     row.state, row.stage, row.problem = state, stage, problem
     row.finished_at = datetime.now(UTC)
+    row.claim = None
     if state == "succeeded":
         row.progress = 1.0
 

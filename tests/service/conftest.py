@@ -38,7 +38,7 @@ def postgres_schema() -> Iterator[str]:
                 connection.execute(text(f"CREATE SCHEMA {name}"))
         except OperationalError as error:
             reason = f"no PostgreSQL at {make_url(POSTGRES)!r}: {error.orig}"
-            if os.environ.get("LUMILINE_REQUIRE_POSTGRES") == "1":
+            if os.environ.get("LUMILINE_TEST_REQUIRE_POSTGRES") == "1":
                 pytest.fail(reason)
             pytest.skip(reason)
         url = make_url(POSTGRES).update_query_dict({"options": f"-csearch_path={name}"})

@@ -4,7 +4,7 @@ import copy
 import json
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,15 @@ from sqlalchemy import select
 
 from service.app import create_app
 from service.calibrations.examples import NEW_CALIBRATIONS
+from service.calibrations.run import calibration_content, content_hash
 from service.correction_tables.content import MEDIA_TYPE
 from service.correction_tables.hdf5 import write_table
 from service.database.models import Base
+from service.database.seed import nominal_calibration
+from service.drift_checks.examples import NEW_DRIFT_CHECKS
 from service.problems import PROBLEM_TYPES
 from service.reconstructions.examples import NEW_RECONSTRUCTIONS
-from service.runs.examples import NEW_MAPPING_RUNS, NEW_SELF_CALIBRATION_RUNS
+from service.runs.examples import NEW_MAPPING_RUNS, NEW_SELF_CALIBRATION_RUNS, NEW_UPDATE_RUNS
 from service.settings import Settings
 from tests.service.correction_tables import test_hdf5 as hdf5_files
 from tests.service.correction_tables.tables import content
@@ -399,6 +402,40 @@ def post_mapping(**changes: Any) -> Sent:
     return Sent("POST", "/api/v1/mapping-runs", body)
 
 
+def post_drift_check(calibration_id: str = "sim-nominal", **changes: Any) -> Sent:
+    body = copy.deepcopy(NEW_DRIFT_CHECKS["frame"]["value"]) | {"id": None} | changes
+    return Sent("POST", f"/api/v1/calibrations/{calibration_id}/drift-checks", body)
+
+
+def post_update(**changes: Any) -> Sent:
+    body = copy.deepcopy(NEW_UPDATE_RUNS["frame"]["value"]) | {"id": None} | changes
+    return Sent("POST", "/api/v1/update-runs", body)
+
+
+def still(**changes: Any) -> list[Json]:
+    points = copy.deepcopy(NEW_DRIFT_CHECKS["frame"]["value"]["points"])
+    points[0] = {name: value for name, value in (points[0] | changes).items() if value is not None}
+    return points
+
+
+builds("drift check without positions")(lambda: post_drift_check(points=still(position_mm=None)))
+builds("drift check against nothing earlier")(
+    lambda: post_drift_check(points=still(name="elsewhere"), against="calibration")
+)
+builds("drift check of too many markers")(lambda: post_drift_check(points=still() * 26))
+builds("drift check of an unknown calibration")(lambda: post_drift_check("nothing"))
+builds("drift check read by an unknown sensor")(
+    lambda: post_drift_check(points=still(readings={"sixth": 1.0}))
+)
+builds("unknown drift check")(lambda: Sent("GET", "/api/v1/drift-checks/nothing"))
+builds("update by nothing")(lambda: post_update(points=None))
+builds("update by an unknown drift check")(
+    lambda: Sent("POST", "/api/v1/update-runs", {"device": "sim", "drift_check": "nothing"})
+)
+builds("update of what no camera has")(lambda: post_update(allowance={"colour": 1.0}))
+builds("update of a calibration of another device")(lambda: post_update(device="bar"))
+
+
 def upload(data: bytes, query: str = "", media_type: str = MEDIA_TYPE) -> Sent:
     path = f"/api/v1/correction-tables{query}"
     return Sent("POST", path, content=data, headers={"content-type": media_type})
@@ -463,6 +500,7 @@ def _() -> Sent:
 
 builds("map for a calibration of another device")(lambda: post_mapping(device="bar"))
 builds("map for a retired calibration")(lambda: post_mapping(calibration="old"))
+builds("pitch of a map too fine")(lambda: post_mapping(pitch_mm=[0.001] * 3))
 builds("pitch of a map through every value")(
     lambda: post_mapping(method="trilinear", pitch_mm=[10, 10, 10])
 )
@@ -503,6 +541,14 @@ builds("table with NaN")(lambda: upload(table(with_nan)))
 builds("table of the wrong shape")(lambda: upload(table(wrong_shape)))
 builds("table with holes")(lambda: upload(with_hole()))
 builds("table of another calibration")(lambda: upload(table()))
+
+
+@builds("table of another device than its calibration")
+def _() -> Sent:
+    nominal = content_hash(calibration_content("sim", "nominal", [], nominal_calibration()))
+    return upload(write_table(replace(content(nominal), device="elsewhere")))
+
+
 builds("table changed after it was written")(lambda: upload(table(hdf5_files.other_values)))
 builds("table too large")(lambda: upload(bytes(TABLE_LIMIT_BYTES + 1)))
 builds("table id taken")(lambda: upload(table(), "?id=foreign"))
@@ -602,11 +648,12 @@ def send(client: Any, sent: Sent) -> Any:
 
 
 def everything(client: Any) -> dict[str, list[str]]:
-    """All rows of all tables."""
+    """All rows of all tables but the audit log, which keeps what was refused."""
     with client.app.state.database.engine.connect() as connection:
         return {
             table.name: sorted(map(repr, connection.execute(select(table)).all()))
             for table in Base.metadata.sorted_tables
+            if table.name != "audit_log"
         }
 
 
@@ -633,3 +680,8 @@ def test_bad_input(bad_input_client: Any, row: Row):
     assert everything(bad_input_client) == before
     assert row.request.split()[0] == sent.method
     assert bad_input_client.get(problem["type"]).json()["status"] == row.status
+
+
+def test_an_unknown_distortion_is_told_once(bad_input_client: Any):
+    problem = send(bad_input_client, BUILDERS["unknown distortion"]()).json()
+    assert [error["location"] for error in problem["errors"]] == [["body", "distortion"]]

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,10 @@ from compute.calibration.result import Calibration
 from compute.camera.model import PARAMETERS
 from hardware.simulated.bar import simulated_sensor_models
 from hardware.simulated.frame_shape import frame_shape_mm
+from service.calibrations import store
 from service.calibrations.examples import simulated_points
+from service.calibrations.run import content_hash
+from service.database.models import CalibrationRow
 
 URL = "/api/v1/calibrations"
 # Every other marker of the calibration frame, twice as far apart. Points on a grid along the axes
@@ -71,15 +75,54 @@ def test_more_than_a_hundred_points_are_not_left_out_one_by_one(client: Any):
     assert errors["fitted"]["statistics"]["points"] == 101
 
 
+def hash_by_the_recipe(document: dict[str, Any]) -> str:
+    """The content hash as the guide says, of a calibration that is no updated one."""
+    content = {key: document[key] for key in ("device", "provenance", "points", "result")}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 def test_the_hash_can_be_recomputed_from_the_document(client: Any):
     first = client.post(URL, json=body(note="first")).json()
     second = client.post(URL, json=body(note="second")).json()
     other = client.post(URL, json=body(points=simulated_points(FRAME)[:-1])).json()
     for document in (first, other, client.get(f"{URL}/sim-nominal").json()):
-        content = {key: document[key] for key in ("device", "provenance", "points", "result")}
-        text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-        assert document["content_hash"] == hashlib.sha256(text.encode()).hexdigest()
+        assert document["content_hash"] == hash_by_the_recipe(document)
     assert first["content_hash"] == second["content_hash"] != other["content_hash"]
+
+
+def test_what_an_earlier_version_stored_is_sent_as_it_was_hashed(client: Any):
+    database = client.app.state.database
+    since = {
+        "settings", "distortion", "reading_weights", "point_shifts_mm", "labels",
+        "cross_validation", "diagnosis",
+    }  # fmt: skip
+    with database.write() as session:
+        nominal = store.get_calibration(session, "sim-nominal")
+        result = nominal.content["result"]
+        old = {name: value for name, value in result.items() if name not in since}
+        assert len(old) == len(result) - len(since)
+        content = nominal.content | {"result": old}
+        session.add(
+            CalibrationRow(
+                id="old",
+                device_id="sim",
+                method=nominal.method,
+                provenance=nominal.provenance,
+                note="",
+                point_count=0,
+                content=content,
+                errors=nominal.errors,
+                content_hash=content_hash(content),
+                created_at=datetime.now(UTC),
+                retired_at=None,
+            )
+        )
+    found = client.get(f"{URL}/old").json()
+    assert set(found["result"]) == set(old)
+    assert found["parent"] is None
+    assert hash_by_the_recipe(found) == found["content_hash"] == content_hash(content)
+    assert TypeAdapter(Calibration).validate_python(found["result"]).labels == ()
 
 
 def test_given_deviations_make_the_covariance(client: Any):

@@ -7,8 +7,8 @@ import pytest
 from service.cross_origin import same_host
 from tests.service.recorded_live import RecordedLive, WebSocketDenialResponse
 
-OWN = "http://testserver"
-OTHERS = ["http://evil.example", "http://testserver:81", "http://testserver.evil.example", "null"]
+OWN = "http://localhost"
+OTHERS = ["http://evil.example", "http://localhost:81", "http://localhost.evil.example", "null"]
 STREAM = "/api/v1/stream?device=sim"
 
 
@@ -45,7 +45,7 @@ def test_one_foreign_origin_among_several_is_enough(sqlite_client: Any):
 def test_programs_and_the_servers_own_pages_may(sqlite_client: Any):
     path = "/api/v1/devices/sim/stop"
     assert sqlite_client.post(path).status_code == 200
-    for origin in (OWN, "http://TestServer:80", "https://testserver"):
+    for origin in (OWN, "http://LocalHost:80", "https://localhost"):
         assert sqlite_client.post(path, headers={"origin": origin}).status_code == 200
 
 

@@ -103,11 +103,16 @@ def test_sqlite_is_set_up_for_one_writer_and_many_readers(tmp_path):
         with database.engine.connect() as connection:
             values = {
                 name: connection.exec_driver_sql(f"PRAGMA {name}").scalar()
-                for name in ("journal_mode", "foreign_keys", "busy_timeout")
+                for name in ("journal_mode", "foreign_keys", "busy_timeout", "synchronous")
             }
     finally:
         database.close()
-    assert values == {"journal_mode": "wal", "foreign_keys": 1, "busy_timeout": 5000}
+    assert values == {
+        "journal_mode": "wal",
+        "foreign_keys": 1,
+        "busy_timeout": 5000,
+        "synchronous": 2,
+    }
 
 
 def devices(database: Database) -> list[str]:

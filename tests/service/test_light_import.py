@@ -35,6 +35,20 @@ def test_heavy_libraries_stay_out(code: str):
     assert not loaded & HEAVY
 
 
+def test_a_worker_process_loads_neither_the_server_nor_the_database():
+    # What runs, reports and uploads call in their processes; all of the package of tasks.
+    loaded = loaded_by(
+        "import importlib, pkgutil\n"
+        "import service.correction_tables.upload, service.reports.apart, service.runs.worker\n"
+        "from service.runs import tasks\n"
+        "names = [found.name for found in pkgutil.iter_modules(tasks.__path__)]\n"
+        "assert 'calibration' in names\n"
+        "for name in names: importlib.import_module(f'{tasks.__name__}.{name}')"
+    )
+    assert {"compute", "pydantic"} <= loaded
+    assert not loaded & (HEAVY | {"fastapi", "starlette", "sqlalchemy", "alembic", "uvicorn"})
+
+
 def test_help_loads_nothing_but_the_command_line():
     help_page = (
         "import contextlib, sys\n"

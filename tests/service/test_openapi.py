@@ -2,18 +2,24 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
 
+from hardware.recording import RecordingWriter
+from hardware.simulated.driver import SimulatedDriver
+from hardware.simulated.settings import SimulationSettings
 from service.app import create_app
 from service.correction_tables.content import MEDIA_TYPE
 from service.correction_tables.hdf5 import write_table
+from service.database.models import ApiKeyRow
 from service.settings import Settings
 from tests.service.correction_tables.tables import content as content_of_table
+from tests.service.quality.batches import strobed_batch
 from tests.service.recorded_live import RecordedLive, TestClient
 
-METHODS = ("post", "get", "patch", "delete")
+METHODS = ("post", "put", "get", "patch", "delete")
 # Making comes first, then reading and changing; what ends something comes last.
 LAST = ("delete-", "retire-", "roll-back-", "stop-")
 
@@ -73,12 +79,29 @@ def prepare(client: Any) -> None:
             headers={"content-type": MEDIA_TYPE},
         )
         assert sent.status_code == 201, sent.text
+    now = datetime.now(UTC)
+    with client.app.state.database.write() as session:  # a key's id is the server's choice
+        session.add(
+            ApiKeyRow(
+                id="examplekey00",
+                name="example",
+                digest="0" * 64,
+                scopes=[],
+                created_by="local",
+                created_at=now,
+            )
+        )
 
 
 def test_every_example_works_on_a_new_server(settings: Settings):
-    with TestClient(create_app(settings, RecordedLive())) as client:
+    live = RecordedLive()
+    live.records = SimulatedDriver("sim", SimulationSettings()).description
+    live.batches = [strobed_batch(range(20))]
+    with TestClient(create_app(settings, live)) as client:
         served = client.get("/openapi.json").json()
         prepare(client)
+        with RecordingWriter(settings.folders.recordings / "earlier.h5", live.records):
+            pass
         requests = examples(served)
         assert {one.operation for one in requests} == {
             operation["operationId"]

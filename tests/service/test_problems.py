@@ -95,16 +95,16 @@ def test_a_body_without_declared_length_is_limited_too(tmp_path: Any):
 def test_ready_only_with_database_and_live_pipeline(
     sqlite_client: Any, live: RecordedLive, monkeypatch: pytest.MonkeyPatch
 ):
-    assert sqlite_client.get("/readyz").json() == {"status": "ok"}
+    assert sqlite_client.get("/readyz").json()["status"] == "ok"
     live.answers = False
     answer = sqlite_client.get("/readyz")
     assert (answer.status_code, answer.json()["context"]) == (503, {"part": "live"})
     live.answers = True
 
-    def refuse() -> None:
+    def refuse(_: Any) -> None:
         raise OperationalError("SELECT 1", {}, Exception("postgresql://user:hunter2@host"))
 
-    monkeypatch.setattr(sqlite_client.app.state.database, "check", refuse)
+    monkeypatch.setattr("service.readiness.revision_of", refuse)
     answer = sqlite_client.get("/readyz")
     assert (answer.status_code, answer.json()["context"]) == (503, {"part": "database"})
     assert "hunter2" not in answer.text

@@ -12,7 +12,7 @@ from compute.errors import InvalidParameter
 from service.calibrations import router as calibrations
 from service.calibrations.sensors import same_sensors
 from service.database.models import DeviceRow
-from service.devices.schema import Sensor
+from service.devices.sensor import Sensor
 from tests.service.recorded_live import RecordedLive
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"

@@ -23,6 +23,19 @@ def test_defaults(tmp_path: Path):
     assert (settings.host, settings.port) == ("127.0.0.1", 8000)
 
 
+@pytest.mark.parametrize("proxies", [("10.0.0.5",), ("10.0.0.0/24", "fd00::/8", "::1")])
+def test_proxies_are_addresses_or_networks(proxies: tuple[str, ...]):
+    assert Settings(trusted_proxies=proxies).trusted_proxies == proxies
+
+
+@pytest.mark.parametrize(
+    "wrong", ["*", "proxy.example", "10.0.0.1/8", "10.0.0.0/33", "0.0.0.0/0", "::/0", ""]
+)
+def test_no_others_are_believed(wrong: str):
+    with pytest.raises(ValidationError, match="trusted_proxies"):
+        Settings(trusted_proxies=("10.0.0.5", wrong))
+
+
 def test_argument_before_environment_before_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     (tmp_path / "lumiline.toml").write_text('port = 1\nhost = "file"\nlog_level = "debug"\n')
     monkeypatch.setenv("LUMILINE_HOST", "environment")
@@ -53,3 +66,18 @@ def test_the_error_does_not_hold_the_value(tmp_path: Path, text: str):
     with pytest.raises(ValidationError) as caught:
         Settings()
     assert "s3cret" not in str(caught.value)
+
+
+def test_a_variable_that_is_no_setting_is_refused(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("LUMILINE_AUTHENTIFICATION", "required")
+    with pytest.raises(ValueError, match="did you mean LUMILINE_AUTHENTICATION") as caught:
+        Settings()
+    assert '"required"' not in str(caught.value)
+    monkeypatch.delenv("LUMILINE_AUTHENTIFICATION")
+    monkeypatch.setenv("LUMILINE_QQQ", "1")
+    with pytest.raises(ValueError, match="LUMILINE_QQQ, which is no setting"):
+        Settings()
+    monkeypatch.delenv("LUMILINE_QQQ")
+    monkeypatch.setenv("LUMILINE_TEST_ANYTHING", "1")
+    monkeypatch.setenv("lumiline_port", "81")
+    assert Settings().port == 81

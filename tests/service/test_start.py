@@ -23,7 +23,7 @@ def nothing_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("LUMILINE_CONFIG", raising=False)
     monkeypatch.delenv("LUMILINE_DATABASE_URL", raising=False)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("uvicorn.run", lambda *_, **__: None)
+    monkeypatch.setattr("service.graceful.run_server", lambda *_, **__: None)
 
 
 def serve(data_dir: Path, monkeypatch: pytest.MonkeyPatch, database_url: str | None = None) -> Any:

@@ -11,7 +11,8 @@ from service.app import create_app
 from service.captures.examples import NEW_CAPTURES
 from service.settings import Settings
 from tests.service.recorded_live import RecordedLive, TestClient
-from tests.service.runs.test_runs import wait
+from tests.service.runs.at_hand import use_at_hand
+from tests.service.runs.test_runs import QUICK, wait
 
 URL = "/api/v1/captures"
 BODY = NEW_CAPTURES["frame"]["value"]
@@ -23,7 +24,10 @@ def place(live: RecordedLive, target: Any) -> None:
     live.seen_px = stack.project(np.array([target["position_mm"]]))[0]
 
 
-def test_a_session_is_captured_target_by_target_and_calibrates(settings: Settings):
+def test_a_session_is_captured_target_by_target_and_calibrates(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+):
+    use_at_hand(monkeypatch)
     first = RecordedLive()
     with TestClient(create_app(settings, first)) as client:
         made = client.post(URL, json=BODY)
@@ -53,7 +57,7 @@ def test_a_session_is_captured_target_by_target_and_calibrates(settings: Setting
         assert (found["next"], found["left"]) == (None, 0)
         refused = client.post(f"{URL}/sim-capture/capture")
         assert refused.json()["type"] == "/problems/capture-complete"
-        body = early | {"id": "captured", "result_id": "by-capture", "distortion": "none"}
+        body = early | {"id": "captured", "result_id": "by-capture"} | QUICK
         assert client.post("/api/v1/calibration-runs", json=body).status_code == 202
         assert wait(client, "captured")["state"] == "succeeded"
         made_from = client.get("/api/v1/calibrations/by-capture").json()

@@ -6,7 +6,7 @@ import httpx
 
 from service.captures.examples import NEW_CAPTURES
 from service.devices.examples import NEW_DEVICES
-from tests.service.runs.test_runs import wait
+from tests.service.runs.test_runs import QUICK, wait
 from tests.serving import serving
 
 
@@ -34,7 +34,7 @@ def test_the_frame_of_the_examples_calibrates(tmp_path: Path):
         refused = client.post("/captures/wrong/capture")
         assert refused.json()["type"] == "/problems/marker-not-moved"
         client.post("/devices/bench/stop")
-        run = {"id": "captured", "device": "bench", "capture": "sim-capture", "distortion": "none"}
+        run = {"id": "captured", "device": "bench", "capture": "sim-capture"} | QUICK
         assert client.post("/calibration-runs", json=run).status_code == 202
         with httpx.Client(base_url=url, timeout=60.0) as root:
             done = wait(root, "captured")

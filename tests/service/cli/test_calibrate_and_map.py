@@ -1,4 +1,4 @@
-"""`lumiline calibrate` and `lumiline map` as a user runs them, in a process of their own."""
+"""`lumiline calibrate` and `lumiline map` as a user runs them."""
 
 import csv
 import json
@@ -17,7 +17,7 @@ from service.cli import app
 from service.cli.calibrate import label_in_words
 from service.cli.calibration_file import read_calibration
 from tests.compute.rig import rig
-from tests.service.cli.test_commands import frame_csv, lumiline
+from tests.service.cli.test_commands import QUICK, frame_csv, here, lumiline
 from validation.thesis_data import DFW_V500
 
 __all__ = ["frame_csv"]
@@ -72,7 +72,7 @@ def test_calibrate_refuses_with_a_reason(frame_csv: Path, tmp_path: Path) -> Non
     rows = frame_csv.read_text(encoding="utf-8").splitlines()
     few = tmp_path / "few.csv"
     few.write_text("\n".join(rows[:6]), encoding="utf-8")
-    assert "at least 7" in lumiline("calibrate", few, "--pixels", "640", code=2).stderr
+    assert "at least 7" in here("calibrate", few, "--pixels", "640", code=2).stderr
     for option, value, reason in (
         ("--method", "best", "one of metric, dlt-iterative"),
         ("--distortion", "barrel", "symmetric-3"),
@@ -90,7 +90,7 @@ def test_calibrate_refuses_with_a_reason(frame_csv: Path, tmp_path: Path) -> Non
 def test_a_wide_field_is_calibrated_with_its_distortion(mapping_csv: Path, tmp_path: Path) -> None:
     output = tmp_path / "calibration.json"
     given = ("calibrate", mapping_csv, "--pixels", "2048", "--pitch", "10", "--output", output)
-    lumiline(*given, "--labels", "off")
+    here(*given, "--labels", "off")
     found = read_calibration(output).calibration
     for model, true, fit in zip(found.models, bent_rig(), found.sensors, strict=True):
         assert model.distortion is not None
@@ -102,12 +102,9 @@ def test_map_writes_a_table_that_mends_a_plain_calibration(
     mapping_csv: Path, tmp_path: Path
 ) -> None:
     plain, table = tmp_path / "plain.json", tmp_path / "table.h5"
-    lumiline(
-        "calibrate", mapping_csv, "--pixels", "2048", "--distortion", "none", "--labels", "off",
-        "--output", plain,
-    )  # fmt: skip
+    here("calibrate", mapping_csv, "--pixels", "2048", *QUICK, "--output", plain)
     given = ("map", mapping_csv, "--calibration", plain, "--own-points", "--output", table)
-    shown = lumiline(*given).stdout
+    shown = here(*given).stdout
     assert "s1" in shown
     with h5py.File(table) as file:
         assert file.attrs["calibration_hash"] == read_calibration(plain).content_hash
@@ -115,17 +112,17 @@ def test_map_writes_a_table_that_mends_a_plain_calibration(
     for sensor in validation["sensors"]:
         assert sensor["before_rms_px"] > 10.0 * SIGMA_PX
         assert sensor["left_out_rms_px"] < 3.0 * SIGMA_PX
-    assert "never overwritten" in lumiline(*given, code=2).stderr
+    assert "never overwritten" in " ".join(here(*given, code=2).stderr.split())
 
 
 def test_map_refuses_with_a_reason(mapping_csv: Path, frame_csv: Path, tmp_path: Path) -> None:
     table, other = tmp_path / "table.h5", tmp_path / "other.json"
     other.write_text('{"cameras": []}', encoding="utf-8")
-    wrong = lumiline("map", mapping_csv, "--calibration", other, "--output", table, code=2)
-    assert "holds no calibration" in wrong.stderr
+    wrong = here("map", mapping_csv, "--calibration", other, "--output", table, code=2)
+    assert "holds no calibration" in " ".join(wrong.stderr.split())
     calibration = tmp_path / "calibration.json"
-    lumiline("calibrate", frame_csv, "--pixels", "640", "--output", calibration)
-    wrong = lumiline("map", mapping_csv, "--calibration", calibration, "--output", table, code=2)
+    here("calibrate", frame_csv, "--pixels", "640", *QUICK, "--output", calibration)
+    wrong = here("map", mapping_csv, "--calibration", calibration, "--output", table, code=2)
     assert "cam1" in wrong.stderr
     assert not table.exists()
 

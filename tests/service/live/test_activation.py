@@ -4,6 +4,7 @@ import json
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import httpx
@@ -34,7 +35,7 @@ SOURCE = {
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder: Path = tmp_path_factory.mktemp("activation")
-    with serving(folder, stream_queue_messages=100_000) as url:
+    with serving(folder, stream_lag_s=60.0) as url:
         yield url
 
 
@@ -56,7 +57,7 @@ def device(server: str) -> str:
             calibration = client.post("/api/v1/calibrations", json=body)
             assert calibration.status_code == 201, calibration.text
         zero = {"coefficients_px": np.full((4, 8, 7, 6), 3.0)}
-        table = content(calibration.json()["content_hash"], **zero)
+        table = replace(content(calibration.json()["content_hash"], **zero), device="still")
         sent = client.post(
             "/api/v1/correction-tables?id=map",
             content=write_table(table),

@@ -212,3 +212,18 @@ def test_frames_give_the_same_bits_again_alone_and_together() -> None:
     for name in ("position_mm", "covariance_mm2", "chi2", "flags"):
         parts = np.concatenate([getattr(points, name) for points in alone])
         np.testing.assert_array_equal(getattr(together, name), parts)
+
+
+def test_a_doubtful_peak_concerns_the_points_of_its_own_frame() -> None:
+    """Not those of another frame of the batch that reads the very same, nor another sensor's."""
+    active = active_of()
+    readings = CameraStack.of(active.calibration.models).project(np.array([[0.0, 0.0, 1500.0]]))[0]
+    peaks = PeakBatch.empty(8, ROOM)
+    peaks.count[:] = 1
+    peaks.position_px[:, 0] = np.tile(readings, 2)
+    peaks.sigma_px[:, 0], peaks.amplitude[:, 0] = SIGMA_PX, 100.0
+    peaks.flags[6, 0] = PeakFlag.SATURATED
+    for strobed in (True, False):
+        found, owner = frame_points(active, frames_of(2, strobed), peaks, USE)
+        assert owner.tolist() == [0, 1]
+        assert (found.flags & PointFlag.DOUBTFUL_PEAK > 0).tolist() == [False, True]

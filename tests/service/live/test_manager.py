@@ -28,6 +28,7 @@ from service.live.manager import LiveManager
 from service.live.messages import frame_messages
 from service.live.processor import DeviceProcessor
 from service.live.session import BATCH_SECONDS, DeviceStatus
+from service.live.stream_batch import StreamBatch
 
 
 class RecordingHub(Hub):
@@ -97,7 +98,7 @@ def run_to_the_end(
     return [
         message
         for batch in hub.batches
-        for message in frame_messages(batch, frozenset({"points", "peaks"}))
+        for message in frame_messages(StreamBatch.of(batch), frozenset({"points", "peaks"}))
     ]
 
 
@@ -159,7 +160,7 @@ def test_a_replay_gives_the_same_bits(live: LiveManager, tmp_path: Path) -> None
     replayed = [
         message
         for batch in hub.batches
-        for message in frame_messages(batch, frozenset({"points", "peaks"}))
+        for message in frame_messages(StreamBatch.of(batch), frozenset({"points", "peaks"}))
     ]
     assert len(replayed) == 100
     for message in (*direct, *replayed):
@@ -266,7 +267,9 @@ def test_calibrations_are_switched_between_two_frames(live: LiveManager) -> None
         seen = len(hub.batches)
         wait_for(lambda seen=seen: len(hub.batches) > seen + 1)  # type: ignore[misc]
     live.stop_device("sim")
-    messages = [m for b in hub.batches for m in frame_messages(b, frozenset({"points"}))]
+    messages = [
+        m for b in hub.batches for m in frame_messages(StreamBatch.of(b), frozenset({"points"}))
+    ]
     sequences = [message["sequence"] for message in messages]
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
     assert {message["calibration"] for message in messages} == {"zero", "ten"}

@@ -32,6 +32,7 @@ from service.live.line_model import LineModel, line_model
 from service.live.messages import describe_message, encode, frame_messages
 from service.live.peak_finding import FREE_SHAPE, PeakFinding, peak_method
 from service.live.processor import MAX_FRAMES, DeviceProcessor
+from service.live.stream_batch import StreamBatch
 from tests.service.live.test_manager import nominal
 
 Array = NDArray[np.float64]
@@ -206,7 +207,7 @@ def test_points_of_shadows() -> None:
     processor = DeviceProcessor("one", driver.description, "cpu")
     processor.set_calibration("c", nominal_calibration(profile))
     (batch,) = processed(driver, processor)
-    messages = list(frame_messages(batch, frozenset({"points", "peaks"})))
+    messages = list(frame_messages(StreamBatch.of(batch), frozenset({"points", "peaks"})))
     for message in messages:
         (point,) = message["points"]
         error = np.subtract(point["position_mm"], points[message["marker"]])
@@ -248,7 +249,7 @@ def test_lines_beyond_the_fits_widths_are_measured(sigma_px: float) -> None:
     (batch,) = processed(driver, DeviceProcessor("sim", driver.description, "cpu"))
     assert not (batch.peaks.flags & PeakFlag.UNFITTED).any()
     assert np.isnan(batch.peaks.reduced_chi2).all()
-    (message, *_) = frame_messages(batch, frozenset({"peaks"}))
+    (message, *_) = frame_messages(StreamBatch.of(batch), frozenset({"peaks"}))
     assert all(peak["reduced_chi2"] is None for peak in message["peaks"])
     encode(message, "json")
 

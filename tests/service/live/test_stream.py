@@ -31,6 +31,11 @@ def receive(websocket: ClientConnection) -> Any:
     return json.loads(payload) if isinstance(payload, str) else msgpack.unpackb(payload)
 
 
+def without_number(message: dict[str, Any]) -> dict[str, Any]:
+    assert isinstance(message["n"], int)
+    return {key: value for key, value in message.items() if key != "n"}
+
+
 def status(server: str) -> dict[str, Any]:
     found: dict[str, Any] = httpx.get(f"{server}/api/v1/devices/sim/status").json()["status"]
     return found
@@ -53,8 +58,13 @@ def test_greeting_then_frames_without_a_gap(server: str) -> None:
         assert len(hello["sensors"]) == 4
         assert (hello["readout"], hello["method"]) == ("lines", "fit")
         frames = [receive(websocket) for _ in range(300)]
-    sequences = [frame["sequence"] for frame in frames if frame["type"] == "frame"]
-    assert sequences == list(range(sequences[0], sequences[0] + 300))
+    assert [frame["type"] for frame in frames] == ["frame"] * 300
+    assert [frame["n"] for frame in frames] == list(range(hello["next"], hello["next"] + 300))
+    # A machine that stands still simulates too few exposures: the device says so.
+    sequences = np.array([frame["sequence"] for frame in frames])
+    gaps = np.flatnonzero(np.diff(sequences) != 1) + 1
+    assert all("overflow" in frames[index]["flags"] for index in gaps)
+    assert len(gaps) < 5
     distance = [
         np.linalg.norm(np.subtract(f["points"][0]["position_mm"], [0, 0, 1500])) for f in frames
     ]
@@ -105,7 +115,16 @@ def test_content_is_what_was_asked_for(server: str) -> None:
         ("", 422, "invalid-parameter", "device"),
         ("device=sim&content=poses", 422, "invalid-parameter", "poses"),
         ("device=sim&encoding=xml", 422, "invalid-parameter", "xml"),
-        ("device=sim&rate=5", 422, "invalid-parameter", "rate"),
+        ("device=sim&rate=5", 422, "invalid-parameter", "rate_hz"),
+        ("device=sim&rate_hz=0", 422, "invalid-parameter", '"0"'),
+        ("device=sim&rate_hz=nan", 422, "invalid-parameter", '"nan"'),
+        ("device=sim&bundle_ms=5000", 422, "invalid-parameter", "1000 ms"),
+        ("device=sim&rate_hz=5&bundle_ms=5", 422, "invalid-parameter", "bundle_ms"),
+        ("device=sim&rate_hz=5&mode=lossless", 422, "invalid-parameter", "lossless"),
+        ("device=sim&mode=fast", 422, "invalid-parameter", "live or lossless"),
+        ("device=sim&stream=x&after=3", 422, "invalid-parameter", "mode=lossless"),
+        ("device=sim&mode=lossless&after=3", 422, "invalid-parameter", "give both"),
+        ("device=sim&mode=lossless&stream=x&after=-3", 422, "invalid-parameter", '"-3"'),
     ],
 )
 def test_what_cannot_be_served_is_a_problem_document(
@@ -127,10 +146,17 @@ def test_a_stopped_device_says_so_to_its_clients(server: str) -> None:
         httpx.post(f"{server}/api/v1/devices/sim/stop").raise_for_status()
         while (message := receive(websocket))["type"] == "frame":
             pass
-        assert message == {"type": "status", "device": "sim", "state": "stopped", "reason": None}
+        assert without_number(message) == {
+            "type": "status",
+            "device": "sim",
+            "state": "stopped",
+            "reason": None,
+            "link": None,
+        }
         with streaming(server) as late:
             assert receive(late)["state"] == "stopped"
         httpx.post(f"{server}/api/v1/devices/sim/start").raise_for_status()
+        assert receive(websocket)["state"] == "starting"
         assert receive(websocket)["state"] == "running"
         assert receive(websocket)["type"] == "frame"
 
@@ -177,31 +203,68 @@ def test_a_stalled_client_slows_nobody_and_is_told_what_it_missed(server: str) -
     stalled_socket = socket.create_connection((host, int(port)))
     stalled_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
     url = stream_url(server, "device=sim&content=points,peaks&encoding=json")
-    wanted = 1500
+    wanted = 900
     with connect(
         url, sock=stalled_socket, compression=None, max_queue=1, ping_interval=None
     ) as stalled:
-        receive(stalled)
+        expected = receive(stalled)["next"]
         with streaming(server) as quick:
             receive(quick)
             frames = [receive(quick) for _ in range(wanted)]
-        told: list[dict[str, Any]] = []
-        previous, after = None, None
-        while after is None:
+        told = 0
+        while expected <= frames[-1]["n"]:
             message = receive(stalled)
+            # What it is told is what is missing between what it got.
             if message["type"] == "missed":
-                told.append(message)
-            elif told:
-                after = message["sequence"]
+                assert message["first"] == expected
+                expected += message["messages"]
+                told += message["messages"]
             else:
-                previous = message["sequence"]
-                assert previous < frames[-1]["sequence"] + wanted, "nothing was missed"
-    # What it is told is what is missing between what it got.
-    assert sum(message["messages"] for message in told) == after - previous - 1
+                assert message["n"] == expected
+                expected += 1
+        assert told, "nothing was missed"
     # The other got every frame that was processed meanwhile.
     assert [frame["type"] for frame in frames] == ["frame"] * wanted
     lost = frames[-1]["sequence"] - frames[0]["sequence"] + 1 - wanted
     assert lost <= status(server)["frames_lost_device"]
+
+
+def test_a_lossless_client_that_comes_back_lacks_nothing(server: str) -> None:
+    query = "device=sim&mode=lossless"
+    with streaming(server, query) as websocket:
+        hello = receive(websocket)
+        assert (hello["mode"], hello["resumed"]) == ("lossless", False)
+        first = [receive(websocket) for _ in range(20)]
+    numbers = [message["n"] for message in first]
+    assert numbers == list(range(hello["next"], hello["next"] + 20))
+    time.sleep(0.2)
+    again = f"{query}&bundle_ms=20&stream={hello['stream']}&after={numbers[-1]}"
+    with streaming(server, again) as websocket:
+        back = receive(websocket)
+        assert (back["resumed"], back["next"]) == (True, numbers[-1] + 1)
+        assert back["stream"] == hello["stream"]
+        later = [frame for _ in range(10) for frame in receive(websocket)["frames"]]
+    assert len(later) > 40, "those of meanwhile, and more than one a message"
+    sequences = [frame["sequence"] for frame in (*first, *later)]
+    assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+
+
+def test_at_a_rate_a_client_gets_the_newest(server: str) -> None:
+    with streaming(server, "device=sim&rate_hz=20&content=peaks") as websocket:
+        receive(websocket)
+        frames = [receive(websocket) for _ in range(12)]
+    assert {frame["type"] for frame in frames} == {"frame"}
+    steps = np.diff([frame["sequence"] for frame in frames])
+    # 200 frames a second at 20 a second: every tenth, one sooner or later.
+    assert 8 <= np.median(steps) <= 12
+    assert np.array_equal(steps, np.diff([frame["n"] for frame in frames]))
+
+
+def test_status_alone_has_no_frames(server: str) -> None:
+    with streaming(server, "device=sim&content=status&encoding=json") as websocket:
+        assert receive(websocket)["content"] == []
+        httpx.post(f"{server}/api/v1/devices/sim/stop").raise_for_status()
+        assert receive(websocket)["state"] == "stopped"
 
 
 def change_source(server: str, settings: dict[str, Any]) -> None:
@@ -247,6 +310,7 @@ def test_a_deleted_device_ends_its_streams(server: str) -> None:
         hello = receive(websocket)
         assert (hello["state"], hello["sensors"]) == ("stopped", [])
         httpx.post(f"{server}/api/v1/devices/brief/start", timeout=60.0).raise_for_status()
+        assert receive(websocket)["state"] == "starting"
         running = receive(websocket)
         assert (running["state"], len(running["sensors"])) == ("running", 4)
         httpx.delete(f"{server}/api/v1/devices/brief").raise_for_status()
@@ -255,7 +319,7 @@ def test_a_deleted_device_ends_its_streams(server: str) -> None:
             deque((states.append(m) for m in iter(lambda: receive(websocket), None)), maxlen=0)
     assert closed.value.rcvd is not None
     assert closed.value.rcvd.code == 1001
-    assert states[-1] == {"type": "status", "device": "brief", "state": "deleted", "reason": None}
+    assert (states[-1]["type"], states[-1]["state"]) == ("status", "deleted")
 
 
 def test_an_id_that_cannot_be_one_is_refused(server: str) -> None:

@@ -2,8 +2,11 @@
 
 import base64
 import re
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from html.parser import HTMLParser
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -20,11 +23,12 @@ from service.calibrations.comparison import Controlled, compare
 from service.calibrations.examples import NEW_CALIBRATIONS
 from service.database.seed import nominal_calibration
 from service.reports import router
-from service.reports.content import ReportContent
+from service.reports.content import Compared, ReportContent
 from service.reports.figures import FIGURES, draw
 from service.reports.kept import KeptReports
-from service.reports.page import pictures, report_page
+from service.reports.page import report_page
 from service.reports.router import FigureName
+from service.reports.stored import stored_report
 from service.reports.text import number
 from service.reports.write import write_report
 
@@ -52,13 +56,31 @@ def content() -> ReportContent:
         points_mm=points,
         readings_px=readings,
         provenance={"note": EVIL},
-        previous=(EVIL, compare(held, before)),
+        compared=Compared(EVIL, "before", compare(held, before)),
     )
 
 
 @pytest.fixture(scope="module")
-def page(content: ReportContent) -> str:
-    return report_page(content)
+def written(content: ReportContent, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the report and its figures, which were drawn once for both."""
+    folder = tmp_path_factory.mktemp("report")
+    with pytest.MonkeyPatch.context() as patch:
+        drawn: list[str] = []
+
+        def counted(name: str, make: Callable[[ReportContent], Any], given: ReportContent) -> Any:
+            drawn.append(name)
+            return make(given)
+
+        for name, make in FIGURES.items():
+            patch.setitem(FIGURES, name, partial(counted, name, make))
+        write_report(content, folder / "report.html", folder / "figures")
+    assert sorted(drawn) == sorted(FIGURES)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(written: Path) -> str:
+    return (written / "report.html").read_text("utf-8")
 
 
 class Tags(HTMLParser):
@@ -160,17 +182,16 @@ def test_the_expected_deviation_is_that_of_new_points(content: ReportContent):
 
 def test_a_calibration_from_no_measurement_has_a_report_too():
     empty = ReportContent("Nominal", nominal_calibration(), [], np.empty((0, 3)), np.empty((0, 4)))
-    text = read(report_page(empty)).text
-    assert "principal_distance_px" in text
-    assert pictures(empty) == {}
+    page = read(report_page(empty))
+    assert "principal_distance_px" in page.text
+    assert not [tag for tag, _ in page.tags if tag == "img"]
 
 
-def test_pictures_are_written_beside_it(content: ReportContent, tmp_path: Any):
-    write_report(content, tmp_path / "report.html", tmp_path / "figures")
-    assert (tmp_path / "report.html").read_text("utf-8").startswith("<!doctype html>")
-    written = list((tmp_path / "figures").iterdir())
-    assert {file.stem for file in written} == set(FIGURES)
-    for file in written:
+def test_pictures_are_written_beside_it(written: Path, page: str):
+    assert page.startswith("<!doctype html>")
+    found = list((written / "figures").iterdir())
+    assert {file.stem for file in found} == set(FIGURES)
+    for file in found:
         assert file.read_bytes().startswith(b"\x89PNG")
 
 
@@ -209,7 +230,7 @@ def test_a_report_is_drawn_once(sqlite_client: Any, monkeypatch: pytest.MonkeyPa
 
     def page_of(content: ReportContent) -> str:
         drawn.append(content.title)
-        return f"{content.title} {content.previous and content.previous[0]}"
+        return f"{content.title} {content.compared and content.compared.name}"
 
     def figure_of(name: str, content: ReportContent) -> bytes | None:
         drawn.append(name)
@@ -262,17 +283,58 @@ def test_the_route_names_the_figures_that_there_are():
     assert set(get_args(FigureName)) == set(FIGURES)
 
 
-def test_a_stored_calibration_has_its_report(sqlite_client: Any):
+def test_a_stored_calibration_has_its_report(sqlite_client: Any, monkeypatch: pytest.MonkeyPatch):
     body = NEW_CALIBRATIONS["frame"]["value"] | {"note": EVIL}
     assert sqlite_client.post("/api/v1/calibrations", json=body).status_code == 201
     answer = sqlite_client.get("/api/v1/calibrations/sim-frame/report.html")
     assert answer.headers["content-type"].startswith("text/html")
     text = read(answer.text).text
     assert EVIL in text
-    assert "sim-nominal" in text  # compared with what is active
+    # Never active itself, it is compared with what is, and that is what the page says.
+    assert "Compared with the active calibration" in text
+    assert "The other is sim-nominal, which is active now." in text
     found = sqlite_client.get("/api/v1/calibrations/sim-frame").json()
     assert found["content_hash"] in text
+    # The page came from a process; for one figure more it takes as long to start as to draw.
+    monkeypatch.setattr(router, "figure_apart", lambda name, content: draw(name, content, "png"))
     figure = sqlite_client.get("/api/v1/calibrations/sim-frame/report/coverage.png")
     assert figure.content.startswith(b"\x89PNG")
-    none = sqlite_client.get("/api/v1/calibrations/sim-nominal/report/coverage.png")
-    assert none.json()["type"] == "/problems/no-such-figure"
+
+
+@pytest.mark.parametrize(
+    ("relation", "title", "sentence"),
+    [
+        ("before", "the calibration before", "which was active before this one"),
+        ("active", "the active calibration", "which is active now"),
+        ("chosen", "another calibration", "as asked for"),
+    ],
+)
+def test_what_it_is_compared_with_is_said(
+    content: ReportContent, relation: Any, title: str, sentence: str
+):
+    assert content.compared is not None
+    other = replace(content, compared=replace(content.compared, name="it", relation=relation))
+    text = read(report_page(other, {})).text
+    assert f"Compared with {title}" in text
+    assert f"The other is it, {sentence}." in text
+
+
+def test_which_calibration_a_stored_one_is_compared_with(sqlite_client: Any):
+    example = NEW_CALIBRATIONS["frame"]["value"]
+    for name in ("one", "two"):
+        made = sqlite_client.post("/api/v1/calibrations", json=example | {"id": name})
+        assert made.status_code == 201
+
+    def compared(name: str, previous: str | None = None) -> tuple[str, str]:
+        with sqlite_client.app.state.database.read() as session:
+            found = stored_report(session, name, previous).compared
+        assert found is not None
+        return found.name, found.relation
+
+    assert compared("one") == ("sim-nominal", "active")
+    sqlite_client.post("/api/v1/calibrations/one/activate")
+    sqlite_client.post("/api/v1/calibrations/two/activate")
+    assert compared("one") == ("sim-nominal", "before")
+    assert compared("two") == ("one", "before")
+    assert compared("sim-nominal") == ("two", "active")
+    assert compared("two", "sim-nominal") == ("sim-nominal", "chosen")

@@ -3,11 +3,14 @@
 from typing import Any
 
 import numpy as np
+import pytest
 
 from compute.camera.stack import CameraStack
 from hardware.simulated.bar import simulated_sensor_models
+from service.calibrations.examples import NEW_CALIBRATIONS
 from service.correction_tables.hdf5 import read_table
 from service.runs.examples import NEW_MAPPING_RUNS
+from tests.service.runs.at_hand import use_at_hand
 from tests.service.runs.test_runs import wait
 
 URL = "/api/v1/mapping-runs"
@@ -20,7 +23,10 @@ def bent(position_mm: Any) -> float:
     return 1e-4 * float(x) * float(y)
 
 
-def test_a_run_makes_the_table_that_mends_a_known_error(client: Any, live: Any):
+def test_a_run_makes_the_table_that_mends_a_known_error(
+    client: Any, live: Any, monkeypatch: pytest.MonkeyPatch
+):
+    use_at_hand(monkeypatch)
     points = [
         point | {"readings": point["readings"] | {
             "vertical": point["readings"]["vertical"] + bent(point["position_mm"])
@@ -82,13 +88,15 @@ def with_error(places: np.ndarray) -> dict[str, Any]:
     }
 
 
-def test_a_run_for_a_calibration_that_is_retired_meanwhile_stores_nothing(sqlite_client: Any):
-    from service.calibrations.examples import NEW_CALIBRATIONS
-
+def test_a_run_for_a_calibration_that_is_retired_meanwhile_stores_nothing(
+    sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
+):
+    gate = use_at_hand(monkeypatch, closed=True)
     sqlite_client.post("/api/v1/calibrations", json=NEW_CALIBRATIONS["frame"]["value"])
     body = BODY | {"calibration": "sim-frame"}
     assert sqlite_client.post(URL, json=body).status_code == 202
     sqlite_client.post("/api/v1/calibrations/sim-frame/retire")
+    gate.set()
     found = wait(sqlite_client, "sim-map-run")
     assert found["problem"]["type"] == "/problems/calibration-retired"
     assert sqlite_client.get("/api/v1/correction-tables").json()["total"] == 0

@@ -12,15 +12,17 @@ from service.app import create_app
 from service.calibrations.examples import NEW_CALIBRATIONS, simulated_points
 from service.database.engine import Database
 from service.database.models import RunRow
-from service.errors import CalibrationExists, CorrectionTableExists
 from service.runs import store
 from service.runs.kinds import KINDS, RunKind
 from service.settings import Settings
 from tests.service.recorded_live import RecordedLive, TestClient
 from tests.service.runs import slow_tasks
+from tests.service.runs.at_hand import use_at_hand
 
 URL = "/api/v1/calibration-runs"
 FRAME = NEW_CALIBRATIONS["frame"]["value"]["points"]
+QUICK = {"distortion": "none", "labels": "off"}
+"""For runs of which it does not matter what they look for."""
 
 
 def body(**changes: Any) -> dict[str, Any]:
@@ -80,6 +82,10 @@ def test_a_run_makes_the_calibration_that_a_request_makes(client: Any):
     others = [fit["model"] for fit in same["result"]["sensors"]]
     for one, other in zip(models, others, strict=True):
         assert one["principal_distance_px"] == pytest.approx(other["principal_distance_px"])
+    # What a run makes is the doing of whoever posted it.
+    (entry,) = client.get("/api/v1/audit", params={"object": "made"}).json()["items"]
+    assert (entry["actor"]["kind"], entry["operation"]) == ("local", "create-calibration-run")
+    assert entry["request_id"] == posted.headers["x-request-id"]
     listed = client.get("/api/v1/runs", params={"device": "sim", "kind": "calibration"}).json()
     assert [run["id"] for run in listed["items"]] == ["first"]
     assert client.get("/api/v1/runs", params={"state": "failed"}).json()["total"] == 0
@@ -91,7 +97,10 @@ def test_a_long_published_method_is_accepted_with_the_defaults(sqlite_client: An
     assert sqlite_client.post("/api/v1/runs/published/cancel").status_code == 200
 
 
-def test_a_published_method_runs_with_the_defaults(sqlite_client: Any):
+def test_a_published_method_runs_with_the_defaults(
+    sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
+):
+    use_at_hand(monkeypatch)
     method = "dlt-iterative"
     posted = sqlite_client.post(URL, json=body(id="published", method=method))
     assert posted.status_code == 202, posted.text
@@ -118,31 +127,25 @@ def test_a_run_that_has_ended_is_deleted(client: Any, computing: Any, tmp_path: 
 
 
 def test_an_id_that_another_run_is_to_store_under_is_taken(
-    client: Any, computing: Any, tmp_path: Path
+    sqlite_client: Any, computing: Any, tmp_path: Path
 ):
+    client = sqlite_client
     computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
     for number, expected in enumerate((202, 409)):
         posted = client.post(URL, json=body(id=f"run-{number}", result_id="made"))
         assert posted.status_code == expected, posted.text
     assert posted.json()["type"] == "/problems/calibration-exists"
     assert 'run "run-0" is to make calibration "made"' in posted.json()["detail"]
-    # Of runs of another kind, or that have ended, it is free.
-    with client.app.state.database.write() as session:
-        store.add_run(session, "mapping", "sim", {"result_id": "made"}, 100, "map")
-        with pytest.raises(CorrectionTableExists, match='run "map" is to make correction table'):
-            store.add_run(session, "mapping", "sim", {"result_id": "made"}, 100)
-        with pytest.raises(CalibrationExists):
-            store.add_run(session, "self-calibration", "sim", {"result_id": "made"}, 100)
-        store.cancel(session, "map")
     client.post("/api/v1/runs/run-0/cancel")
     posted = client.post(URL, json=body(id="run-2", result_id="made"))
     assert posted.status_code == 202, posted.text
     client.post("/api/v1/runs/run-2/cancel")
 
 
-def test_many_points_are_left_out_in_blocks(sqlite_client: Any):
+def test_many_points_are_left_out_in_blocks(sqlite_client: Any, monkeypatch: pytest.MonkeyPatch):
+    use_at_hand(monkeypatch)
     points = simulated_points(np.random.default_rng(5).uniform(-120, 120, (101, 3)))
-    posted = sqlite_client.post(URL, json=body(id="many", points=points, distortion="none"))
+    posted = sqlite_client.post(URL, json=body(id="many", points=points, **QUICK))
     assert posted.status_code == 202, posted.text
     made = sqlite_client.get(wait(sqlite_client, "many")["result"]).json()
     assert made["errors"]["leave_one_out"] is None
@@ -274,10 +277,14 @@ def test_a_deleted_device_ends_its_runs(sqlite_client: Any, computing: Any, tmp_
     wait_until(lambda: not running(pid))
 
 
-def test_a_result_id_taken_meanwhile_fails_the_run(sqlite_client: Any):
-    sqlite_client.post(URL, json=body(id="first", result_id="same"))
+def test_a_result_id_taken_meanwhile_fails_the_run(
+    sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
+):
+    gate = use_at_hand(monkeypatch, closed=True)
+    sqlite_client.post(URL, json=body(id="first", result_id="same", **QUICK))
     made = sqlite_client.post("/api/v1/calibrations", json=body(id="same"))
     assert made.status_code == 201
+    gate.set()
     found = wait(sqlite_client, "first")
     assert found["problem"]["type"] == "/problems/calibration-exists"
 

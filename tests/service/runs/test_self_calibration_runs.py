@@ -4,20 +4,26 @@ import copy
 from typing import Any
 
 import numpy as np
+import pytest
 from pydantic import TypeAdapter
 
 from compute.calibration.result import Calibration
 from compute.camera.stack import CameraStack
 from compute.reconstruction.points import reconstruct
 from hardware.simulated.bar import WORKING_CENTRE_MM, simulated_sensor_models
+from service.reports import router
+from service.reports.page import report_page
 from service.runs.examples import NEW_SELF_CALIBRATION_RUNS
+from tests.service.runs.at_hand import use_at_hand
 from tests.service.runs.test_runs import wait
 
 URL = "/api/v1/self-calibration-runs"
 BODY = NEW_SELF_CALIBRATION_RUNS["wand"]["value"]
 
 
-def test_a_wand_calibrates_the_device(client: Any):
+def test_a_wand_calibrates_the_device(client: Any, monkeypatch: pytest.MonkeyPatch):
+    use_at_hand(monkeypatch)
+    monkeypatch.setattr(router, "page_apart", report_page)
     body = BODY | {"result_id": "by-wand", "start": "sim-nominal", "note": "waved"}
     posted = client.post(URL, json=body)
     assert posted.status_code == 202, posted.text

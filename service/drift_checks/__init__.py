@@ -1,0 +1,1 @@
+"""Drift checks: is a calibration still good? Still markers are read again, and history is kept."""

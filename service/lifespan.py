@@ -1,0 +1,93 @@
+"""What runs as long as the application: opened in order, closed in reverse."""
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
+from typing import Protocol
+
+from anyio.to_thread import run_sync
+from fastapi import FastAPI
+
+from service.database.engine import Database
+from service.database.in_use import used_by_server
+from service.devices.operation import Operation
+from service.devices.profiles import find_profile
+from service.live.hub import Hub
+from service.live.manager import LiveManager
+from service.metrics.live import LiveCollector
+from service.metrics.stored import DatabaseCollector, RecordingsCollector
+from service.quality.watch import Watch
+from service.recordings.manager import Recordings
+from service.runs.manager import RunManager
+from service.security.authenticator import Authenticator
+from service.settings import Settings
+from service.start import prepare
+
+
+class _Part(Protocol):
+    def close(self) -> None:
+        """End it."""
+        ...
+
+
+@asynccontextmanager
+async def running(
+    app: FastAPI,
+    settings: Settings,
+    live: LiveManager | None = None,
+    started: Callable[[], None] | None = None,
+) -> AsyncIterator[None]:
+    """Run all parts of the service, which endpoints find in ``app.state``.
+
+    Args:
+        app: the application.
+        settings: its settings.
+        live: takes the live pipeline's place, closed at the end all the same.
+        started: called once all is running and before requests are served.
+    """
+    async with AsyncExitStack() as stack:
+
+        def closed_at_the_end(part: _Part) -> None:
+            stack.push_async_callback(run_sync, part.close)
+
+        database = Database(settings.effective_database_url, impatient=True)
+        closed_at_the_end(database)
+        stack.enter_context(used_by_server(database))
+        named = await run_sync(prepare, settings, database)
+        app.state.database = database
+        app.state.authenticator = Authenticator(database, settings)
+        manager = _live_manager(settings) if live is None else live
+        closed_at_the_end(manager)
+        app.state.live = manager
+        stack.callback(setattr, app.state, "live", None)
+        app.state.operation = Operation(database, manager, settings.folders)
+        recordings = Recordings(
+            manager,
+            settings.folders.recordings,
+            settings.recording_free_bytes,
+            settings.recording_flush_s,
+        )
+        closed_at_the_end(recordings)
+        app.state.recordings = recordings
+        await run_sync(app.state.operation.autostart, *named)
+        runs = RunManager(database, settings.runs_at_once)
+        closed_at_the_end(runs)
+        app.state.runs = runs
+        await run_sync(runs.start)
+        watch = Watch(database, manager)
+        closed_at_the_end(watch)
+        watch.start()
+        app.state.metrics.add(
+            LiveCollector(manager),
+            DatabaseCollector(database, runs.durations),
+            RecordingsCollector(recordings),
+        )
+        if started is not None:
+            started()
+        yield
+
+
+def _live_manager(settings: Settings) -> LiveManager:
+    own = partial(find_profile, profiles_dir=settings.folders.profiles)
+    hub = Hub(settings.stream_kept_messages, settings.stream_lag_s)
+    return LiveManager(settings.compute_device, own, hub)

@@ -1,0 +1,1 @@
+"""Log lines: their form, and which request or device they are of."""

@@ -1,0 +1,36 @@
+"""RequestRecord: what is known of a request from its first byte to the last of its answer."""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from starlette.types import Scope
+
+RECORD: Final = "lumiline.request"
+"""Under which the ASGI scope has its request's record."""
+
+
+@dataclass
+class RequestRecord:
+    """One request, from its first byte to the last of its answer.
+
+    Args:
+        id: its X-Request-ID, or one made for it.
+        kind: http or websocket.
+        method: of a websocket, GET.
+        route: template of the path that the router found; None: it found none.
+        status: of the answer, 101 for a websocket that was opened; None: none was begun.
+        duration_s: until its end, for a websocket until it was opened or refused.
+    """
+
+    id: str
+    kind: Literal["http", "websocket"]
+    method: str
+    route: str | None = None
+    status: int | None = None
+    duration_s: float = 0.0
+
+
+def request_record(scope: Scope) -> RequestRecord:
+    """Return the record of the request that a scope is of."""
+    record: RequestRecord = scope[RECORD]
+    return record

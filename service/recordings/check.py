@@ -1,0 +1,172 @@
+"""A recording processed again: does it give the same bits?"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from compute.errors import InvalidRecording
+from hardware.frame import LineFrame
+from hardware.recording_block import FrameBlock
+from hardware.recording_reader import RecordingReader
+from service.live.batch import FrameBatch
+from service.live.in_force import NOTHING, InForce
+from service.live.processor import MAX_FRAMES, DeviceProcessor
+from service.recordings.in_force_file import load_in_force
+from service.recordings.results import peak_rows, point_rows
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What was recorded beside what its lines give now.
+
+    Args:
+        frames: frames compared.
+        peaks: recorded peaks.
+        points: recorded points.
+        peaks_differ: frames whose peaks are not the same in every bit.
+        points_differ: frames whose points are not.
+        first_difference: which frame is the first, and in what; None: there is none.
+        settings_differ: what of the peak finding is another now than it was; empty: nothing.
+    """
+
+    frames: int
+    peaks: int
+    points: int
+    peaks_differ: int
+    points_differ: int
+    first_difference: str | None
+    settings_differ: tuple[str, ...]
+
+    @property
+    def same(self) -> bool:
+        """Whether everything is the same."""
+        return not (self.peaks_differ or self.points_differ)
+
+
+def recorded_in_force(reader: RecordingReader, row: int) -> InForce:
+    """Return what was in force, by its row in the recording; -1: nothing.
+
+    Raises:
+        InvalidRecording, InvalidTableFile: what is there is none, or was changed.
+    """
+    if row < 0:
+        return NOTHING
+    document, table = reader.in_force(row)
+    return load_in_force(document, table, "the recording")
+
+
+def processed(
+    reader: RecordingReader,
+    processor: DeviceProcessor,
+    batch_frames: int = MAX_FRAMES,
+    given: InForce | None = None,
+) -> Iterator[FrameBatch]:
+    """Yield a recording's frames as the live path makes them, in batches.
+
+    Args:
+        reader: the recording.
+        processor: of its device.
+        batch_frames: most frames of a batch.
+        given: what to reconstruct with; None: what was in force, frame by frame.
+
+    Raises:
+        InvalidRecording: there are no lines, or something is damaged.
+        InvalidParameter: the calibration is of other sensors.
+    """
+    if not reader.info.lines:
+        raise InvalidRecording("the recording holds results only; it has no lines to process")
+    if given is not None:
+        _use(processor, given)
+        rows = np.zeros(reader.info.frames, np.int32)
+    elif reader.info.version > 1:
+        rows = reader.column("in_force")
+    else:
+        rows = np.full(reader.info.frames, -1, np.int32)
+    changes = np.flatnonzero(np.diff(rows, prepend=rows[:1] - 1)).tolist()
+    ends = [*changes[1:], reader.info.frames]
+    waiting = _Frames(reader)
+    for first, end in zip(changes, ends, strict=True):
+        if given is None:
+            _use(processor, recorded_in_force(reader, int(rows[first])))
+        for start in range(first, end, batch_frames):
+            yield processor.process(waiting.take(min(batch_frames, end - start)))
+
+
+def compare(
+    reader: RecordingReader,
+    processor: DeviceProcessor,
+    batch_frames: int = MAX_FRAMES,
+    done: Callable[[int], None] = lambda _: None,
+) -> Comparison:
+    """Process a recording's lines again, and compare with the results in it bit by bit.
+
+    Args:
+        reader: the recording, of lines and results.
+        processor: of its device.
+        batch_frames: most frames of a batch; the results do not depend on it.
+        done: called with the number of frames compared so far.
+
+    Raises:
+        InvalidRecording: it lacks lines or results, or something is damaged.
+    """
+    if not reader.info.results:
+        raise InvalidRecording("the recording holds no results to compare with; record them, too")
+    frames = peaks = points = peaks_differ = points_differ = 0
+    first_difference = None
+    for batch in processed(reader, processor, batch_frames):
+        block = reader.block(frames, frames + len(batch.frames))
+        of_peaks, of_points = _differences(block, batch)
+        wrong = of_peaks | of_points
+        if first_difference is None and wrong.any():
+            number = int(wrong.argmax())
+            what = "peaks" if of_peaks[number] else "points"
+            first_difference = f"frame {frames + number}, in its {what}"
+        peaks_differ += int(of_peaks.sum())
+        points_differ += int(of_points.sum())
+        frames += len(batch.frames)
+        peaks += len(block.peaks)
+        points += len(block.points)
+        done(frames)
+    then: dict[str, Any] = reader.info.provenance.get("peaks") or {}
+    now = processor.finding.settings()
+    changed = tuple(f"{name} was {then.get(name)}, is {now[name]}"
+                    for name in now if name in then and then[name] != now[name])  # fmt: skip
+    return Comparison(frames, peaks, points, peaks_differ, points_differ, first_difference, changed)
+
+
+def _use(processor: DeviceProcessor, found: InForce) -> None:
+    processor.set_calibration(found.calibration_id, found.calibration, found.table_id, found.table)
+
+
+class _Frames:
+    """A recording's frames, taken in any numbers."""
+
+    def __init__(self, reader: RecordingReader) -> None:
+        self._frames: Iterator[LineFrame] = reader.frames()
+
+    def take(self, count: int) -> list[LineFrame]:
+        """Return the next frames."""
+        return [next(self._frames) for _ in range(count)]
+
+
+def _differences(
+    block: FrameBlock, batch: FrameBatch
+) -> tuple[np.ndarray[Any, np.dtype[np.bool_]], np.ndarray[Any, np.dtype[np.bool_]]]:
+    """Return which frames differ in their peaks, and which in their points, shape (F,)."""
+    made_peaks, peak_count = peak_rows(batch.peaks, len(batch.sensor_names))
+    made_points, point_count = point_rows(batch)
+    found = []
+    for kept, kept_count, made, made_count in (
+        (block.peaks, block.rows["peaks"], made_peaks, peak_count),
+        (block.points, block.rows["points"], made_points, point_count),
+    ):
+        kept_ends, made_ends = np.cumsum(kept_count), np.cumsum(made_count)
+        wrong = kept_count != made_count
+        for number in np.flatnonzero(~wrong):
+            of_kept = kept[kept_ends[number] - kept_count[number] : kept_ends[number]]
+            of_made = made[made_ends[number] - made_count[number] : made_ends[number]]
+            wrong[number] = of_kept.tobytes() != of_made.tobytes()
+        found.append(wrong)
+    return found[0], found[1]

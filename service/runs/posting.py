@@ -1,0 +1,307 @@
+"""REST resources that take runs: /api/v1/calibration-runs, /mapping-runs, ..."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Body
+from sqlalchemy.orm import Session
+from starlette.status import HTTP_202_ACCEPTED
+
+from compute.errors import (
+    DegeneratePoints,
+    DuplicatePoint,
+    InvalidParameter,
+    ReadingOutsideSensor,
+    TooFewPoints,
+    UnknownSensor,
+)
+from service.calibrations.run import result_of
+from service.calibrations.schema import ControlPoint
+from service.calibrations.sensors import check_sensors
+from service.calibrations.store import check_unused
+from service.correction_tables import store as tables
+from service.database.models import CalibrationRow, DeviceRow
+from service.devices.sensor import Sensor
+from service.devices.store import sensors_of_row
+from service.drift_checks.resolve import still_markers
+from service.drift_checks.schema import StillMarker
+from service.drift_checks.store import get_drift_check, markers_of
+from service.errors import (
+    Busy,
+    CalibrationExists,
+    CalibrationOfAnotherDevice,
+    CalibrationRetired,
+    CaptureIncomplete,
+    CaptureOfAnotherDevice,
+    CorrectionTableExists,
+    NoActiveCalibration,
+    RunExists,
+    SensorsChanged,
+    UnknownCalibration,
+    UnknownCapture,
+    UnknownDevice,
+    UnknownDriftCheck,
+)
+from service.json_body import FromJson, JsonRoute
+from service.openapi import problems
+from service.runs import calibration, mapping, self_calibration, update
+from service.runs.accept import AcceptanceDep
+from service.runs.examples import (
+    NEW_CALIBRATION_RUNS,
+    NEW_MAPPING_RUNS,
+    NEW_SELF_CALIBRATION_RUNS,
+    NEW_UPDATE_RUNS,
+)
+from service.runs.named import named_or_active, points_given
+from service.runs.schema import NewCalibrationRun, NewMappingRun, NewUpdateRun, Run
+from service.runs.self_calibration_schema import NewSelfCalibrationRun
+from service.runs.tasks.calibration import Request as CalibrationRequest
+from service.runs.tasks.mapping import Request as MappingRequest
+from service.runs.tasks.self_calibration import Request as SelfCalibrationRequest
+from service.runs.tasks.update import Request as UpdateRequest
+
+router = APIRouter(prefix="/api/v1", tags=["runs"], route_class=JsonRoute)
+
+NewCalibrationRunBody = Annotated[
+    NewCalibrationRun, FromJson(), Body(openapi_examples=NEW_CALIBRATION_RUNS)
+]
+NewMappingRunBody = Annotated[NewMappingRun, FromJson(), Body(openapi_examples=NEW_MAPPING_RUNS)]
+NewUpdateRunBody = Annotated[NewUpdateRun, FromJson(), Body(openapi_examples=NEW_UPDATE_RUNS)]
+NewSelfCalibrationRunBody = Annotated[
+    NewSelfCalibrationRun, FromJson(), Body(openapi_examples=NEW_SELF_CALIBRATION_RUNS)
+]
+
+
+@router.post(
+    "/calibration-runs",
+    operation_id="create-calibration-run",
+    summary="Calibrate a device beside the requests",
+    status_code=HTTP_202_ACCEPTED,
+    responses=problems(
+        UnknownDevice,
+        UnknownCapture,
+        RunExists,
+        CalibrationExists,
+        CaptureOfAnotherDevice,
+        CaptureIncomplete,
+        TooFewPoints,
+        DegeneratePoints,
+        DuplicatePoint,
+        UnknownSensor,
+        ReadingOutsideSensor,
+        InvalidParameter,
+        Busy,
+    ),
+)
+def create_calibration_run(request: NewCalibrationRunBody, acceptance: AcceptanceDep) -> Run:
+    """Calibrate in a process of its own: follow the run at the header `Location`.
+
+    The calibration is stored when it is done, under the run's `result_id`, and not activated.
+    """
+
+    def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
+        check_unused(session, request.result_id)
+        return calibration.request_of(
+            CalibrationRequest(
+                points=_points(session, request),
+                sensors=sensors_of_row(device),
+                settings=request.settings(),
+                result_id=request.result_id,
+                capture=request.capture,
+                note=request.note,
+            )
+        )
+
+    return acceptance.run("calibration", request, stored)
+
+
+def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> list[ControlPoint]:
+    return points_given(
+        session,
+        request.device,
+        request.points,
+        request.capture,
+        incomplete=request.allow_incomplete,
+    )
+
+
+@router.post(
+    "/mapping-runs",
+    operation_id="create-mapping-run",
+    summary="Map the volume beside the requests",
+    status_code=HTTP_202_ACCEPTED,
+    responses=problems(
+        UnknownDevice,
+        UnknownCalibration,
+        UnknownCapture,
+        RunExists,
+        CorrectionTableExists,
+        CalibrationOfAnotherDevice,
+        CaptureOfAnotherDevice,
+        CaptureIncomplete,
+        CalibrationRetired,
+        NoActiveCalibration,
+        SensorsChanged,
+        TooFewPoints,
+        DegeneratePoints,
+        DuplicatePoint,
+        UnknownSensor,
+        ReadingOutsideSensor,
+        InvalidParameter,
+        Busy,
+    ),
+)
+def create_mapping_run(request: NewMappingRunBody, acceptance: AcceptanceDep) -> Run:
+    """Build a correction table in a process of its own: follow the run at the header `Location`.
+
+    The table is stored when it is done, under the run's `result_id`, and not activated.
+    """
+
+    def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
+        tables.check_unused(session, request.result_id)
+        parent = named_or_active(session, request.device, request.calibration)
+        return mapping.request_of(
+            MappingRequest(
+                calibration=parent.id,
+                points=_points(session, request),
+                sensors=sensors_of_row(device),
+                settings=request.settings(),
+                point_sigma_mm=request.point_sigma_mm,
+                result_id=request.result_id,
+                capture=request.capture,
+                note=request.note,
+            ),
+            parent,
+        )
+
+    return acceptance.run("mapping", request, stored)
+
+
+@router.post(
+    "/self-calibration-runs",
+    operation_id="create-self-calibration-run",
+    summary="Calibrate a device without known coordinates",
+    status_code=HTTP_202_ACCEPTED,
+    responses=problems(
+        UnknownDevice,
+        UnknownCalibration,
+        RunExists,
+        CalibrationExists,
+        CalibrationOfAnotherDevice,
+        CalibrationRetired,
+        NoActiveCalibration,
+        SensorsChanged,
+        TooFewPoints,
+        DegeneratePoints,
+        UnknownSensor,
+        ReadingOutsideSensor,
+        InvalidParameter,
+        Busy,
+    ),
+)
+def create_self_calibration_run(
+    request: NewSelfCalibrationRunBody, acceptance: AcceptanceDep
+) -> Run:
+    """Calibrate from a wand, a rigid body or a frame at unknown places, in a process of its own.
+
+    It starts from a calibration that is near; the scale comes from the lengths given. The new
+    calibration is stored when it is done, under the run's `result_id`, and not activated.
+    """
+
+    def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
+        check_unused(session, request.result_id)
+        start = named_or_active(session, request.device, request.start)
+        return self_calibration.request_of(
+            SelfCalibrationRequest(
+                start=start.id,
+                recordings=request.recordings,
+                sensors=sensors_of_row(device),
+                datum=request.datum,
+                result_id=request.result_id,
+                note=request.note,
+            ),
+            start,
+        )
+
+    return acceptance.run("self-calibration", request, stored)
+
+
+@router.post(
+    "/update-runs",
+    operation_id="create-update-run",
+    summary="Bring a calibration up to date by still markers",
+    status_code=HTTP_202_ACCEPTED,
+    responses=problems(
+        UnknownDevice,
+        UnknownCalibration,
+        UnknownCapture,
+        UnknownDriftCheck,
+        RunExists,
+        CalibrationExists,
+        CalibrationOfAnotherDevice,
+        CaptureOfAnotherDevice,
+        CaptureIncomplete,
+        CalibrationRetired,
+        NoActiveCalibration,
+        SensorsChanged,
+        TooFewPoints,
+        DuplicatePoint,
+        UnknownSensor,
+        ReadingOutsideSensor,
+        InvalidParameter,
+        Busy,
+    ),
+)
+def create_update_run(request: NewUpdateRunBody, acceptance: AcceptanceDep) -> Run:
+    """Re-calibrate quickly: what a few still markers say has changed, and the rest as it was.
+
+    Eight markers do where a whole frame was measured before. The new calibration names its parent;
+    it is stored when it is done, under the run's `result_id`, and not activated.
+    """
+
+    def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
+        check_unused(session, request.result_id)
+        sensors = sensors_of_row(device)
+        parent, markers, sigma = _still(session, request, sensors)
+        return update.request_of(
+            UpdateRequest(
+                calibration=parent.id,
+                markers=markers,
+                device_sensors=sensors,
+                position_sigma_mm=sigma,
+                sensors=request.sensors,
+                allowance=request.allowance,
+                result_id=request.result_id,
+                capture=request.capture,
+                drift_check=request.drift_check,
+                note=request.note,
+            ),
+            parent,
+        )
+
+    return acceptance.run("update", request, stored)
+
+
+def _still(
+    session: Session, request: NewUpdateRun, sensors: list[Sensor]
+) -> tuple[CalibrationRow, list[StillMarker], float]:
+    """Return the parent, the markers and the deviation of their positions [mm]."""
+    if request.drift_check is None:
+        parent = named_or_active(session, request.device, request.calibration)
+        check_sensors(parent.device_id, sensors, result_of(parent.content).models)
+        return parent, still_markers(session, parent, sensors, request), request.position_sigma_mm
+    other = {"points", "capture", "earlier_capture", "against", "position_sigma_mm"}
+    given = sorted(other & request.model_fields_set)
+    if given:
+        raise InvalidParameter(
+            f"{given[0]} is given with drift_check, which has its own markers; give one of them"
+        )
+    check = get_drift_check(session, request.drift_check)
+    if request.calibration not in (None, check.calibration_id):
+        raise InvalidParameter(
+            f'drift check "{check.id}" is of calibration "{check.calibration_id}", not of '
+            f'"{request.calibration}"; post its markers to compare them with another',
+            drift_check=check.id,
+            calibration=check.calibration_id,
+        )
+    parent = named_or_active(session, request.device, check.calibration_id)
+    return parent, markers_of(check), float(check.given["position_sigma_mm"])

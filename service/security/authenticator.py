@@ -1,0 +1,134 @@
+"""From what a request brings to who is asking."""
+
+import hmac
+import logging
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from service.database.engine import Database
+from service.database.models import ApiKeyRow
+from service.errors import NotReady, TooManyAttempts, Unauthenticated
+from service.security import store
+from service.security.attempts import FailedAttempts
+from service.security.key_text import PREFIX, digest, id_of
+from service.security.principal import Principal
+from service.security.remembered import RememberedKeys
+from service.settings import Settings
+
+if TYPE_CHECKING:
+    from service.security.oidc import OidcTokens
+
+_log = logging.getLogger(__name__)
+
+_NO_DIGEST = "0" * 64
+
+
+class Authenticator:
+    """Checks keys against the database and tokens against the identity provider's keys."""
+
+    def __init__(self, database: Database, settings: Settings) -> None:
+        self._database = database
+        self.attempts = FailedAttempts(settings.failed_logins_per_minute)
+        self.remembered = RememberedKeys()
+        """So that devices can be stopped while the database does not answer."""
+        self._tokens = _oidc_tokens(settings)
+
+    def principal(self, credential: str, address: str) -> Principal:
+        """Return who acts with a key or token that came from an address; blocks.
+
+        Raises:
+            Unauthenticated: it is not valid; the message does not repeat it.
+            TooManyAttempts: too many of this address were not.
+            NotReady: the database or the identity provider does not answer.
+        """
+        try:
+            if credential.startswith(PREFIX) or self._tokens is None:
+                return self._of_key(credential)
+            return self._tokens.principal(credential)
+        except Unauthenticated as error:
+            # Only now: others at the same address, behind a router or proxy, have valid keys, and
+            # what is random to 256 bits needs no protection from being tried out.
+            wait_s = self.attempts.wait_s(address)
+            if wait_s:
+                raise TooManyAttempts(
+                    f"too many requests from {address} came with keys that are not valid; try "
+                    f"again in {wait_s} s, or with a valid one",
+                    retry_after_s=wait_s,
+                ) from error
+            self.attempts.failed(address)
+            _log.warning("refused a log-in from %s: %s", address, error.detail)
+            raise
+
+    def why_ended(self, principal: Principal) -> str | None:
+        """Return why a principal may not go on, None while it may; blocks. Raises NotReady."""
+        if principal.expires_at is not None and principal.expires_at <= datetime.now(UTC):
+            return f"the {principal.kind} has expired"
+        if principal.kind == "key":
+            with self._database.read() as session:
+                row = session.get(ApiKeyRow, principal.id)
+                state = "revoked" if row is None else store.state_of(row)
+            if state != "valid":
+                self.remembered.forget(principal.id)
+                return f"the key was {state}" if state == "revoked" else "the key has expired"
+        return None
+
+    def _of_key(self, credential: str) -> Principal:
+        identity = id_of(credential)
+        if identity is None:
+            raise Unauthenticated(
+                "the key has not the form of one: lumi_, 12 letters and digits, _, and 43 more; "
+                "copy it whole"
+            )
+        given = digest(credential)
+        try:
+            found, last = self._stored(identity, given)
+        except NotReady:
+            remembered = self.remembered.principal(identity, given)
+            if remembered is None:
+                raise
+            _check_end(remembered)
+            return remembered
+        self.remembered.valid(identity, given, found)
+        if last is None or datetime.now(UTC) - last > store.USED_EVERY:
+            self._used(identity)
+        return found
+
+    def _stored(self, identity: str, given: str) -> tuple[Principal, datetime | None]:
+        """Return who acts with a key, and when it was used last, as the database says."""
+        with self._database.read() as session:
+            row = session.get(ApiKeyRow, identity)
+            stored = _NO_DIGEST if row is None else row.digest
+            # The same work, in the same time, whether or not there is such a key.
+            right = hmac.compare_digest(stored, given)
+            if row is None or not right:
+                if row is None:
+                    self.remembered.forget(identity)
+                raise Unauthenticated("the key is not valid; ask an administrator for one")
+            state = store.state_of(row)
+            if state != "valid":
+                self.remembered.forget(identity)
+                raise Unauthenticated(f'the key "{row.id}" is {state}; ask for another one')
+            return store.principal_of(row), row.last_used_at
+
+    def _used(self, identity: str) -> None:
+        try:
+            with self._database.write() as session:
+                store.used(session, identity)
+        except NotReady:
+            pass  # logged there; the request itself can be served
+
+
+def _check_end(principal: Principal) -> None:
+    if principal.expires_at is not None and principal.expires_at <= datetime.now(UTC):
+        raise Unauthenticated(f'the key "{principal.id}" is expired; ask for another one')
+
+
+def _oidc_tokens(settings: Settings) -> "OidcTokens | None":
+    if settings.oidc_issuer is None or settings.oidc_audience is None:
+        return None
+    # Only here: the library of tokens brings one of cryptography.
+    from service.security.jwks import Jwks
+    from service.security.oidc import OidcTokens
+
+    keys = Jwks(settings.oidc_issuer, settings.oidc_jwks_url)
+    return OidcTokens(settings.oidc_issuer, settings.oidc_audience, settings.oidc_scope_claim, keys)

@@ -1,0 +1,83 @@
+"""Where a request carries its key or token: a header, or a websocket's subprotocol."""
+
+import re
+from typing import Final
+from urllib.parse import parse_qsl
+
+from starlette.datastructures import Headers
+
+from service.errors import CredentialInQuery, QueryTooLong, Unauthenticated
+from service.security.redaction import decoded, redact
+
+SUBPROTOCOL: Final = "lumiline.v1"
+BEARER_SUBPROTOCOL: Final = "lumiline.bearer."
+"""Browsers cannot set headers of a websocket, but they can offer subprotocols."""
+
+MOST_QUERY_BYTES: Final = 4096
+"""No operation's query is nearly as long."""
+
+_NAMES: Final = frozenset(
+    {"key", "api_key", "apikey", "api-key", "token", "access_token", "bearer", "authorization"}
+)
+_TOKEN: Final = re.compile(r"[A-Za-z0-9._~+/-]+=*", re.ASCII)
+
+
+def check_query(query: bytes) -> None:
+    """Check that a query is short enough to be read, and has no key in it.
+
+    Raises:
+        QueryTooLong: it has more than ``MOST_QUERY_BYTES``.
+        CredentialInQuery: it has a key or token; the message does not repeat it.
+    """
+    if len(query) > MOST_QUERY_BYTES:
+        raise QueryTooLong(
+            f"the address has a query of {len(query)} bytes; it may have {MOST_QUERY_BYTES}",
+            bytes=len(query),
+            most_bytes=MOST_QUERY_BYTES,
+        )
+    pairs = parse_qsl(query.decode("latin-1"), keep_blank_values=True)
+    words = decoded("\n".join(word for pair in pairs for word in pair))
+    if any(name.lower() in _NAMES for name, _ in pairs) or redact(words) != words:
+        raise CredentialInQuery(
+            "the address has a key or token in its query, where servers, proxies and browsers "
+            "write it down; revoke it if it is a real one, and send another in the header "
+            "Authorization: Bearer (a websocket: docs/stream.md)"
+        )
+
+
+def credential_of(headers: Headers, *, websocket: bool) -> str | None:
+    """Return the key or token that a request carries, None without one.
+
+    Raises:
+        Unauthenticated: there are several, or what there is cannot be one.
+    """
+    found = [_of_header(value) for value in headers.getlist("authorization")]
+    if websocket:
+        found += [
+            offered.removeprefix(BEARER_SUBPROTOCOL)
+            for offered in subprotocols(headers)
+            if offered.startswith(BEARER_SUBPROTOCOL)
+        ]
+    if len(found) > 1:
+        raise Unauthenticated("the request carries several keys or tokens; send one")
+    return found[0] if found else None
+
+
+def subprotocols(headers: Headers) -> list[str]:
+    """Return the subprotocols that a client offers."""
+    return [
+        word.strip()
+        for value in headers.getlist("sec-websocket-protocol")
+        for word in value.split(",")
+        if word.strip()
+    ]
+
+
+def _of_header(value: str) -> str:
+    scheme, _, credential = value.strip().partition(" ")
+    credential = credential.strip()
+    if scheme.lower() != "bearer" or _TOKEN.fullmatch(credential) is None:
+        raise Unauthenticated(
+            "the header Authorization is not of the form: Bearer, a space, and a key or token"
+        )
+    return credential

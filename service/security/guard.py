@@ -1,0 +1,211 @@
+"""ASGI middleware that lets an operation begin only for those who may do it.
+
+It stands before the router, so that nothing of a request is read for who may not ask. It finds
+the route as the router does; `confirm`, a dependency of every route, checks that both found the
+same one.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from anyio.to_thread import run_sync
+from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
+from starlette.responses import Response
+from starlette.routing import Match
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from compute.errors import LumilineError
+from service.errors import MissingScope, TooManyAttempts, Unauthenticated
+from service.logs.record import request_record
+from service.problem_handlers import problem_response, refuse_websocket
+from service.problems import problem_type_of
+from service.security.access import ACCESS, CHANGING, PUBLIC, check_complete, operation_of
+from service.security.attempt import record_attempt, record_more
+from service.security.credential import check_query, credential_of
+from service.security.local import why_not_local
+from service.security.principal import LOCAL, Act, Principal, current_act
+from service.security.refusals import Refusals
+from service.settings import Settings
+
+if TYPE_CHECKING:
+    from service.security.authenticator import Authenticator
+
+ACT: Final = "lumiline.act"
+"""Under which the ASGI scope has the act of a request that was let in."""
+_OPERATION: Final = "lumiline.operation"
+_SAFE: Final = frozenset({"GET", "HEAD", "OPTIONS"})
+_Matches = Callable[[Scope], tuple[Match, Scope]]
+_REALM: Final = 'Bearer realm="lumiline"'
+
+
+async def confirm(connection: HTTPConnection) -> None:
+    """Refuse to run a route that the guard did not let in: a dependency of every route."""
+    operation = operation_of(connection.scope["route"])
+    if connection.scope.get(_OPERATION) != operation:
+        raise RuntimeError(f'the guard did not let operation "{operation}" in')
+
+
+class Guard:
+    """Answers 401 or 403 in the place of operations that the table of access does not allow."""
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self._app = app
+        self._settings = settings
+        self._routes: tuple[tuple[str, str, _Matches], ...] | None = None
+        self._refusals: Refusals | None = None
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on, or refuse it."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, self._until_closing(receive), send)
+            return
+        headers = Headers(scope=scope)
+        record = request_record(scope)
+        operation, record.route = self._operation(scope)
+        if operation is None:  # no such path, or not by this method: the router says so
+            await self._app(scope, receive, send)
+            return
+        scope[_OPERATION] = operation
+        address = (scope.get("client") or ("unknown",))[0]
+        act = Act(LOCAL, operation, record.id, address)
+        try:
+            check_query(scope["query_string"])
+            if ACCESS[operation] == PUBLIC:
+                await self._app(scope, receive, send)
+                return
+            act.principal = await self._principal(scope, headers, address)
+            await self._check_scope(scope, act)
+        except LumilineError as error:
+            await _refuse(error, scope, receive, send)
+            return
+        scope[ACT] = act
+        token = current_act.set(act)
+        try:
+            if _is_recorded(scope, operation):
+                send = _Recorded(scope, act, send)
+            await self._app(scope, receive, send)
+        finally:
+            current_act.reset(token)
+
+    def _operation(self, scope: Scope) -> tuple[str | None, str | None]:
+        """Return the operation and its path's template; None where the router finds none."""
+        if self._routes is None:
+            found = check_complete(scope["app"].routes)
+            self._routes = tuple(
+                (operation_of(route), str(route.path), route.matches) for route in found
+            )
+        for operation, path, matches in self._routes:
+            if matches(scope)[0] == Match.FULL:
+                return operation, path
+        return None, None
+
+    async def _principal(self, scope: Scope, headers: Headers, address: str) -> Principal:
+        credential = credential_of(headers, websocket=scope["type"] == "websocket")
+        if credential is None:
+            reason = why_not_local(self._settings, address, headers)
+            if reason is not None:
+                raise Unauthenticated(
+                    f"{reason}; send a key in the header Authorization: Bearer "
+                    "(docs/security.md says how to make one)"
+                )
+            return LOCAL
+        authenticator: Authenticator = scope["app"].state.authenticator
+        return await run_sync(authenticator.principal, credential, address)
+
+    async def _check_scope(self, scope: Scope, act: Act) -> None:
+        needed = ACCESS[act.operation]
+        if needed in act.principal.scopes:
+            return
+        has = ", ".join(sorted(act.principal.scopes)) or "none"
+        error = MissingScope(
+            f"{act.operation} needs the scope {needed}; {act.principal.label} has {has}",
+            scope=needed,
+        )
+        if _is_recorded(scope, act.operation) and self._refusals_of(scope).is_first(act):
+            await record_attempt(scope, act, "refused", error.detail)
+        raise error
+
+    def _refusals_of(self, scope: Scope) -> Refusals:
+        if self._refusals is None:
+            self._refusals = Refusals(partial(record_more, scope["app"].state.database))
+        return self._refusals
+
+    def _until_closing(self, receive: Receive) -> Receive:
+        """Tell of what was refused before the database is closed."""
+
+        async def received() -> Message:
+            message = await receive()
+            if message["type"] == "lifespan.shutdown" and self._refusals is not None:
+                await self._refusals.close()
+                self._refusals = None
+            return message
+
+        return received
+
+
+def _is_recorded(scope: Scope, operation: str) -> bool:
+    changes = scope["type"] == "http" and scope["method"] not in _SAFE
+    return changes and ACCESS[operation] in CHANGING
+
+
+class _Recorded:
+    """Sends an answer once the audit log has what it tells of.
+
+    Changes are there already, from their own transactions; conflicts, and what changes nothing in
+    the database (starting a device), come here.
+    """
+
+    def __init__(self, scope: Scope, act: Act, send: Send) -> None:
+        self._scope = scope
+        self._act = act
+        self._send = send
+        self._start: Message | None = None
+
+    async def __call__(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            status = message["status"]
+            if status < 300 and not self._act.recorded:
+                await record_attempt(self._scope, self._act, "done", None)
+            elif status == 409:
+                self._start = message  # until it is known why
+                return
+        elif self._start is not None and message["type"] == "http.response.body":
+            start, self._start = self._start, None
+            await record_attempt(self._scope, self._act, "refused", _detail(message["body"]))
+            await self._send(start)
+        await self._send(message)
+
+
+def _detail(body: bytes) -> str | None:
+    try:
+        return str(json.loads(body)["detail"])[:1000]
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+async def _refuse(error: LumilineError, scope: Scope, receive: Receive, send: Send) -> None:
+    response = _answer(error, scope["path"])
+    if scope["type"] == "websocket":
+        await refuse_websocket(response, scope, receive, send)
+    else:
+        await response(scope, receive, send)
+
+
+def _answer(error: LumilineError, path: str) -> Response:
+    kind = problem_type_of(type(error))
+    context: Mapping[str, object] | None = error.context
+    return problem_response(kind, error.detail, path, context=context, headers=_headers(error))
+
+
+def _headers(error: LumilineError) -> dict[str, str]:
+    if isinstance(error, Unauthenticated):
+        return {"WWW-Authenticate": _REALM}
+    if isinstance(error, MissingScope):
+        scope = error.context["scope"]
+        return {"WWW-Authenticate": f'{_REALM}, error="insufficient_scope", scope="{scope}"'}
+    if isinstance(error, TooManyAttempts):
+        return {"Retry-After": str(error.context["retry_after_s"])}
+    return {}

@@ -1,0 +1,120 @@
+"""API keys in the database: made, found, revoked; only the digest of their text is kept."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from typing import Final
+
+from sqlalchemy import func, or_, select, update
+from sqlalchemy.orm import Session
+
+from compute.errors import InvalidParameter
+from service.database.models import ApiKeyRow
+from service.errors import UnknownKey
+from service.security.key_text import NewKey, make_key
+from service.security.principal import Principal, current_act
+from service.security.schema import ApiKey, KeyState, NewApiKey
+from service.security.scopes import known_scopes
+
+USED_EVERY: Final = timedelta(hours=1)
+"""The moment of last use is written down no more often: each is a write."""
+
+
+def add_key(session: Session, request: NewApiKey) -> tuple[ApiKeyRow, NewKey]:
+    """Store a new key and return it with its text, which nothing else has.
+
+    Raises:
+        InvalidParameter: it would have expired already.
+    """
+    now = datetime.now(UTC)
+    if request.expires_at is not None and request.expires_at <= now:
+        raise InvalidParameter(
+            f"expires_at is {request.expires_at.isoformat()}, which has passed; give a later "
+            "moment, or leave it out"
+        )
+    made = make_key()
+    act = current_act.get()
+    row = ApiKeyRow(
+        id=made.id,
+        name=request.name,
+        digest=made.digest,
+        scopes=sorted(set(request.scopes)),
+        created_by=act.principal.label if act is not None else "service",
+        created_at=now,
+        expires_at=request.expires_at,
+        revoked_at=None,
+        last_used_at=None,
+    )
+    session.add(row)
+    session.flush()
+    return row, made
+
+
+def get_key(session: Session, key_id: str, *, lock: bool = False) -> ApiKeyRow:
+    """Return a key; raises UnknownKey."""
+    row = session.get(ApiKeyRow, key_id, with_for_update=lock or None)
+    if row is None:
+        raise UnknownKey(f'there is no key "{key_id}"; GET /api/v1/keys lists them', key=key_id)
+    return row
+
+
+def list_keys(session: Session, limit: int, offset: int) -> tuple[Sequence[ApiKeyRow], int]:
+    """Return a page of keys, newest first, and how many there are."""
+    total = session.scalar(select(func.count()).select_from(ApiKeyRow))
+    rows = session.scalars(
+        select(ApiKeyRow)
+        .order_by(ApiKeyRow.created_at.desc(), ApiKeyRow.id)
+        .limit(limit)
+        .offset(offset)
+    ).all()
+    return rows, total or 0
+
+
+def revoke_key(session: Session, key_id: str) -> ApiKeyRow:
+    """Revoke a key for good; one that is revoked stays as it is. Raises UnknownKey."""
+    row = get_key(session, key_id, lock=True)
+    if row.revoked_at is None:
+        row.revoked_at = datetime.now(UTC)
+        session.flush()
+    return row
+
+
+def used(session: Session, key_id: str) -> None:
+    """Write down that a key was used now."""
+    now = datetime.now(UTC)
+    session.execute(update(ApiKeyRow).where(ApiKeyRow.id == key_id).values(last_used_at=now))
+
+
+def can_administer_keys(session: Session) -> bool:
+    """Whether any valid key may make others."""
+    now = datetime.now(UTC)
+    valid = select(ApiKeyRow.scopes).where(
+        ApiKeyRow.revoked_at.is_(None),
+        or_(ApiKeyRow.expires_at.is_(None), ApiKeyRow.expires_at > now),
+    )
+    return any("admin:keys" in scopes for scopes in session.scalars(valid))
+
+
+def state_of(row: ApiKeyRow) -> KeyState:
+    """Return whether the key is valid, and if not, why."""
+    if row.revoked_at is not None:
+        return "revoked"
+    if row.expires_at is not None and row.expires_at <= datetime.now(UTC):
+        return "expired"
+    return "valid"
+
+
+def principal_of(row: ApiKeyRow) -> Principal:
+    """Return who acts with a key."""
+    return Principal("key", row.id, row.name, known_scopes(set(row.scopes)), row.expires_at)
+
+
+def document(row: ApiKeyRow) -> ApiKey:
+    """Return a key as clients see it."""
+    return ApiKey.model_validate(members(row))
+
+
+def members(row: ApiKeyRow) -> dict[str, object]:
+    """Return the members of a key's document."""
+    names = ("id", "name", "scopes", "created_by", "created_at", "expires_at", "revoked_at")
+    found: dict[str, object] = {name: getattr(row, name) for name in names}
+    return found | {"state": state_of(row), "last_used_at": row.last_used_at}

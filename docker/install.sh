@@ -5,7 +5,11 @@ set -eu
 source_dir=$1
 venv=$2
 python=${3:-python3.11}
+here=$(dirname "$0")
 test -x "$venv/bin/python" || "$python" -m venv "$venv"
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-cache-dir \
-    --constraint "$source_dir/constraints.txt" "$source_dir"
+PIP_CONSTRAINT=$source_dir/constraints.txt PIP_BUILD_CONSTRAINT=$source_dir/constraints.txt \
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "$source_dir"
+for name in start healthcheck; do
+    install -m 755 "$here/$name.sh" "$venv/bin/lumiline-$name"
+done
 "$venv/bin/lumiline" --version

@@ -1,0 +1,65 @@
+"""Builds the kernels that the service loads, into Warp's cache (WARP_CACHE_PATH).
+
+Usage: build_kernels.py [GPU_ARCHITECTURE...]. Without one, for the CPU that this runs on.
+"""
+
+import sys
+import types
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any
+
+SENSORS = (3, 4, 5, 6)
+"""Devices with another number of sensors have their kernel built at their first start."""
+
+
+def modules() -> Iterator[tuple[Any, int]]:
+    """Yield every module with the size of the blocks that it is launched with on a GPU."""
+    import warp as wp
+
+    from compute.optics.tracing import kernel as tracing
+    from compute.optics.tracing.tracer import THREADS_OF_A_BLOCK as RAYS
+    from compute.reconstruction.native.kernel import point_kernel
+    from compute.reconstruction.native.launch import THREADS_OF_A_BLOCK as POINTS
+    from compute.reconstruction.solver import LEAST_ROOM
+    from compute.signal.fit import fit_kernel
+    from compute.signal.native import centroid_kernel
+    from compute.signal.native.cuda_sizes import BLOCK_THREADS
+
+    for found in (fit_kernel, centroid_kernel):
+        assert isinstance(found, types.ModuleType)
+        yield wp.get_module(found.__name__), BLOCK_THREADS
+    yield tracing.trace_rays.module, RAYS
+    yield tracing.trace_rays_without_toroids.module, RAYS
+    for sensors in SENSORS:
+        for room in (0, LEAST_ROOM):
+            yield point_kernel(sensors, room).module, POINTS
+
+
+def build(number: int, architectures: tuple[int, ...]) -> str:
+    """Build one of them and return its name."""
+    import warp as wp
+
+    module, block = tuple(modules())[number]
+    wp.init()  # behind the imports, which keep it from greeting
+    if architectures:
+        module.options["block_dim"] = block
+        wp.compile_aot_module(module, arch=architectures)
+    else:
+        module.load("cpu", block_dim=1)
+    return str(module.name)
+
+
+def main() -> None:
+    """Build all of them, as many at once as there are CPUs."""
+    architectures = tuple(int(text) for text in sys.argv[1:])
+    count = sum(1 for _ in modules())
+    # Spawned: what Warp and numpy have begun in this process is nothing to fork.
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        for name in pool.map(build, range(count), [architectures] * count):
+            sys.stdout.write(f"built {name}\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from compute.reconstruction.estimate import PointBatch
 from compute.signal.peaks import PeakBatch
 from hardware.frame import LineFrame
+from service.live.motion import Motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +24,7 @@ class FrameBatch:
         peaks: peaks of the F x S lines, frame by frame.
         points: N points of all frames.
         owner: index of the frame of each point, ascending, shape (N,).
+        motion: tracks and tool poses; None: the device is not tracked.
     """
 
     device_id: str
@@ -33,3 +35,4 @@ class FrameBatch:
     peaks: PeakBatch
     points: PointBatch
     owner: NDArray[np.intp]
+    motion: Motion | None = None

@@ -1,0 +1,1 @@
+"""Rigid bodies: poses from readings, pivot calibration, registration, frames, monitoring."""

@@ -1,0 +1,1 @@
+"""From readings over time to tracks: association, filters, identity, kinematics."""

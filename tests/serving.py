@@ -16,8 +16,11 @@ from service.settings import Settings
 
 
 @contextmanager
-def serving(folder: Path, stream_lag_s: float = 1.0) -> Iterator[str]:
-    """Yield the base URL of a running service, ``http://127.0.0.1:PORT``."""
+def serving(folder: Path, stream_lag_s: float = 60.0) -> Iterator[str]:
+    """Yield the base URL of a running service, ``http://127.0.0.1:PORT``.
+
+    A client may be a minute behind, unless the test is about that: the machine may be busy.
+    """
     settings = Settings(
         data_dir=folder,
         compute_device="cpu",

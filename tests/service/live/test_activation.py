@@ -15,6 +15,8 @@ from websockets.sync.client import connect
 from service.calibrations.examples import NEW_CALIBRATIONS
 from service.correction_tables.content import MEDIA_TYPE
 from service.correction_tables.hdf5 import write_table
+from service.live.manager import RING_SECONDS
+from service.live.processor import MAX_FRAMES
 from tests.service.correction_tables.tables import content
 from tests.serving import serving
 
@@ -35,7 +37,7 @@ SOURCE = {
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder: Path = tmp_path_factory.mktemp("activation")
-    with serving(folder, stream_lag_s=60.0) as url:
+    with serving(folder) as url:
         yield url
 
 
@@ -67,6 +69,14 @@ def device(server: str) -> str:
         assert client.post("/api/v1/calibrations/plain/activate").status_code == 200
         assert client.post("/api/v1/devices/still/start").status_code == 200
     return "still"
+
+
+def wait_for_more(frames: list[dict[str, Any]]) -> None:
+    wanted = len(frames) + 150
+    end = time.monotonic() + 60.0
+    while len(frames) < wanted:
+        assert time.monotonic() < end, "the stream stands still"
+        time.sleep(0.01)
 
 
 def test_the_stream_switches_between_two_frames_and_loses_none(server: str, device: str):
@@ -106,24 +116,22 @@ def test_the_stream_switches_between_two_frames_and_loses_none(server: str, devi
     with httpx.Client(base_url=server, timeout=60.0) as client:
         before = client.get(f"/api/v1/devices/{device}/status").json()["status"]
         for path, _ in steps:
-            time.sleep(0.15)
+            wait_for_more(frames)
             answer = client.post(f"/api/v1/{path}")
             assert answer.status_code == 200, answer.text
-        time.sleep(0.3)
+        wait_for_more(frames)
         after = client.get(f"/api/v1/devices/{device}/status").json()["status"]
-    time.sleep(0.2)
     done.set()
     listener.join(30.0)
     assert missed == []
     assert after["frames_dropped_ring"] == before["frames_dropped_ring"]
     sequences = [frame["sequence"] for frame in frames]
-    assert len(sequences) > 500
     # A slow machine simulates too few exposures: the device says so in the frame that follows.
     for place in np.flatnonzero(np.diff(sequences) != 1).tolist():
         assert sequences[place + 1] > sequences[place]
         assert "overflow" in frames[place + 1]["flags"]
-    # Nothing of what the device delivered is missing: received is processed, processed is sent.
-    assert after["frames"] - after["frames_processed"] <= RATE_HZ
+    # Nothing of what the device delivered is missing: it is processed, or waits in the ring.
+    assert after["frames"] - after["frames_processed"] <= RING_SECONDS * RATE_HZ + MAX_FRAMES
     used = [(frame["calibration"], frame["table"]) for frame in frames]
     runs = [one for place, one in enumerate(used) if place == 0 or used[place - 1] != one]
     assert runs == [("plain", None), *(wanted for _, wanted in steps)]

@@ -1,7 +1,7 @@
 """Scenes: where the markers are at a time."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,14 @@ from hardware.simulated.frame_shape import frame_shape_mm
 Array = NDArray[np.float64]
 Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
+Angle = Annotated[float, Field(ge=-10.0, le=10.0)]
+Turn = tuple[Angle, Angle, Angle]
+
+# Swings in a period about X, Y, Z, all different, and where in a swing each begins.
+_CURVE_RATES: Final = (1.0, 2.0, 3.0)
+_CURVE_PHASES: Final = (0.0, 0.125, 0.25)
+_TURN_RATES: Final = (2.0, 3.0, 1.0)
+_TURN_PHASES: Final = (0.0, 0.25, 0.125)
 
 
 @dataclass(frozen=True)
@@ -120,8 +128,118 @@ class RotatingBar:
         return np.stack([centre + half, centre - half], axis=-2)
 
 
-Scene = Annotated[CalibrationFrame | StillPoints | RotatingBar, Field(discriminator="kind")]
+@dataclass(frozen=True)
+class MovingTool:
+    """A rigid tool that is moved smoothly in all six degrees of freedom.
+
+    Its point ``held_mm`` goes along a Lissajous curve about ``centre_mm``, and the components of
+    its turn swing likewise, at other rates: nothing repeats before the period.
+
+    Args:
+        markers_mm: its markers in its own coordinates [mm].
+        centre_mm: middle of the curve, in the world [mm].
+        swing_mm: how far the curve goes to either side, along X, Y, Z [mm]; zeros: the point
+            stays, as the tip of a pointer that is pivoted.
+        turn_rad: how far the turn goes to either side, components of a rotation vector [rad].
+        rest_rad: the orientation that it swings about, a rotation vector [rad].
+        held_mm: the point that goes along the curve, in the tool's coordinates [mm].
+        period_s: duration of the whole motion [s].
+        phase: where in it the motion begins, as a part of the period.
+    """
+
+    markers_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=64)]
+    centre_mm: Point = (0.0, 0.0, 1500.0)
+    swing_mm: Point = (120.0, 90.0, 60.0)
+    turn_rad: Turn = (0.4, 0.5, 0.6)
+    rest_rad: Turn = (0.0, 0.0, 0.0)
+    held_mm: Point = (0.0, 0.0, 0.0)
+    period_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 6.0
+    phase: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    def pose(self, time_s: float | Array) -> tuple[Array, Array]:
+        """Return R_world_tool, shape (..., 3, 3), and the origin, shape (..., 3) [mm], then."""
+        # Within the period, so that hours later it is as exact as at the start.
+        at = (np.asarray(time_s, dtype=np.float64) / self.period_s + self.phase) % 1.0
+        turn = np.asarray(self.turn_rad) * _swings(at, _TURN_RATES, _TURN_PHASES)
+        rotation = _rotation(turn) @ _rotation(np.asarray(self.rest_rad))
+        place = np.asarray(self.swing_mm) * _swings(at, _CURVE_RATES, _CURVE_PHASES)
+        return rotation, np.asarray(self.centre_mm) + place - rotation @ np.asarray(self.held_mm)
+
+
+@dataclass(frozen=True)
+class MovingTools:
+    """Rigid tools in motion; their markers are numbered tool by tool, in order.
+
+    Args:
+        tools: the tools.
+        moving: False: they rest where they are at time zero.
+    """
+
+    tools: Annotated[tuple[MovingTool, ...], Field(min_length=1, max_length=16)]
+    moving: bool = True
+    kind: Literal["moving-tools"] = "moving-tools"
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def markers(self) -> int:
+        """Number of markers of all tools."""
+        return sum(len(tool.markers_mm) for tool in self.tools)
+
+    @property
+    def period_s(self) -> float:
+        """Duration of the slowest tool's motion [s]."""
+        return max(tool.period_s for tool in self.tools)
+
+    def numbers(self, tool: int) -> tuple[int, ...]:
+        """Return the numbers of a tool's markers among all: its strobe slots."""
+        first = sum(len(one.markers_mm) for one in self.tools[:tool])
+        return tuple(range(first, first + len(self.tools[tool].markers_mm)))
+
+    def pose(self, tool: int, time_s: float | Array) -> tuple[Array, Array]:
+        """Return R_world_tool, shape (..., 3, 3), and the origin, shape (..., 3) [mm], then."""
+        return self.tools[tool].pose(time_s if self.moving else np.zeros(np.shape(time_s)))
+
+    def points(self, time_s: float | Array) -> Array:
+        """Return the markers at times (...,) [s], shape (..., M, 3) [mm]."""
+        found = []
+        for index, tool in enumerate(self.tools):
+            rotation, origin = self.pose(index, time_s)
+            own = np.asarray(tool.markers_mm, dtype=np.float64)
+            found.append(own @ np.swapaxes(rotation, -1, -2) + origin[..., None, :])
+        return np.concatenate(found, axis=-2)
+
+
+Scene = Annotated[
+    CalibrationFrame | StillPoints | RotatingBar | MovingTools, Field(discriminator="kind")
+]
 
 
 def _at_rest(points_mm: Array, time_s: float | Array) -> Array:
     return np.broadcast_to(points_mm, (*np.shape(time_s), *points_mm.shape))
+
+
+def _swings(at: Array, rates: tuple[float, ...], phases: tuple[float, ...]) -> Array:
+    """Return sines, three of each part of the period (...,), shape (..., 3)."""
+    return np.sin(2.0 * np.pi * (at[..., None] * np.array(rates) + np.array(phases)))
+
+
+def _rotation(vector_rad: Array) -> Array:
+    """Return the matrices of rotation vectors (..., 3), shape (..., 3, 3) (Rodrigues)."""
+    angle = np.linalg.norm(vector_rad, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vector_rad, -1, 0)
+    none = np.zeros_like(x)
+    rows = [[none, -z, y], [z, none, -x], [-y, x, none]]
+    cross = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    # sin(a)/a and (1 - cos(a))/a^2 without a division by zero.
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    return np.eye(3) + first * cross + second * (cross @ cross)

@@ -76,3 +76,45 @@ class InvalidRecording(LumilineError):
     """A recorded file is not one of ours, is cut short, or contradicts itself."""
 
     code = "invalid-recording"
+
+
+class TooFewPoses(LumilineError):
+    """Fewer poses, or fewer that agree, than a calibration of a tool needs."""
+
+    code = "too-few-poses"
+
+
+class TooLittleRotation(LumilineError):
+    """A tool was not turned far enough, or not about the axes that a calibration needs."""
+
+    code = "too-little-rotation"
+
+
+class HighError(LumilineError):
+    """What was measured fits what it should fit worse than it may."""
+
+    code = "high-error"
+
+
+class CollinearPoints(LumilineError):
+    """Points lie (almost) on one line, which leaves a turn about it undetermined."""
+
+    code = "collinear-points"
+
+
+class NotStill(LumilineError):
+    """A point was to be measured at rest, and moved."""
+
+    code = "not-still"
+
+
+class UnknownFrame(LumilineError):
+    """No coordinate frame has this name, or nothing connects it with the other one."""
+
+    code = "unknown-frame"
+
+
+class FrameConflict(LumilineError):
+    """A transform would connect frames that are connected already, another way."""
+
+    code = "frame-conflict"

@@ -1,0 +1,176 @@
+"""Transform: a rigid motion from one frame to another, with its covariance."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.rotation import rotation_matrix, rotation_vector
+from compute.errors import InvalidParameter, NonFiniteValue
+from compute.pose.tool_pose import ToolPose
+
+Array = NDArray[np.float64]
+
+_SKEW = 1e-6
+"""How far a rotation matrix may be from one: float32 and printed digits come through."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transform:
+    """Takes coordinates of one frame to another: ``x_to = rotation @ x_from + translation_mm``.
+
+    Args:
+        rotation: R_to_from, shape (3, 3).
+        translation_mm: the origin of "from" in "to", shape (3,) [mm].
+        covariance: of a small turn [rad] about the axes of "to", on the left, and of the
+            translation [mm], in this order as in ToolPose, shape (6, 6); None: exact.
+
+    Raises:
+        InvalidParameter: a shape is wrong, or the matrix is no rotation.
+        NonFiniteValue: a value is NaN or infinite.
+    """
+
+    rotation: Array
+    translation_mm: Array
+    covariance: Array | None = None
+
+    def __post_init__(self) -> None:
+        wanted: dict[str, tuple[int, ...]] = {"rotation": (3, 3), "translation_mm": (3,)}
+        if self.covariance is not None:
+            wanted["covariance"] = (6, 6)
+        for name, shape in wanted.items():
+            given = np.asarray(getattr(self, name), dtype=np.float64)
+            if given.shape != shape:
+                raise InvalidParameter(f"{name} has shape {given.shape}; it must be {shape}")
+            if not np.isfinite(given).all():
+                raise NonFiniteValue(f"{name} is {given.tolist()}; it must be finite")
+            object.__setattr__(self, name, given)
+        off = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
+        if off > _SKEW or np.linalg.det(self.rotation) < 0.0:
+            raise InvalidParameter(
+                f"the matrix is no rotation: R R' is off the identity by {off:.2g} and its "
+                f"determinant is {np.linalg.det(self.rotation):.6g}; it must be 1"
+            )
+
+    @classmethod
+    def identity(cls) -> Self:
+        """Return what changes nothing."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def of_vector(
+        cls, vector_rad: Array, translation_mm: Array, covariance: Array | None = None
+    ) -> Self:
+        """Return the transform of a rotation vector (3,) [rad] and a translation (3,) [mm]."""
+        return cls(rotation_matrix(np.asarray(vector_rad)), translation_mm, covariance)
+
+    @classmethod
+    def of_pose(cls, pose: ToolPose) -> Self:
+        """Return T_world_tool of a tool's pose.
+
+        Raises:
+            InvalidParameter: the pose is not known.
+        """
+        if pose.rotation is None or pose.translation_mm is None:
+            raise InvalidParameter(
+                f'tool "{pose.tool}" has no pose in frame {pose.sequence}: it is '
+                f"{pose.status.value} ({pose.reason})"
+            )
+        return cls(pose.rotation, pose.translation_mm, pose.covariance)
+
+    @property
+    def matrix(self) -> Array:
+        """The homogeneous matrix, shape (4, 4)."""
+        found = np.eye(4)
+        found[:3, :3], found[:3, 3] = self.rotation, self.translation_mm
+        return found
+
+    def apply(self, points_mm: Array) -> Array:
+        """Return points (..., 3) of "from" in "to" [mm]."""
+        moved: Array = np.asarray(points_mm) @ self.rotation.T + self.translation_mm
+        return moved
+
+    def point_covariance(self, points_mm: Array, covariance_mm2: Array | None = None) -> Array:
+        """Return the covariance of ``apply``, shape (..., 3, 3) [mm^2].
+
+        Args:
+            points_mm: in "from", shape (..., 3) [mm].
+            covariance_mm2: of the points themselves, shape (..., 3, 3) [mm^2]; None: exact.
+        """
+        points = np.asarray(points_mm, dtype=np.float64)
+        found = np.zeros((*points.shape, 3))
+        if self.covariance is not None:
+            slopes = point_slopes(points @ self.rotation.T)
+            found += slopes @ self.covariance @ slopes.swapaxes(-1, -2)
+        if covariance_mm2 is not None:
+            found += self.rotation @ covariance_mm2 @ self.rotation.T
+        return found
+
+    def inverse(self) -> Self:
+        """Return the transform from "to" to "from", the covariance propagated."""
+        back = self.rotation.T
+        covariance = None
+        if self.covariance is not None:
+            # (exp([w]x) R)' = exp(-[R'w]x) R', and its translation is -R' exp(-[w]x) (t + d).
+            slopes = np.zeros((6, 6))
+            slopes[:3, :3] = slopes[3:, 3:] = -back
+            slopes[3:, :3] = -back @ cross_matrix(self.translation_mm)
+            covariance = slopes @ self.covariance @ slopes.T
+        return type(self)(back, -back @ self.translation_mm, covariance)
+
+    def __matmul__(self, other: "Transform") -> "Transform":
+        """Return T_a_c of T_a_b @ T_b_c; their errors are taken to be independent."""
+        shift = self.rotation @ other.translation_mm
+        covariance = None
+        if self.covariance is not None or other.covariance is not None:
+            covariance = np.zeros((6, 6))
+        if covariance is not None and self.covariance is not None:
+            # exp([w]x) R1 (t2) sweeps the second translation.
+            slopes = np.eye(6)
+            slopes[3:, :3] = -cross_matrix(shift)
+            covariance += slopes @ self.covariance @ slopes.T
+        if covariance is not None and other.covariance is not None:
+            slopes = np.zeros((6, 6))
+            slopes[:3, :3] = slopes[3:, 3:] = self.rotation
+            covariance += slopes @ other.covariance @ slopes.T
+        return Transform(
+            nearest_rotation(self.rotation @ other.rotation),
+            shift + self.translation_mm,
+            covariance,
+        )
+
+    def difference(self, other: "Transform") -> Array:
+        """Return what leads from ``other`` to this: turn [rad] on the left, then shift, (6,)."""
+        turn = rotation_vector(self.rotation @ other.rotation.T)
+        return np.concatenate([turn, self.translation_mm - other.translation_mm])
+
+
+def cross_matrix(vector: Array) -> Array:
+    """Return [v]x with [v]x u = v x u, of vectors (..., 3), shape (..., 3, 3)."""
+    v = np.asarray(vector, dtype=np.float64)
+    found = np.zeros((*v.shape, 3))
+    found[..., 2, 1], found[..., 1, 2] = v[..., 0], -v[..., 0]
+    found[..., 0, 2], found[..., 2, 0] = v[..., 1], -v[..., 1]
+    found[..., 1, 0], found[..., 0, 1] = v[..., 2], -v[..., 2]
+    return found
+
+
+def point_slopes(turned_mm: Array) -> Array:
+    """Return d x_to / d (turn, translation) at R x_from (..., 3), shape (..., 3, 6)."""
+    turned = np.asarray(turned_mm, dtype=np.float64)
+    slopes = np.empty((*turned.shape, 6))
+    slopes[..., :3] = -cross_matrix(turned)
+    slopes[..., 3:] = np.eye(3)
+    return slopes
+
+
+def nearest_rotation(matrix: Array) -> Array:
+    """Return the rotations nearest to matrices (..., 3, 3) (Kabsch, doi:10.1107/S0567739478001680).
+
+    The determinant is held at +1: of mirrored points the best rotation, not the reflection.
+    """
+    left, _, right = np.linalg.svd(np.asarray(matrix, dtype=np.float64))
+    left[..., 2] *= np.linalg.det(left @ right)[..., None]
+    found: Array = left @ right
+    return found

@@ -64,6 +64,8 @@ class DeviceRow(Base):
     source: Mapped[dict[str, Any]] = mapped_column(JSON)
     sensors: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
     autostart: Mapped[bool]
+    tracking: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    """How its markers are tracked; None: by default."""
     created_at: Mapped[datetime] = mapped_column(UtcDateTime)
     updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
@@ -305,6 +307,64 @@ class WatchSampleRow(Base):
     reference_mm: Mapped[list[float] | None] = mapped_column(JSON(none_as_null=True))
     reference_scatter_mm: Mapped[float | None] = mapped_column(Double)
     temperature_c: Mapped[float | None] = mapped_column(Double)
+
+
+class ToolRow(Base):
+    """A rigid tool with markers, of one device.
+
+    ``reference_id`` is the tool of the same device that its poses are given relative to; None:
+    the tracker. ``tip`` says where the tip is and how that is known.
+    """
+
+    __tablename__ = "tools"
+    __table_args__ = (UniqueConstraint("id", "device_id"), Index(None, "device_id"))
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
+    title: Mapped[str] = mapped_column(String(200))
+    markers_mm: Mapped[list[list[float]]] = mapped_column(JSON)
+    strobe_markers: Mapped[list[int] | None] = mapped_column(JSON(none_as_null=True))
+    tip: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    reference_id: Mapped[str | None] = mapped_column(String(63))
+    limits: Mapped[dict[str, Any]] = mapped_column(JSON)
+    origin: Mapped[dict[str, Any]] = mapped_column(JSON)
+    note: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
+    updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
+class ToolCalibrationRow(Base):
+    """A pivot or spin calibration of a tool and what came of it; never changed."""
+
+    __tablename__ = "tool_calibrations"
+    __table_args__ = (
+        ForeignKeyConstraint(["tool_id", "device_id"], ["tools.id", "tools.device_id"]),
+        Index(None, "tool_id", "created_at"),
+    )
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
+    tool_id: Mapped[str] = mapped_column(String(63))
+    kind: Mapped[str] = mapped_column(String(16))
+    asked: Mapped[dict[str, Any]] = mapped_column(JSON)
+    result: Mapped[dict[str, Any]] = mapped_column(JSON)
+    applied: Mapped[bool]
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
+class RegistrationRow(Base):
+    """A named frame, and the transform into it from the tracker or from a tool; never changed."""
+
+    __tablename__ = "registrations"
+    __table_args__ = (Index(None, "device_id", "created_at"),)
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
+    reference_id: Mapped[str | None] = mapped_column(String(63))
+    asked: Mapped[dict[str, Any]] = mapped_column(JSON)
+    result: Mapped[dict[str, Any]] = mapped_column(JSON)
+    note: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
 class ApiKeyRow(Base):

@@ -26,6 +26,7 @@ _REFERRED = {
     "device_id": "devices",
     "calibration_id": "calibrations",
     "table_id": "correction_tables",
+    "tool_id": "tools",
 }
 
 Rows = dict[str, list[dict[str, Any]]]

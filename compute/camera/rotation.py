@@ -36,8 +36,21 @@ def rotation_matrix(vector_rad: Array) -> Array:
 def rotation_vector(matrix: Array) -> Array:
     """Return the axis times angle [rad] of rotation matrices (..., 3, 3), shape (..., 3).
 
-    By the largest component of the quaternion (S. W. Shepperd, doi:10.2514/3.55767b), which loses
-    no digits at any angle.
+    It loses no digits at any angle.
+    """
+    quaternion = rotation_quaternion(matrix)
+    sine = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, quaternion[..., :1])
+    small = sine < 1e-12
+    vector: Array = quaternion[..., 1:] * np.where(small, 2.0, angle / np.where(small, 1.0, sine))
+    return vector
+
+
+def rotation_quaternion(matrix: Array) -> Array:
+    """Return the unit quaternions of rotation matrices (..., 3, 3), shape (..., 4).
+
+    Scalar first, and not negative. By the largest component (S. W. Shepperd,
+    doi:10.2514/3.55767b), which loses no digits at any angle.
     """
     m = np.asarray(matrix, dtype=np.float64)
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
@@ -54,9 +67,5 @@ def rotation_vector(matrix: Array) -> Array:
     largest = np.argmax(np.einsum("...ii->...i", outer), axis=-1)
     quaternion = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
     quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    quaternion *= np.where(quaternion[..., :1] < 0.0, -1.0, 1.0)
-    sine = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, quaternion[..., :1])
-    small = sine < 1e-12
-    vector: Array = quaternion[..., 1:] * np.where(small, 2.0, angle / np.where(small, 1.0, sine))
-    return vector
+    upper: Array = quaternion * np.where(quaternion[..., :1] < 0.0, -1.0, 1.0)
+    return upper

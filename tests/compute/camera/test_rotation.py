@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from compute.camera.rotation import rotation_matrix, rotation_vector
+from compute.camera.rotation import rotation_matrix, rotation_quaternion, rotation_vector
 from compute.camera.stack import CameraStack
 from tests.compute.distorted_rig import distorted_rig, field_points
 
@@ -27,6 +27,16 @@ def test_vectors_come_back(axis: list[float], angle: float) -> None:
     assert np.allclose(rotation_matrix(found), rotation_matrix(w), atol=1e-14)
     if np.linalg.norm(w) < 3.0:
         assert np.allclose(found, w, atol=1e-13)
+
+
+@given(st.lists(st.floats(-4.0, 4.0), min_size=3, max_size=3))
+def test_quaternions_as_scipy_has_them(vector: list[float]) -> None:
+    rotation = Rotation.from_rotvec(vector)
+    found = rotation_quaternion(rotation.as_matrix())
+    expected = rotation.as_quat(canonical=True, scalar_first=True)
+    assert found[0] >= 0.0
+    # At half a turn the sign is open.
+    assert min(np.abs(found - expected).max(), np.abs(found + expected).max()) < 1e-12
 
 
 @given(st.integers(0, 2**32 - 1))

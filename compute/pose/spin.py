@@ -1,0 +1,371 @@
+"""Spin calibration: the long axis of a tool, from poses turned about it."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from compute.camera.rotation import rotation_matrix
+from compute.errors import (
+    HighError,
+    InvalidParameter,
+    NoConvergence,
+    TooFewPoses,
+    TooLittleRotation,
+)
+from compute.pose.orientations import Orientations
+from compute.pose.pose_input import checked_poses
+from compute.pose.transform import cross_matrix
+
+Array = NDArray[np.float64]
+
+UNKNOWNS: Final = 8
+_ROWS: Final = 4
+_OUTLYING: Final = float(np.sqrt(chi2.isf(1e-4, _ROWS)))
+_MEDIAN: Final = float(np.sqrt(chi2.median(_ROWS)))
+_GROSS: Final = 5.0
+_STEPS: Final = 50
+
+
+@dataclass(frozen=True)
+class SpinSettings:
+    """What a spin calibration asks of its poses.
+
+    Args:
+        least_poses: fewest poses that have to agree.
+        least_swing_rad: least RMS angle by which directions across the axis have to swing [rad].
+        most_tilt_rad: largest RMS angle of the axis off its mean direction [rad].
+        most_rms_mm: largest RMS distance of the axis from where it is [mm].
+        most_outlying: largest share of poses that may be left out, below a half.
+    """
+
+    least_poses: int = 10
+    least_swing_rad: float = float(np.radians(20.0))
+    most_tilt_rad: float = float(np.radians(1.0))
+    most_rms_mm: float = 1.0
+    most_outlying: float = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class SpinResult:
+    """An axis, and how well it is known.
+
+    Args:
+        direction: of the axis in the tool's coordinates, of length 1, shape (3,).
+        direction_covariance: shape (3, 3), of rank 2: nothing along the direction.
+        point_mm: of the axis, the nearest to the tool's origin, shape (3,) [mm].
+        point_covariance_mm2: shape (3, 3) [mm^2]; along the axis it is what the direction's
+            makes of the nearest point.
+        world_direction: of the axis in the world, shape (3,).
+        world_point_mm: a point of it in the world, shape (3,) [mm].
+        tilt_rad: RMS angle of the axis off its mean direction, of the poses used [rad].
+        rms_mm: RMS distance of ``point_mm`` from the axis in the world [mm].
+        residual_sigma: root of chi2 per degree of freedom; None without covariances.
+        outlying: indices of the poses that were left out.
+        orientations: how far the tool was turned.
+    """
+
+    direction: Array
+    direction_covariance: Array
+    point_mm: Array
+    point_covariance_mm2: Array
+    world_direction: Array
+    world_point_mm: Array
+    tilt_rad: float
+    rms_mm: float
+    residual_sigma: float | None
+    outlying: tuple[int, ...]
+    orientations: Orientations
+
+
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """Directions (3,) and points (3,) in the tool and in the world, with a basis across each."""
+
+    tool: Array
+    world: Array
+    point: Array
+    place: Array
+
+    @property
+    def across_tool(self) -> Array:
+        return _across(self.tool)
+
+    @property
+    def across_world(self) -> Array:
+        return _across(self.world)
+
+    def moved(self, step: Array) -> "_Axis":
+        """Return it after a step: two of each direction, two of each point."""
+        tool, world = self.across_tool, self.across_world
+        turned = self.tool + step[0:2] @ tool
+        other = self.world + step[2:4] @ world
+        turned /= np.linalg.norm(turned)
+        other /= np.linalg.norm(other)
+        point = self.point + step[4:6] @ tool
+        place = self.place + step[6:8] @ world
+        # What slid along the axis means nothing.
+        return _Axis(
+            turned, other, point - turned * (turned @ point), place - other * (other @ place)
+        )
+
+
+def spin_calibration(
+    rotations: Array,
+    translations_mm: Array,
+    covariances: Array | None = None,
+    along: Array | None = None,
+    settings: SpinSettings | None = None,
+) -> SpinResult:
+    """Return the axis about which a tool was turned; it may slide along it.
+
+    Solves ``R_i a = A`` and, across A, ``R_i c + t_i = C`` for the axis's directions a, A and
+    points c, C in tool and world: linear, then weighted by the poses' covariances.
+
+    Args:
+        rotations: R_world_tool, shape (N, 3, 3).
+        translations_mm: shape (N, 3) [mm].
+        covariances: of turn [rad] and translation [mm] as in ToolPose, shape (N, 6, 6); None: not
+            known, the scatter of directions and of points tells.
+        along: a direction (3,) of the tool that the axis points along, such as from the markers to
+            the tip; None: its largest component is positive.
+        settings: what is asked of the poses.
+
+    Raises:
+        TooFewPoses: there are fewer than asked for.
+        TooLittleRotation: the tool was turned less than asked for.
+        HighError: there is no single axis: its direction or its place did not stay.
+        InvalidParameter, NonFiniteValue: the arrays are not what they should be.
+        NoConvergence: the adjustment did not end.
+    """
+    wanted = settings or SpinSettings()
+    turned, moved, known = checked_poses(rotations, translations_mm, covariances)
+    count = len(moved)
+    if count < wanted.least_poses:
+        raise TooFewPoses(
+            f"{count} poses; a spin calibration needs at least {wanted.least_poses}, with the "
+            "tool turned about its long axis",
+            poses=count,
+            needed=wanted.least_poses,
+        )
+    _check_rotation(Orientations.of(turned), wanted)
+    axis = _start(turned, moved)
+    used = _near(turned, moved, axis)
+    for _ in range(5):
+        axis, weight = _adjusted(turned, moved, known, axis, used)
+        again = _fitting(turned, moved, weight, axis, used, known is not None)
+        if (again == used).all():
+            break
+        used = again
+        if used.sum() < max(wanted.least_poses, (1.0 - wanted.most_outlying) * count):
+            raise HighError(
+                f"{count - int(used.sum())} of {count} poses do not fit the others; at least "
+                f"{wanted.least_poses} poses and {1.0 - wanted.most_outlying:.0%} of them must "
+                "agree: the tool was not turned about one axis",
+                outlying=count - int(used.sum()),
+                poses=count,
+            )
+    orientations = Orientations.of(turned[used])
+    _check_rotation(orientations, wanted)
+    off = _off(turned[used], moved[used], axis)
+    tilt = float(np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()))
+    rms = float(np.sqrt((off[:, 2:] ** 2).sum(axis=1).mean()))
+    _check_axis(tilt, rms, wanted)
+    design = _design(turned[used], axis)
+    information = weight[used]
+    normal = np.einsum("nia,nij,njb->ab", design, information, design, optimize=True)
+    factor = float(np.einsum("ni,nij,nj->", off, information, off))
+    factor /= _ROWS * used.sum() - UNKNOWNS
+    covariance = np.linalg.inv(normal) * (1.0 if known is None else max(1.0, factor))
+    sign = _sign(axis.tool, along)
+    across = axis.across_tool
+    # The point is that nearest to the origin: it goes along with the direction.
+    slide = np.outer(axis.tool, axis.point) @ across.T
+    slopes = np.concatenate([-slide, across.T], axis=1)
+    joint = covariance[np.ix_([0, 1, 4, 5], [0, 1, 4, 5])]
+    return SpinResult(
+        sign * axis.tool,
+        across.T @ covariance[:2, :2] @ across,
+        axis.point,
+        slopes @ joint @ slopes.T,
+        sign * axis.world,
+        axis.place,
+        tilt,
+        rms,
+        None if known is None else float(np.sqrt(factor)),
+        tuple(np.flatnonzero(~used).tolist()),
+        orientations,
+    )
+
+
+def _check_rotation(orientations: Orientations, wanted: SpinSettings) -> None:
+    if orientations.swing_rad[1] >= wanted.least_swing_rad:
+        return
+    raise TooLittleRotation(
+        f"{orientations.in_words()}. Directions across the axis must swing by at least "
+        f"{np.degrees(wanted.least_swing_rad):.1f} deg RMS: turn the tool further about its axis",
+        swing_deg=np.degrees(orientations.swing_rad).tolist(),
+        least_deg=float(np.degrees(wanted.least_swing_rad)),
+    )
+
+
+def _check_axis(tilt: float, rms: float, wanted: SpinSettings) -> None:
+    if tilt > wanted.most_tilt_rad:
+        raise HighError(
+            f"the tool was not turned about a single axis: the one that moved least tilted by "
+            f"{np.degrees(tilt):.2f} deg RMS; it must be within "
+            f"{np.degrees(wanted.most_tilt_rad):.2f} deg",
+            tilt_deg=float(np.degrees(tilt)),
+            most_deg=float(np.degrees(wanted.most_tilt_rad)),
+        )
+    if rms > wanted.most_rms_mm:
+        raise HighError(
+            f"the axis did not stay in its place: it is {rms:.3g} mm RMS off; it must be within "
+            f"{wanted.most_rms_mm:g} mm",
+            rms_mm=rms,
+            most_mm=wanted.most_rms_mm,
+        )
+
+
+def _sign(direction: Array, along: Array | None) -> float:
+    if along is None:
+        return float(np.sign(direction[np.argmax(np.abs(direction))]))
+    cosine = float(direction @ along / np.linalg.norm(along))
+    if not abs(cosine) > 0.1:
+        raise InvalidParameter(
+            f"along is {np.round(along, 3).tolist()}, across the axis "
+            f"{np.round(direction, 3).tolist()} or of no length: it does not say which way the "
+            "axis points"
+        )
+    return float(np.sign(cosine))
+
+
+def _across(direction: Array) -> Array:
+    """Return two unit vectors across a direction, shape (2, 3)."""
+    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
+
+
+def _start(turned: Array, moved: Array) -> _Axis:
+    """Return the axis of the half of the poses that fit one another best.
+
+    By steps of concentration (P. J. Rousseeuw, K. Van Driessen, doi:10.1007/s10618-005-0024-4).
+    """
+    half = np.arange(len(moved))
+    for _ in range(10):
+        axis = _linear(turned[half], moved[half])
+        off = _off(turned, moved, axis)
+        parts = np.stack([(off[:, :2] ** 2).sum(axis=1), (off[:, 2:] ** 2).sum(axis=1)], axis=1)
+        size = (parts / np.maximum(np.median(parts, axis=0), 1e-24)).sum(axis=1)
+        best = np.sort(np.argsort(size, kind="stable")[: (len(moved) + 1) // 2])
+        if np.array_equal(best, half):
+            break
+        half = best
+    return axis
+
+
+def _near(turned: Array, moved: Array, axis: _Axis) -> NDArray[np.bool_]:
+    """Return the poses that are not grossly off the start, by the medians, shape (N,)."""
+    off = _off(turned, moved, axis)
+    sizes = np.stack([np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 2], off[:, 3])], axis=1)
+    near: NDArray[np.bool_] = (sizes <= _GROSS * np.median(sizes, axis=0) + 1e-12).all(axis=1)
+    return near
+
+
+def _linear(turned: Array, moved: Array) -> _Axis:
+    left, _, right = np.linalg.svd(turned.mean(axis=0))
+    tool, world = right[0], left[:, 0]
+    across, other = _across(tool), _across(world)
+    # other (R_i across' x + t_i) = y
+    design = np.concatenate(
+        [other @ turned @ across.T, np.broadcast_to(-np.eye(2), (len(moved), 2, 2))], axis=-1
+    )
+    found = np.linalg.lstsq(design.reshape(-1, 4), -(moved @ other.T).reshape(-1), rcond=1e-9)[0]
+    return _Axis(tool, world, found[:2] @ across, found[2:] @ other)
+
+
+def _off(turned: Array, moved: Array, axis: _Axis) -> Array:
+    """Return direction's and point's differences across the axis, shape (N, 4)."""
+    other = axis.across_world
+    direction = turned @ axis.tool @ other.T
+    point = (turned @ axis.point + moved - axis.place) @ other.T
+    return np.concatenate([direction, point], axis=1)
+
+
+def _design(turned: Array, axis: _Axis) -> Array:
+    """Return the slopes of ``_off`` to the unknowns, shape (N, 4, 8)."""
+    tool, other = axis.across_tool, axis.across_world
+    design = np.zeros((len(turned), 4, UNKNOWNS))
+    rows = other @ turned @ tool.T
+    design[:, :2, 0:2] = design[:, 2:, 4:6] = rows
+    design[:, :2, 2:4] = design[:, 2:, 6:8] = -np.eye(2)
+    return design
+
+
+def _slopes(turned: Array, axis: _Axis) -> Array:
+    """Return the slopes of ``_off`` to turn and translation of the pose, shape (N, 4, 6)."""
+    other = axis.across_world
+    slopes = np.zeros((len(turned), 4, 6))
+    slopes[:, :2, :3] = -other @ cross_matrix(turned @ axis.tool)
+    slopes[:, 2:, :3] = -other @ cross_matrix(turned @ axis.point)
+    slopes[:, 2:, 3:] = other
+    return slopes
+
+
+def _weights(turned: Array, moved: Array, known: Array | None, axis: _Axis, used: Array) -> Array:
+    """Return the information of ``_off``, shape (N, 4, 4)."""
+    if known is not None:
+        slopes = _slopes(turned, axis)
+        found: Array = np.linalg.inv(slopes @ known @ slopes.swapaxes(1, 2))
+        return found
+    squares = _off(turned[used], moved[used], axis) ** 2
+    freedom = 2 * len(squares) - UNKNOWNS / 2
+    variance = np.maximum([squares[:, :2].sum(), squares[:, 2:].sum()], 1e-24) / freedom
+    return np.broadcast_to(np.diag(np.repeat(1.0 / variance, 2)), (len(turned), 4, 4))
+
+
+def _adjusted(
+    turned: Array, moved: Array, known: Array | None, axis: _Axis, used: NDArray[np.bool_]
+) -> tuple[_Axis, Array]:
+    for _ in range(_STEPS):
+        weight = _weights(turned, moved, known, axis, used)
+        some, information = turned[used], weight[used]
+        off = _off(some, moved[used], axis)
+        pull = np.einsum("nij,nj->ni", information, off)
+        right = some
+        if known is not None:
+            # As in pivot calibration: the slopes are those of the adjusted orientations.
+            turn = np.einsum("nij,nkj,nk->ni", known[used], _slopes(some, axis), pull)[:, :3]
+            right = rotation_matrix(-turn) @ some
+        design = _design(right, axis)
+        normal = np.einsum("nia,nij,njb->ab", design, information, design, optimize=True)
+        gradient = np.einsum("nia,ni->a", design, pull)
+        # Without turns the point is not determined; that is told by the orientations.
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        step = -np.linalg.lstsq(normal / np.outer(scale, scale), gradient / scale, rcond=1e-9)[0]
+        step /= scale
+        axis = axis.moved(step)
+        if np.abs(step[:4]).max() < 1e-10 and np.abs(step[4:]).max() < 1e-7:
+            return axis, _weights(turned, moved, known, axis, used)
+    raise NoConvergence(
+        f"the spin calibration did not converge in {_STEPS} steps; the last turned the axis by "
+        f"{np.linalg.norm(step[:2]):.2g} rad"
+    )
+
+
+def _fitting(
+    turned: Array,
+    moved: Array,
+    weight: Array,
+    axis: _Axis,
+    used: NDArray[np.bool_],
+    known: bool,
+) -> NDArray[np.bool_]:
+    off = _off(turned, moved, axis)
+    sizes = np.sqrt(np.einsum("ni,nij,nj->n", off, weight, off))
+    scale = float(np.median(sizes[used])) / _MEDIAN
+    fits: NDArray[np.bool_] = sizes <= _OUTLYING * (max(scale, 1.0) if known else scale)
+    return fits

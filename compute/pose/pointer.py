@@ -1,0 +1,215 @@
+"""Digitising pointer: a landmark as the mean of its tip while it is held still."""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from compute.errors import InvalidParameter, NotStill, TooFewPoses
+
+Array = NDArray[np.float64]
+
+_DRIFT_CHANCE: Final = 1e-4
+"""A drift is one when chance makes as much of it in one still capture of 10 000."""
+
+
+@dataclass(frozen=True)
+class StillSettings:
+    """When a tip counts as held still.
+
+    Args:
+        seconds: how long it has to be still [s].
+        least_poses: fewest positions in this time.
+        most_deviation_mm: largest standard deviation of a position in space (root of the trace of
+            the scatter) [mm].
+        most_drift_mm: largest movement from the begin to the end of the capture that may be real
+            [mm]; one that noise explains is none.
+        most_gap_s: longest time without a position [s].
+    """
+
+    seconds: float = 0.5
+    least_poses: int = 10
+    most_deviation_mm: float = 0.5
+    most_drift_mm: float = 0.3
+    most_gap_s: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("seconds", "most_deviation_mm", "most_drift_mm", "most_gap_s"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidParameter(f"{name} is {getattr(self, name)}; it must be above 0")
+        if self.least_poses < 4:
+            raise InvalidParameter(f"least_poses is {self.least_poses}; it must be at least 4")
+
+
+@dataclass(frozen=True, eq=False)
+class StillPoint:
+    """A point that was held.
+
+    Args:
+        position_mm: the mean, shape (3,) [mm].
+        covariance_mm2: of the mean, shape (3, 3) [mm^2]: the scatter over the number of
+            positions, and what their own covariances say beyond the scatter, which is common to
+            all of them (calibration, tip) and no mean makes smaller.
+        deviation_mm: standard deviation of a position in space [mm].
+        drift_mm: movement from begin to end, by a straight line [mm].
+        poses: number of positions.
+        first_ns: time of the first [ns].
+        last_ns: time of the last [ns].
+    """
+
+    position_mm: Array
+    covariance_mm2: Array
+    deviation_mm: float
+    drift_mm: float
+    poses: int
+    first_ns: int
+    last_ns: int
+
+
+def still_point(
+    times_ns: NDArray[np.int64],
+    positions_mm: Array,
+    covariances_mm2: Array | None = None,
+    settings: StillSettings | None = None,
+) -> StillPoint:
+    """Return the mean of a tip's positions, all of them, if it was held still.
+
+    Args:
+        times_ns: ascending, shape (N,) [ns].
+        positions_mm: in the frame that the landmark is wanted in, such as the reference tool's,
+            shape (N, 3) [mm].
+        covariances_mm2: shape (N, 3, 3) [mm^2]; None: the scatter is all that is known.
+        settings: what counts as still.
+
+    Raises:
+        TooFewPoses: there are too few, over too short a time, or with a gap.
+        NotStill: they scatter or drift more than allowed.
+    """
+    wanted = settings or StillSettings()
+    times = (np.asarray(times_ns, np.int64) - times_ns[0]) * 1e-9 if len(times_ns) else np.empty(0)
+    positions = np.asarray(positions_mm, dtype=np.float64)
+    _check_times(times, wanted)
+    count = len(positions)
+    mean = positions.mean(axis=0)
+    off = positions - mean
+    scatter = off.T @ off / (count - 1)
+    deviation = float(np.sqrt(np.trace(scatter)))
+    if deviation > wanted.most_deviation_mm:
+        raise NotStill(
+            f"the tip scattered by {deviation:.3g} mm over {times[-1]:.2f} s; it must be within "
+            f"{wanted.most_deviation_mm:g} mm",
+            deviation_mm=deviation,
+            most_mm=wanted.most_deviation_mm,
+        )
+    drift, least = _drift(times, off)
+    if least > wanted.most_drift_mm:
+        raise NotStill(
+            f"the tip moved by {drift:.3g} mm in {times[-1]:.2f} s; it must be within "
+            f"{wanted.most_drift_mm:g} mm",
+            drift_mm=drift,
+            most_mm=wanted.most_drift_mm,
+        )
+    covariance = scatter / count
+    if covariances_mm2 is not None:
+        covariance = covariance + _beyond(np.mean(covariances_mm2, axis=0), scatter)
+    return StillPoint(
+        mean, covariance, deviation, drift, count, int(times_ns[0]), int(times_ns[-1])
+    )
+
+
+def _check_times(times: Array, wanted: StillSettings) -> None:
+    if len(times) < wanted.least_poses:
+        raise TooFewPoses(
+            f"{len(times)} positions of the tip; a capture needs at least {wanted.least_poses}",
+            poses=len(times),
+            needed=wanted.least_poses,
+        )
+    steps = np.diff(times)
+    if (steps <= 0.0).any():
+        raise InvalidParameter("the times of the tip's positions do not ascend")
+    if times[-1] < wanted.seconds * (1.0 - 1e-9):
+        raise TooFewPoses(
+            f"the tip's positions span {times[-1]:.3g} s; it must be held for "
+            f"{wanted.seconds:g} s",
+            seconds=float(times[-1]),
+            needed_s=wanted.seconds,
+        )
+    if steps.max() > wanted.most_gap_s:
+        raise TooFewPoses(
+            f"the tip was not seen for {steps.max():.3g} s; gaps must be at most "
+            f"{wanted.most_gap_s:g} s",
+            gap_s=float(steps.max()),
+        )
+
+
+def _drift(times: Array, off: Array) -> tuple[float, float]:
+    """Return the movement along the fitted line, and the least that is not noise [mm]."""
+    centred = times - times.mean()
+    slope = centred @ off / (centred @ centred)
+    left = off - np.outer(centred, slope)
+    count = len(times)
+    noise = np.sqrt(np.maximum((left**2).sum(axis=0), 0.0) / (count - 2) / (centred @ centred))
+    # One bound for three axes (Bonferroni), both signs.
+    bound = noise * student.isf(_DRIFT_CHANCE / 6.0, count - 2)
+    least = np.maximum(np.abs(slope) - bound, 0.0)
+    return float(np.linalg.norm(slope) * times[-1]), float(np.linalg.norm(least) * times[-1])
+
+
+def _beyond(stated: Array, scatter: Array) -> Array:
+    """Return what a stated covariance has beyond the scatter, without negative directions."""
+    values, axes = np.linalg.eigh(stated - scatter)
+    found: Array = (axes * np.maximum(values, 0.0)) @ axes.T
+    return found
+
+
+class StillCapture:
+    """Takes a tip's positions as they come, and tells when it was held still long enough."""
+
+    def __init__(self, settings: StillSettings | None = None) -> None:
+        """Begin a capture."""
+        self._settings = settings or StillSettings()
+        self._held: deque[tuple[int, Array, Array | None]] = deque()
+        self._reason = "no position of the tip yet"
+
+    @property
+    def reason(self) -> str:
+        """Why there is no point yet."""
+        return self._reason
+
+    def add(
+        self, time_ns: int, position_mm: Array | None, covariance_mm2: Array | None = None
+    ) -> StillPoint | None:
+        """Return the point once the last ``seconds`` were still; begin anew after it.
+
+        Args:
+            time_ns: [ns]; one that goes back begins anew.
+            position_mm: shape (3,) [mm]; None: the tip is not known now.
+            covariance_mm2: shape (3, 3) [mm^2].
+        """
+        held, wanted = self._held, self._settings
+        if held and time_ns <= held[-1][0]:
+            held.clear()
+        if position_mm is None:
+            self._reason = "the tip is not seen"
+            return None
+        held.append((time_ns, np.asarray(position_mm, np.float64), covariance_mm2))
+        # As short as it may be, lest the movement before it counts.
+        while len(held) > 1 and (time_ns - held[1][0]) * 1e-9 >= wanted.seconds:
+            held.popleft()
+        known = [one for _, _, one in held if one is not None]
+        try:
+            found = still_point(
+                np.array([one for one, _, _ in held], np.int64),
+                np.array([one for _, one, _ in held]),
+                np.array(known) if len(known) == len(held) else None,
+                wanted,
+            )
+        except (NotStill, TooFewPoses) as error:
+            self._reason = error.detail
+            return None
+        held.clear()
+        self._reason = "no position of the tip yet"
+        return found

@@ -1,0 +1,135 @@
+"""Observability: which motions of a tool its readings tell, and what is missing of the others."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.pose.marker_frame import MarkerFrame
+from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
+
+Array = NDArray[np.float64]
+
+RANK_RATIO = 1e-12
+"""Smallest ratio of eigenvalues of a normal matrix in mm; below it the direction is open."""
+COLLINEAR_SHARE = 1e-3
+"""Markers whose spread across their line is a smaller share of that along it are on a line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observability:
+    """How well each independent motion is told.
+
+    Args:
+        sd_mm: standard deviations of the six principal motions, best first, at the markers' own
+            radius, shape (6,) [mm]; infinite where nothing is told.
+        worst: the last of them: turn times radius, then shift of the centroid, along the world's
+            axes, of length 1, shape (6,).
+        reason: why there is no pose; None if there is one.
+    """
+
+    sd_mm: Array
+    worst: Array
+    reason: str | None
+
+    @property
+    def observable(self) -> bool:
+        """Whether all six motions are told well enough."""
+        return self.reason is None
+
+
+def missing_readings(
+    frame: MarkerFrame, used: NDArray[np.bool_], settings: PoseFitSettings
+) -> str | None:
+    """Return why readings cannot make a pose whatever their values are; None if they may.
+
+    Args:
+        frame: the tool's.
+        used: which readings there are, shape (M, S).
+        settings: how many it takes.
+    """
+    count = int(used.sum())
+    markers = np.flatnonzero(used.any(axis=1))
+    if count < settings.least_readings:
+        return (
+            f"{_number(count, 'reading')} of {_number(len(markers), 'marker')}; a pose takes "
+            f"{POSE_PARAMETERS} and {settings.least_redundancy} more to check them"
+        )
+    spread = np.linalg.svd(
+        frame.markers_mm[markers] - frame.markers_mm[markers].mean(axis=0), compute_uv=False
+    )
+    if len(markers) < 3 or spread[1] <= COLLINEAR_SHARE * spread[0]:
+        return (
+            f"only {_listed('marker', markers)} were seen, which are on a line: nothing tells the "
+            "turn about it"
+        )
+    return None
+
+
+def observability(
+    normal: Array, frame: MarkerFrame, used: NDArray[np.bool_], settings: PoseFitSettings
+) -> Observability:
+    """Judge the normal matrix of a pose.
+
+    Args:
+        normal: inverse covariance of (turn times radius, shift of the centroid), shape (6, 6)
+            [1/mm^2].
+        frame: the tool's.
+        used: which readings it comes from, shape (M, S).
+        settings: how uncertain a motion may be.
+    """
+    values, vectors = np.linalg.eigh(normal)
+    told = values > RANK_RATIO * max(float(values[-1]), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sd = np.where(told, 1.0 / np.sqrt(values), np.inf)[::-1]
+    worst = vectors[:, 0]
+    limit = settings.most_sd_share * frame.radius_mm
+    reason = None
+    if not sd[-1] <= limit:
+        reason = _open_motion(worst, float(sd[-1]), limit, frame, used)
+    return Observability(sd, worst, reason)
+
+
+def _open_motion(
+    worst: Array, sd_mm: float, limit_mm: float, frame: MarkerFrame, used: NDArray[np.bool_]
+) -> str:
+    """Say in words which motion is not told."""
+    turn, shift = worst[:3], worst[3:]
+    share = float(turn @ turn)
+    parts = []
+    if share > 0.1:
+        parts.append(f"a turn about {_direction(turn)}")
+    if share < 0.9:
+        parts.append(f"a shift along {_direction(shift)}")
+    size = "at all" if np.isinf(sd_mm) else f"better than {sd_mm:.3g} mm"
+    if share > 0.5 and np.isfinite(sd_mm):
+        size = f"better than {sd_mm / frame.radius_mm:.2g} rad"
+    seen = "; ".join(
+        f"marker {marker + 1} by {_listed('sensor', np.flatnonzero(row))}"
+        for marker, row in enumerate(used)
+        if row.any()
+    )
+    return (
+        f"the readings do not tell {' with '.join(parts)} {size} ({limit_mm:.3g} mm at the "
+        f"markers' radius of {frame.radius_mm:.3g} mm is the most): {seen}"
+    )
+
+
+def _direction(vector: Array) -> str:
+    unit = vector / np.linalg.norm(vector)
+    # The sign of a direction means nothing; the largest component is written positive.
+    unit = unit * np.sign(unit[np.argmax(np.abs(unit))])
+    return "(" + ", ".join(f"{value + 0.0:.2f}" for value in unit) + ")"
+
+
+def _number(count: int, name: str) -> str:
+    return f"{count or 'no'} {name}{'' if count == 1 else 's'}"
+
+
+def _listed(name: str, indices: Sequence[int] | NDArray[np.intp]) -> str:
+    """Return "markers 1, 2 and 4"; people count from 1."""
+    names = [str(int(index) + 1) for index in indices]
+    if len(names) == 1:
+        return f"{name} {names[0]}"
+    return f"{name}s {', '.join(names[:-1])} and {names[-1]}"

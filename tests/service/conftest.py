@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +12,9 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import OperationalError
 
 from service.app import create_app
+from service.database.engine import Database
 from service.settings import Settings
+from service.start import prepare
 from tests.service.recorded_live import RecordedLive, TestClient
 
 POSTGRES = os.environ.get(
@@ -19,13 +22,34 @@ POSTGRES = os.environ.get(
 )
 
 
+@pytest.fixture(scope="session")
+def new_sqlite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a database as a first start leaves it: to copy, as that takes a while."""
+    settings = Settings(data_dir=tmp_path_factory.mktemp("new"))
+    database = Database(settings.effective_database_url)
+    try:
+        prepare(settings, database)
+    finally:
+        database.close()
+    return settings.data_dir / "lumiline.sqlite3"
+
+
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)])
-def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    """The URL of an empty database, which is removed afterwards."""
+def database_url(request: pytest.FixtureRequest, tmp_path: Path, new_sqlite: Path) -> Iterator[str]:
+    """The URL of a new database, which is removed afterwards."""
     if request.param == "sqlite":
-        yield f"sqlite:///{tmp_path / 'lumiline.sqlite3'}"
+        shutil.copy(new_sqlite, tmp_path)
+        yield f"sqlite:///{tmp_path / new_sqlite.name}"
     else:
         yield from postgres_schema()
+
+
+@pytest.fixture
+def empty_database_url(database_url: str) -> str:
+    """The URL of a database before its first start."""
+    if database_url.startswith("sqlite"):
+        Path(database_url.removeprefix("sqlite:///")).unlink()
+    return database_url
 
 
 def postgres_schema() -> Iterator[str]:
@@ -69,9 +93,12 @@ def client(settings: Settings, live: RecordedLive) -> Iterator[TestClient]:
 
 
 @pytest.fixture
-def sqlite_settings(tmp_path: Path) -> Settings:
+def sqlite_settings(tmp_path: Path, new_sqlite: Path) -> Settings:
     """Settings over SQLite, for tests in which the database plays no part."""
-    return Settings(data_dir=tmp_path / "data")
+    folder = tmp_path / "data"
+    folder.mkdir(exist_ok=True)
+    shutil.copy(new_sqlite, folder)
+    return Settings(data_dir=folder)
 
 
 @pytest.fixture

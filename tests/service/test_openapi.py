@@ -93,14 +93,14 @@ def prepare(client: Any) -> None:
         )
 
 
-def test_every_example_works_on_a_new_server(settings: Settings):
+def test_every_example_works_on_a_new_server(sqlite_settings: Settings):
     live = RecordedLive()
     live.records = SimulatedDriver("sim", SimulationSettings()).description
     live.batches = [strobed_batch(range(20))]
-    with TestClient(create_app(settings, live)) as client:
+    with TestClient(create_app(sqlite_settings, live)) as client:
         served = client.get("/openapi.json").json()
         prepare(client)
-        with RecordingWriter(settings.folders.recordings / "earlier.h5", live.records):
+        with RecordingWriter(sqlite_settings.folders.recordings / "earlier.h5", live.records):
             pass
         requests = examples(served)
         assert {one.operation for one in requests} == {

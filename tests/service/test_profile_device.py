@@ -278,7 +278,6 @@ def test_another_profile_of_the_same_name(
 def test_what_the_service_cannot_make_a_device_of(
     sqlite_settings: Settings, tmp_path: Path
 ) -> None:
-    sqlite_settings.data_dir.mkdir()
     database = Database(sqlite_settings.effective_database_url)
     lens = text_as("mine", LENS)
     try:

@@ -64,13 +64,16 @@ def get(url: str, path: str) -> Any:
 
 
 def pages(url: str, path: str) -> list[Any]:
-    found: list[Any] = []
+    """All items; runs that are taken up again add some meanwhile, which moves the pages on."""
+    found: dict[Any, Any] = {}
+    offset = 0
     while True:
         joint = "&" if "?" in path else "?"
-        page = get(url, f"{path}{joint}limit=200&offset={len(found)}")
-        found += page["items"]
-        if len(found) >= page["total"] or not page["items"]:
-            return found
+        page = get(url, f"{path}{joint}limit=200&offset={offset}")
+        found |= {item.get("id", item.get("name")): item for item in page["items"]}
+        offset += len(page["items"])
+        if offset >= page["total"] or not page["items"]:
+            return list(found.values())
 
 
 def check_calibrations(url: str, acknowledged: dict[str, str]) -> None:

@@ -1,0 +1,18 @@
+"""Which peaks of the sensors belong to one marker, when several are seen at once."""
+
+from compute.reconstruction.correspondence.group import group_peaks
+from compute.reconstruction.correspondence.match import match_peaks
+from compute.reconstruction.correspondence.outside import PredictedPoints
+from compute.reconstruction.correspondence.predictor import Predictor
+from compute.reconstruction.correspondence.result import Correspondence
+from compute.reconstruction.correspondence.settings import FALSE_REJECTION, MatchSettings
+
+__all__ = [
+    "FALSE_REJECTION",
+    "Correspondence",
+    "MatchSettings",
+    "PredictedPoints",
+    "Predictor",
+    "group_peaks",
+    "match_peaks",
+]

@@ -1,0 +1,110 @@
+"""Candidates for predicted points: continuity in time as one more observation of a marker."""
+
+from dataclasses import dataclass
+from math import log, pi
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.reconstruction.correspondence.candidates import (
+    Candidates,
+    Chance,
+    Solve,
+    no_candidates,
+    solved,
+)
+from compute.reconstruction.correspondence.peaks import FramePeaks
+from compute.reconstruction.correspondence.predictor import Predictor
+from compute.reconstruction.correspondence.settings import FALSE_REJECTION
+from compute.reconstruction.correspondence.stepwise import extended, gates
+from compute.reconstruction.points import chi2_limit
+
+Array = NDArray[np.float64]
+
+_LEAST: Final = 3
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedPoints:
+    """Where markers are expected, from their tracks.
+
+    Args:
+        position_mm: shape (T, 3) [mm].
+        covariance_mm2: shape (T, 3, 3) [mm^2], of the prediction, the motion since included.
+
+    Raises:
+        InvalidParameter: shapes that do not fit, or values that are not finite.
+    """
+
+    position_mm: Array
+    covariance_mm2: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.position_mm)
+        if np.shape(self.position_mm) != (count, 3) or np.shape(self.covariance_mm2) != (
+            count,
+            3,
+            3,
+        ):
+            raise InvalidParameter(
+                f"predicted points have the shapes {np.shape(self.position_mm)} and "
+                f"{np.shape(self.covariance_mm2)}; they must be (T, 3) and (T, 3, 3)"
+            )
+        if not (np.isfinite(self.position_mm).all() and np.isfinite(self.covariance_mm2).all()):
+            raise InvalidParameter("a predicted point is not finite; leave it out")
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.position_mm)
+
+
+def predicted_candidates(
+    solve: Solve,
+    predict: Predictor,
+    peaks: FramePeaks,
+    predicted: PredictedPoints,
+    most: int,
+    chance: Chance,
+) -> tuple[Candidates, int]:
+    """Return the combinations of three or more peaks that may be a predicted point.
+
+    A prediction is an observation of all three coordinates, so that three sensors' peaks have
+    three degrees of freedom with it, and none without.
+
+    Returns:
+        The candidates, and how many combinations were cut.
+    """
+    free = np.isfinite(peaks.position_px)
+    place, spread = predicted.position_mm, predicted.covariance_mm2
+    found = gates(predict, peaks, free, place, spread, (), chance)
+    start = np.full((len(place), len(peaks)), -1)
+    rows = np.flatnonzero((found.count > 0).sum(axis=1) >= _LEAST)
+    choice, cut = extended(start, found, rows, _LEAST, most)
+    if len(choice) == 0:
+        return no_candidates(len(peaks)), cut
+    meets, _, _ = solved(solve, peaks, np.unique(choice, axis=0))
+    # Each of them for each prediction that it lies near.
+    away = meets.position_mm[:, None] - place
+    whole = meets.covariance_mm2[:, None] + spread
+    chi2 = np.einsum("cti,cti->ct", away, np.linalg.solve(whole, away[..., None])[..., 0])
+    degrees = meets.degrees + 3
+    limits = np.array([chi2_limit(freedom, FALSE_REJECTION) for freedom in range(len(peaks) + 1)])
+    row, point = np.nonzero(meets.chi2[:, None] + chi2 <= limits[degrees][:, None])
+    near = meets.take(row)
+    log_density = -0.5 * (
+        3.0 * log(2.0 * pi) + np.log(np.linalg.det(whole[row, point])) + chi2[row, point]
+    )
+    return (
+        Candidates(
+            near.choice,
+            near.position_mm,
+            near.covariance_mm2,
+            near.chi2 + chi2[row, point],
+            near.degrees + 3,
+            near.log_fit + log_density,
+            point.astype(np.intp),
+        ),
+        cut,
+    )

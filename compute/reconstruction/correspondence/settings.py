@@ -1,0 +1,72 @@
+"""MatchSettings: what is assumed of peaks and markers when they are grouped, and the bounds."""
+
+from dataclasses import dataclass
+from math import log
+
+from compute.errors import InvalidParameter
+
+FALSE_REJECTION = 1e-6
+"""Chance that the peaks of one marker are not taken together."""
+
+
+@dataclass(frozen=True)
+class MatchSettings:
+    """How peaks come about, how sure a group must be, how much work is done for it.
+
+    The first four are a model that has to be right to its order of magnitude only: an exchange of
+    peaks leaves them in the balance, and what chance makes is measured in the frame itself.
+
+    Args:
+        detection: chance that a sensor has a peak of a marker.
+        false_per_px: density of peaks that are no marker's [1/px].
+        markers_per_mm3: density of markers [1/mm^3].
+        merged_px: standard deviation of the position of a peak that two markers share, as the
+            reading of either [px].
+        wrong_rate: largest chance of being wrong with which a group counts as unambiguous.
+        most_points: combinations that are reconstructed for a frame, at most.
+        most_hypotheses: sets of markers that are weighed for a cluster of peaks, at most.
+
+    Raises:
+        InvalidParameter: a value out of its range.
+    """
+
+    detection: float = 0.95
+    false_per_px: float = 1e-4
+    markers_per_mm3: float = 1e-7
+    merged_px: float = 2.0
+    wrong_rate: float = 1e-3
+    most_points: int = 200_000
+    most_hypotheses: int = 4_000
+
+    def __post_init__(self) -> None:
+        for name in ("detection", "wrong_rate"):
+            value = getattr(self, name)
+            if not 0.0 < value < 1.0:
+                raise InvalidParameter(
+                    f"{name} is {value}; it must lie between 0 and 1", **{name: value}
+                )
+        for name in (
+            "false_per_px",
+            "markers_per_mm3",
+            "merged_px",
+            "most_points",
+            "most_hypotheses",
+        ):
+            value = getattr(self, name)
+            if not 0.0 < value < float("inf"):
+                raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
+
+    @property
+    def log_seen(self) -> float:
+        """What a marker's peak adds to its log likelihood, beside being no one's."""
+        return log(self.detection) - log(self.false_per_px)
+
+    @property
+    def log_missed(self) -> float:
+        """What a sensor without a peak of the marker adds."""
+        return log(1.0 - self.detection)
+
+    @property
+    def window(self) -> float:
+        """Log odds beyond which other sets of markers are not weighed."""
+        return 5.0 - log(self.wrong_rate)

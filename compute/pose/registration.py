@@ -1,0 +1,309 @@
+"""Registration by paired points: a transform, how well the fiducials fit, and what targets miss."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi_square
+
+from compute.errors import (
+    CollinearPoints,
+    DuplicatePoint,
+    InvalidParameter,
+    NonFiniteValue,
+    TooFewPoints,
+)
+from compute.pose.paired_points import PairedFit, Similarity, fit_pairs, isotropic
+from compute.pose.target_error import localisation_error
+from compute.pose.transform import Transform
+from compute.pose.wrong_pairs import WrongPairs, look_alikes, wrong_pairs
+
+Array = NDArray[np.float64]
+
+Weighting = Literal["covariances", "isotropic"]
+
+LEAST_HEIGHT: Final = 0.01
+"""Fiducials flatter than this, RMS off their line over RMS along it, leave the turn open."""
+_NEARLY: Final = 0.1
+_MOST_TURN_RAD: Final = 1.0 / 3.0
+_UNIT: Final = np.eye(3)
+_SAME: Final = 1e-6
+_MISFIT: Final = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Where a source frame, such as an image's, lies in a target frame, such as the patient's.
+
+    Args:
+        transform: T_target_source with its covariance; without the scale.
+        scale: lengths in the target over lengths in the source; 1 unless asked for.
+        parameter_covariance: of turn [rad], translation [mm] and, if it was free, log scale,
+            shape (6, 6) or (7, 7).
+        residual_mm: of each fiducial, shape (N, 3) [mm]; its length is the fiducial
+            registration error (FRE).
+        fre_mm: their RMS [mm].
+        fle_mm: the fiducial localisation error that the residuals tell of, both sides together,
+            RMS in space [mm].
+        stated_fle_mm: what the covariances say [mm]; None: there were none.
+        residual_sigma: root of chi2 per degree of freedom, about 1; None without covariances.
+        wrong: what pairs are wrong and what would mend it; None: nothing need be.
+        warnings: what to know before it is used, for a person.
+    """
+
+    transform: Transform
+    scale: float
+    parameter_covariance: Array
+    residual_mm: Array
+    fre_mm: float
+    fle_mm: float
+    stated_fle_mm: float | None
+    residual_sigma: float | None
+    wrong: WrongPairs | None
+    warnings: tuple[str, ...]
+
+    def apply(self, points_mm: Array) -> Array:
+        """Return points (..., 3) of the source in the target's frame [mm]."""
+        return self._similarity.apply(np.asarray(points_mm, dtype=np.float64))
+
+    def target_covariance(self, targets_mm: Array) -> Array:
+        """Return the covariance of ``apply`` at targets (..., 3), shape (..., 3, 3) [mm^2]."""
+        targets = np.asarray(targets_mm, dtype=np.float64)
+        slopes = self._similarity.slopes(targets, len(self.parameter_covariance) == 7)
+        found: Array = slopes @ self.parameter_covariance @ slopes.swapaxes(-1, -2)
+        return found
+
+    def target_error(self, targets_mm: Array) -> Array:
+        """Return the RMS target registration error (TRE) to expect, shape (...) [mm].
+
+        By the covariance of the transform; for errors that are the same everywhere it is
+        ``target_error.fitzpatrick_error``.
+        """
+        covariance = self.target_covariance(targets_mm)
+        found: Array = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))
+        return found
+
+    @property
+    def _similarity(self) -> Similarity:
+        return Similarity(self.transform.rotation, self.transform.translation_mm, self.scale)
+
+
+def register_points(
+    source_mm: Array,
+    target_mm: Array,
+    source_covariance_mm2: Array | None = None,
+    target_covariance_mm2: Array | None = None,
+    *,
+    weighting: Weighting = "covariances",
+    scaled: bool = False,
+    names: Sequence[str] | None = None,
+) -> Registration:
+    """Return the motion that takes fiducials in the source to those in the target.
+
+    Args:
+        source_mm: shape (N, 3) [mm].
+        target_mm: the same fiducials in the same order, shape (N, 3) [mm].
+        source_covariance_mm2: of each, or one for all, shape (N, 3, 3) or (3, 3) [mm^2]; None:
+            exact, if the target has covariances.
+        target_covariance_mm2: likewise. Without either every fiducial errs alike in all
+            directions, by as much as the residuals tell.
+        weighting: ``covariances``, or ``isotropic``: the closed form, which covariances do not
+            change; its own covariance is then what they make of it.
+        scaled: whether the scale is free as well.
+        names: of the fiducials, for messages; None: their numbers from 1.
+
+    Raises:
+        TooFewPoints: fewer than three fiducials.
+        DuplicatePoint: two fiducials are at one place.
+        CollinearPoints: they lie on one line, or no further from it than they err.
+        InvalidParameter, NonFiniteValue: the arrays are not what they should be.
+        NoConvergence: the weighted fit did not end.
+    """
+    source, target = _points(source_mm, "source"), _points(target_mm, "target")
+    count = len(source)
+    if len(target) != count:
+        raise InvalidParameter(f"{count} source points and {len(target)} target points; pair them")
+    if names is not None and len(names) != count:
+        raise InvalidParameter(f"{len(names)} names for {count} pairs; give one for each")
+    called = tuple(str(one + 1) for one in range(count)) if names is None else tuple(names)
+    if count < 3:
+        raise TooFewPoints(
+            f"{count} pairs of points; a registration needs at least 3 that are not on one line, "
+            "and 4 to be checked",
+            pairs=count,
+            needed=3,
+        )
+    known = source_covariance_mm2 is not None or target_covariance_mm2 is not None
+    spread_source = _covariances(source_covariance_mm2, count, "source")
+    spread_target = _covariances(target_covariance_mm2, count, "target")
+    _check_places(source, "source", called)
+    _check_places(target, "target", called)
+    variance = np.trace(spread_source + spread_target, axis1=1, axis2=2) / 3.0
+    if known and not (np.linalg.eigvalsh(spread_source + spread_target)[:, 0] > 0.0).all():
+        raise InvalidParameter("the covariances of a pair, both sides added, must be positive")
+    for points, side in ((source, "source"), (target, "target")):
+        _check_line(points, side, float(np.sqrt(variance.mean())) if known else 0.0)
+    fit = (
+        fit_pairs(source, target, spread_source, spread_target, scaled)
+        if known and weighting == "covariances"
+        else _closed(source, target, scaled, spread_source, spread_target if known else _UNIT)
+    )
+    parameters = 7 if scaled else 6
+    fle = localisation_error(fit.residual_mm, parameters)
+    covariance = fit.covariance if known else fit.covariance * fle**2 / 3.0
+    freedom = 3 * count - parameters
+    shrunk = fit.similarity.scale * source if scaled else source
+    wrong = wrong_pairs(shrunk, target, variance if known else None)
+    similarity = fit.similarity
+    warnings = [
+        *_misfit(fit.chi2 if known else None, freedom, wrong, called),
+        *_orders(look_alikes(shrunk, target, variance if known else None), wrong, called),
+        *_flat(source, covariance, known),
+    ]
+    return Registration(
+        Transform(similarity.rotation, similarity.translation_mm, covariance[:6, :6]),
+        similarity.scale,
+        covariance,
+        fit.residual_mm,
+        float(np.sqrt((fit.residual_mm**2).sum(axis=1).mean())),
+        fle,
+        float(np.sqrt(3.0 * variance.mean())) if known else None,
+        float(np.sqrt(fit.chi2 / freedom)) if known else None,
+        wrong,
+        tuple(warnings),
+    )
+
+
+def _points(given: Array, side: str) -> Array:
+    points = np.asarray(given, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InvalidParameter(f"the {side} has shape {points.shape}; it must be (N, 3)")
+    if not np.isfinite(points).all():
+        bad = int(np.argmin(np.isfinite(points).all(axis=1)))
+        raise NonFiniteValue(f"point {bad + 1} of the {side} is {points[bad].tolist()}")
+    return points
+
+
+def _covariances(given: Array | None, count: int, side: str) -> Array:
+    if given is None:
+        return np.zeros((count, 3, 3))
+    covariance = np.asarray(given, dtype=np.float64)
+    if covariance.shape not in ((3, 3), (count, 3, 3)):
+        raise InvalidParameter(
+            f"the {side}'s covariance has shape {covariance.shape}; it must be (3, 3) or "
+            f"({count}, 3, 3)"
+        )
+    if not np.isfinite(covariance).all():
+        raise NonFiniteValue(f"the {side}'s covariance has values that are not finite")
+    if np.linalg.eigvalsh(covariance).min() < -1e-9 * np.abs(covariance).max():
+        raise InvalidParameter(f"the {side}'s covariance is not positive")
+    return np.broadcast_to(covariance, (count, 3, 3))
+
+
+def _check_places(points: Array, side: str, names: Sequence[str]) -> None:
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    length = apart.max()
+    apart[np.tril_indices(len(points))] = np.inf
+    first, second = np.unravel_index(int(np.argmin(apart)), apart.shape)
+    if not apart[first, second] > _SAME * length:
+        raise DuplicatePoint(
+            f'fiducials "{names[first]}" and "{names[second]}" are at one place in the {side}, '
+            f"{np.round(points[first], 3).tolist()}; give each once, its measurements averaged",
+            pairs=[int(first), int(second)],
+        )
+
+
+def _line(points: Array) -> tuple[float, float]:
+    """Return the RMS of points along their principal line, and off it [mm]."""
+    values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return float(values[0] / np.sqrt(len(points))), float(
+        np.hypot(values[1], values[2]) / np.sqrt(len(points))
+    )
+
+
+def _check_line(points: Array, side: str, sigma_mm: float) -> None:
+    along, off = _line(points)
+    turn = sigma_mm / (off * np.sqrt(len(points))) if off > 0.0 else np.inf
+    if off >= LEAST_HEIGHT * along and turn <= _MOST_TURN_RAD:
+        return
+    needed = max(LEAST_HEIGHT * along, sigma_mm / (_MOST_TURN_RAD * np.sqrt(len(points))))
+    raise CollinearPoints(
+        f"the fiducials in the {side} are {off:.3g} mm RMS off one line, along which they are "
+        f"spread by {along:.4g} mm RMS: the turn about it is not known; they must be at least "
+        f"{needed:.3g} mm off it",
+        off_mm=off,
+        along_mm=along,
+        needed_mm=float(needed),
+    )
+
+
+def _closed(
+    source: Array, target: Array, scaled: bool, source_spread: Array, target_spread: Array
+) -> PairedFit:
+    """Return the closed form, its covariance propagated from that of the pairs."""
+    found = isotropic(source, target, np.ones(len(source)), scaled)
+    residual = found.apply(source) - target
+    slopes = found.slopes(source, scaled)
+    inverse = np.linalg.inv(np.einsum("nia,nib->ab", slopes, slopes))
+    spread = found.spread(source_spread, target_spread)
+    middle = np.einsum("nia,nij,njb->ab", slopes, spread, slopes, optimize=True)
+    information = np.linalg.inv(spread)
+    chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
+    return PairedFit(found, inverse @ middle @ inverse, residual, chi2)
+
+
+def _misfit(
+    chi2: float | None, freedom: int, wrong: WrongPairs | None, names: Sequence[str]
+) -> list[str]:
+    if wrong is not None:
+        called = ", ".join(f'"{names[one]}"' for one in wrong.pairs)
+        mended = f"the RMS residual falls from {wrong.rms_before_mm:.3g} to"
+        if wrong.kind == "exchanged":
+            goes = ", ".join(
+                f'"{names[one]}" to "{names[wrong.order[one]]}"' for one in wrong.pairs
+            )
+            return [
+                f"fiducials {called} are exchanged: {mended} {wrong.rms_after_mm:.3g} mm with "
+                f"{goes}"
+            ]
+        one = len(wrong.pairs) == 1
+        return [
+            f"{f'fiducial {called} is' if one else f'fiducials {called} are'} not where "
+            f"{'it' if one else 'they'} should be: {mended} {wrong.rms_after_mm:.3g} mm without "
+            f"{'it' if one else 'them'}"
+        ]
+    if chi2 is not None and chi_square.sf(chi2, freedom) < _MISFIT:
+        return [
+            f"the residuals are {np.sqrt(chi2 / freedom):.3g} of their deviations, which noise "
+            f"makes in less than one of {1.0 / _MISFIT:.0f}, and no exchange or leaving out mends "
+            "it: the covariances are too small, or something moved"
+        ]
+    return []
+
+
+def _orders(
+    others: tuple[tuple[int, ...], ...], wrong: WrongPairs | None, names: Sequence[str]
+) -> list[str]:
+    if wrong is not None or not others:
+        return []
+    moved = [one for one, goal in enumerate(others[0]) if one != goal]
+    called = ", ".join(f'"{names[one]}"' for one in moved)
+    return [
+        f"fiducials {called} are placed so that they fit as well in another order: an exchange "
+        "would not be seen; one more fiducial away from their symmetry would show it"
+    ]
+
+
+def _flat(source: Array, covariance: Array, known: bool) -> list[str]:
+    along, off = _line(source)
+    if off >= _NEARLY * along:
+        return []
+    turn = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+    told = "" if known else ", by what the residuals tell"
+    return [
+        f"the fiducials are only {off:.3g} mm RMS off one line, along which they are spread by "
+        f"{along:.4g} mm: the turn about it is known to {np.degrees(turn):.2g} deg{told}, and a "
+        f"target {along:.3g} mm from the line is {turn * along:.2g} mm off for it"
+    ]

@@ -1,0 +1,330 @@
+"""Association: which peaks of a frame are which track's, and the filter's update by them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.tracking.clusters import clusters
+from compute.tracking.filtering import (
+    Innovation,
+    SoftReadings,
+    joint_update,
+    left_out_residuals,
+    soft_update,
+)
+from compute.tracking.frame_peaks import FramePeaks
+from compute.tracking.joint_hypotheses import Claim, Contender, claims
+from compute.tracking.motion_model import MotionModels
+from compute.tracking.reading_model import ReadingModel
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.states import Combined, States, combined, weighed
+
+Array = NDArray[np.float64]
+
+RELINEARISED_MM = 0.3
+"""A step as long as this is taken once more, with slopes at its end: 1e-4 px at 1.5 m."""
+MOST_TURNS = 3
+GIVEN_UP = 0.01
+"""Share of joint hypotheses that were not followed, beyond which a track is ambiguous."""
+SEEN = 0.5
+"""Probability from which a peak is said to be a track's."""
+_REACH = 2.0
+"""Predictions nearer than so many ``merge_px``, and two deviations, may share a peak."""
+
+
+@dataclass(frozen=True, eq=False)
+class Associated:
+    """What T tracks saw in a frame.
+
+    Args:
+        states: after the update.
+        peaks: index of each sensor's peak; -1: none, int32, shape (T, S).
+        merged: whether that peak is shared, shape (T, S).
+        chance: probability that it is the track's, 0 where there is none, shape (T, S).
+        nis: normalised innovation squared, shape (T,).
+        evidence: log likelihood of what was seen, over that of false peaks, shape (T,).
+        doubtful: whether hypotheses were given up that might have mattered, shape (T,).
+        taken: peaks that are explained by these tracks, shape (S, K).
+    """
+
+    states: States
+    peaks: NDArray[np.int32]
+    merged: NDArray[np.bool_]
+    chance: Array
+    nis: Array
+    evidence: Array
+    doubtful: NDArray[np.bool_]
+    taken: NDArray[np.bool_]
+
+
+def associate(
+    model: ReadingModel,
+    motion: MotionModels,
+    settings: TrackerSettings,
+    states: States,
+    bias: Array,
+    peaks: FramePeaks,
+) -> Associated:
+    """Associate the peaks of a frame with tracks and update their states.
+
+    Readings that leave no choice come first, of all sensors at once; what they make of a state
+    mostly decides the others. What is still contested is taken by joint hypotheses, sensor after
+    sensor, the least contested first.
+
+    Args:
+        model: of the readings.
+        motion: M models.
+        settings: what sensors miss and invent.
+        states: of T tracks, predicted to the frame.
+        bias: covariance of the readings' constant errors at each track, shape (T, S, S).
+        peaks: of the frame.
+    """
+    work = _Work(model, motion, settings, states, bias, peaks)
+    work.take_decisive(first=True)
+    if work.contested.any():
+        work.take_decisive(first=False)
+    if work.contested.any():
+        work.take_contested()
+    return Associated(
+        work.states,
+        work.choice,
+        work.merged,
+        work.chance,
+        work.nis,
+        work.evidence,
+        work.doubtful,
+        work.taken,
+    )
+
+
+class _Work:
+    """The frame in progress; see ``Associated`` for the arrays."""
+
+    def __init__(
+        self,
+        model: ReadingModel,
+        motion: MotionModels,
+        settings: TrackerSettings,
+        states: States,
+        bias: Array,
+        peaks: FramePeaks,
+    ) -> None:
+        self.model, self.motion, self.settings = model, motion, settings
+        self.states, self.bias, self.peaks = states, bias, peaks
+        shape = (len(states), len(model))
+        self.choice = np.full(shape, -1, dtype=np.int32)
+        self.merged = np.zeros(shape, dtype=np.bool_)
+        self.chance = np.zeros(shape)
+        self.nis = np.zeros(len(states))
+        self.evidence = np.zeros(len(states))
+        self.doubtful = np.zeros(len(states), dtype=np.bool_)
+        self.taken = np.zeros(peaks.position_px.shape, dtype=np.bool_)
+        self.whole = combined(motion, states)
+        self.place = self.whole.mean[:, :3]
+        self.predicted = model.predict(self.place)
+        self.contested = np.ones(shape, dtype=np.bool_)
+        self._gain = float(np.log(settings.detection / settings.false_per_px))
+
+    def take_decisive(self, *, first: bool) -> None:
+        """Find readings without rivals among what is open, and update by all of them at once."""
+        reading = self._readings()
+        variance = self._variance(self.whole, self.predicted.slope)
+        choice, contested = _decisive(
+            reading,
+            variance,
+            self.predicted.in_view & self.contested,
+            self.peaks,
+            self.peaks.usable & ~self.taken,
+            self.settings,
+        )
+        self.contested = contested
+        used = choice >= 0
+        if not used.any():
+            return
+        at = np.maximum(choice, 0)
+        sensor = np.arange(len(self.model))
+        position = np.where(used, self.peaks.position_px[sensor, at], 0.0)
+        noise = self.peaks.variance_px2[sensor, at]
+        # A reading that all others contradict is a false peak in a wide gate.
+        for _ in range(MOST_TURNS):
+            innovation = Innovation.of(used, self.predicted.slope, noise, self.bias)
+            off = left_out_residuals(
+                self.whole, innovation, np.where(used, position - reading, 0.0)
+            )
+            worst = np.abs(off).argmax(axis=1)
+            row = np.arange(len(used))
+            bad = (np.abs(off[row, worst]) > self.settings.gate_sigma) & (used.sum(axis=1) > 2)
+            if not bad.any():
+                break
+            used = used.copy()
+            used[row[bad], worst[bad]] = False
+        states, log, nis = self._update(used, position, noise, turns=MOST_TURNS if first else 1)
+        self.choice = np.where(used, choice, self.choice)
+        self.chance = np.where(used, 1.0, self.chance)
+        self.taken[np.broadcast_to(sensor, used.shape)[used], choice[used]] = True
+        top = log.max(axis=1)
+        share = self.states.probability * np.exp(log - top[:, None])
+        self.evidence += top + np.log(share.sum(axis=1)) + used.sum(axis=1) * self._gain
+        states.probability = self.states.probability.copy()
+        weighed(states, log)
+        self.nis += (states.probability * nis).sum(axis=1)
+        self.states = states
+        self._renew()
+
+    def take_contested(self) -> None:
+        """Take what is still open by joint hypotheses, the least contested sensors first."""
+        count = self.contested.sum(axis=0)
+        for sensor in np.argsort(count, kind="stable"):
+            if count[sensor]:
+                self._take_sensor(int(sensor), np.flatnonzero(self.contested[:, sensor]))
+
+    def _update(
+        self, used: NDArray[np.bool_], position: Array, noise: Array, turns: int
+    ) -> tuple[States, Array, Array]:
+        """Return the joint update, with slopes taken anew while steps are long."""
+        for turn in range(turns):
+            innovation = Innovation.of(used, self.predicted.slope, noise, self.bias)
+            apart = self.states.mean[..., :3] - self.place[:, None]
+            expected = self.predicted.reading_px[:, None] + np.einsum(
+                "tsi,tmi->tms", self.predicted.slope, apart
+            )
+            difference = np.where(used[:, None], position[:, None] - expected, 0.0)
+            updated = joint_update(self.states, innovation, difference)
+            place = (self.states.probability[..., None] * updated[0].mean[..., :3]).sum(axis=1)
+            if turn + 1 == turns or np.abs(place - self.place).max() < RELINEARISED_MM:
+                break
+            self.place = place
+            self.predicted = self.model.predict(place)
+        return updated
+
+    def _take_sensor(self, sensor: int, rows: NDArray[np.intp]) -> None:
+        """Take one sensor's peaks by the joint hypotheses of the tracks ``rows``."""
+        states = self.states.rows(rows)
+        whole = combined(self.motion, states)
+        slope = self.predicted.slope[rows, sensor]
+        reading = self.predicted.reading_px[rows, sensor] + np.einsum(
+            "ti,ti->t", slope, whole.mean[:, :3] - self.place[rows]
+        )
+        bias = self.bias[rows, sensor]
+        variance = _variance(whole, slope, sensor) + bias[:, sensor]
+        found = self._claims(sensor, reading, variance)
+        most = max((len(own) for own in found), default=0)
+        if most == 0:
+            return
+        weight, difference = np.zeros((len(rows), most)), np.zeros((len(rows), most))
+        noise = np.ones((len(rows), most))
+        for place, own in enumerate(found):
+            for column, claim in enumerate(own):
+                weight[place, column] = claim.chance
+                difference[place, column] = claim.difference_px
+                noise[place, column] = claim.variance_px2
+        soft = SoftReadings(weight, difference, noise)
+        self.states.put(rows, soft_update(states, whole, soft, sensor, slope, bias))
+        for place, own in enumerate(found):
+            for claim in own:
+                self._record(int(rows[place]), sensor, claim, float(variance[place]))
+
+    def _claims(self, sensor: int, reading: Array, variance: Array) -> list[list[Claim]]:
+        """Return what each of the contending tracks may have read."""
+        free = np.flatnonzero(self.peaks.usable[sensor] & ~self.taken[sensor])
+        peaks = [
+            (
+                int(peak),
+                float(self.peaks.position_px[sensor, peak]),
+                float(self.peaks.variance_px2[sensor, peak]),
+            )
+            for peak in free
+        ]
+        found: list[list[Claim]] = [[] for _ in reading]
+        rows = np.flatnonzero(self.contested[:, sensor])
+        contenders = [
+            Contender(float(a), float(b)) for a, b in zip(reading, variance, strict=True)
+        ]
+        for members, contended in clusters(contenders, peaks, self.settings):
+            own, given_up = claims([contenders[m] for m in members], contended, self.settings)
+            for member, each in zip(members, own, strict=True):
+                found[member] = each
+                self.doubtful[rows[member]] |= given_up > GIVEN_UP
+        return found
+
+    def _record(self, track: int, sensor: int, claim: Claim, variance: float) -> None:
+        if claim.chance <= SEEN:
+            return
+        self.choice[track, sensor] = claim.peak
+        self.chance[track, sensor] = claim.chance
+        self.merged[track, sensor] = claim.merged
+        self.taken[sensor, claim.peak] = True
+        total = variance + claim.variance_px2
+        off = claim.difference_px**2 / total
+        self.nis[track] += off
+        density = -0.5 * (off + np.log(2.0 * np.pi * total))
+        self.evidence[track] += claim.chance * (density + self._gain)
+
+    def _renew(self) -> None:
+        self.whole = combined(self.motion, self.states)
+
+    def _readings(self) -> Array:
+        """Return the predicted readings at the states' present means, shape (T, S)."""
+        apart = self.whole.mean[:, :3] - self.place
+        return self.predicted.reading_px + np.einsum("tsi,ti->ts", self.predicted.slope, apart)
+
+    def _variance(self, whole: Combined, slope: Array) -> Array:
+        """Return the variance of predicted readings, constant errors included, shape (T, S)."""
+        half = slope @ whole.covariance[:, :3, :3]
+        diagonal = np.arange(len(self.model))
+        variance: Array = (half * slope).sum(axis=2)
+        variance += 2.0 * np.einsum("tsi,tis->ts", slope, whole.with_bias[:, :3])
+        variance += self.bias[:, diagonal, diagonal]
+        return np.maximum(variance, 0.0)
+
+
+def _variance(whole: Combined, slope: Array, sensor: int) -> Array:
+    """Return the variance of one sensor's predicted readings without its bias's own, (T,)."""
+    variance: Array = np.einsum("ti,tij,tj->t", slope, whole.covariance[:, :3, :3], slope)
+    variance += 2.0 * np.einsum("ti,ti->t", slope, whole.with_bias[:, :3, sensor])
+    return np.maximum(variance, 0.0)
+
+
+def _decisive(
+    reading: Array,
+    variance: Array,
+    open_: NDArray[np.bool_],
+    peaks: FramePeaks,
+    free: NDArray[np.bool_],
+    settings: TrackerSettings,
+) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """Return the peak of each track and sensor that leaves no choice (-1), and what is contested.
+
+    A peak leaves none when it is the only one in the gate of a track, in no other's gate, and no
+    track beside this one lacks a peak of its own, which might be in this one.
+
+    Args:
+        reading: predicted, shape (T, S).
+        variance: of the predictions, shape (T, S).
+        open_: what is looked at, shape (T, S).
+        peaks: of the frame.
+        free: which peaks are looked at, shape (S, K).
+        settings: gate and widths.
+    """
+    sought = open_ & (variance <= settings.search_px**2)
+    at = np.where(sought, reading, np.inf)
+    with np.errstate(invalid="ignore"):
+        off = np.abs(peaks.position_px[None] - at[..., None])
+        limit = settings.gate_sigma**2 * (variance[..., None] + peaks.variance_px2)
+        gated = (off**2 <= limit) & free
+        alone = gated & (gated.sum(axis=0) == 1)
+        own = (gated.sum(axis=2) == 1) & alone.any(axis=2)
+        apart = np.abs(at[:, None] - at[None])
+        deviation = np.sqrt(variance)
+        reach = _REACH * (settings.merge_px + deviation[:, None] + deviation[None])
+        near = apart <= reach
+    near[np.arange(len(reading)), np.arange(len(reading))] = False
+    near &= ~(own[:, None] & own[None])
+    beside = near.any(axis=1)
+    decided = own & ~beside
+    choice = np.where(decided, gated.argmax(axis=2), -1).astype(np.int32)
+    contested = sought & ~decided & (gated.any(axis=2) | beside)
+    return choice, contested
+
+

@@ -1,0 +1,187 @@
+"""Filtering on readings: the joint update by all sensors, and the soft one by a single sensor."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.tracking.states import Combined, States
+
+Array = NDArray[np.float64]
+
+_LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """What the chosen readings of T tracks say beyond the prediction; others are masked.
+
+    Args:
+        used: shape (T, S).
+        slope: d reading / d place, 0 where not used, shape (T, S, 3).
+        variance: of the readings' noise [px^2], 1 where not used, shape (T, S).
+        bias: covariance of the readings' constant errors, 0 where not used, shape (T, S, S).
+    """
+
+    used: NDArray[np.bool_]
+    slope: Array
+    variance: Array
+    bias: Array
+
+    @classmethod
+    def of(cls, used: NDArray[np.bool_], slope: Array, variance: Array, bias: Array) -> "Innovation":
+        """Mask what is not used."""
+        return cls(
+            used,
+            np.where(used[..., None], slope, 0.0),
+            np.where(used, variance, 1.0),
+            bias * used[:, :, None],
+        )
+
+
+def joint_update(
+    states: States, innovation: Innovation, difference: Array
+) -> tuple[States, Array, Array]:
+    """Return the states after the chosen readings of all sensors at once.
+
+    Args:
+        states: of T tracks, predicted.
+        innovation: of these tracks.
+        difference: readings less predictions at each model's own mean, (T, M, S); 0 not used.
+
+    Returns:
+        The states, their probabilities not changed; the readings' log likelihood under each
+        model, and their normalised innovation squared, both (T, M).
+    """
+    slope = innovation.slope[:, None]
+    masked = states.with_bias * innovation.used[:, None, None, :]
+    across = states.covariance[..., :3] @ slope.swapaxes(-1, -2) + masked
+    total = innovation_covariance(states.covariance, states.with_bias, innovation)
+    inverse = np.linalg.inv(total)
+    gain = across @ inverse
+    nis = np.einsum("tms,tmsr,tmr->tm", difference, inverse, difference)
+    count = innovation.used.sum(axis=1)
+    log = -0.5 * (nis + np.linalg.slogdet(total)[1] + _LOG_2PI * count[:, None])
+    covariance = states.covariance - gain @ across.swapaxes(-1, -2)
+    with_bias = states.with_bias - gain @ (slope @ states.with_bias[..., :3, :] + innovation.bias[:, None])
+    return (
+        States(
+            states.mean + (gain @ difference[..., None])[..., 0],
+            0.5 * (covariance + covariance.swapaxes(-1, -2)),
+            with_bias,
+            states.probability,
+        ),
+        log,
+        nis,
+    )
+
+
+def innovation_covariance(covariance: Array, with_bias: Array, innovation: Innovation) -> Array:
+    """Return the covariance of predictions and readings together, shape (T, M, S, S).
+
+    Args:
+        covariance: of the states, shape (T, M, 9, 9).
+        with_bias: their covariance with the sensors' biases, shape (T, M, 9, S).
+        innovation: of the T tracks.
+    """
+    slope, used = innovation.slope[:, None], innovation.used[:, None, None, :]
+    half = slope @ with_bias[..., :3, :] * used
+    total: Array = slope @ covariance[..., :3, :3] @ slope.swapaxes(-1, -2)
+    total += half + half.swapaxes(-1, -2) + innovation.bias[:, None] * used
+    diagonal = np.arange(slope.shape[-2])
+    total[..., diagonal, diagonal] += innovation.variance[:, None]
+    return total
+
+
+def left_out_residuals(whole: Combined, innovation: Innovation, difference: Array) -> Array:
+    """Return how far each reading is from what all others and the prediction say, in sigma.
+
+    With S the innovations' covariance and v their values, ``(S^-1 v)_s / sqrt((S^-1)_ss)`` is the
+    error of predicting v_s by the others, over its standard deviation.
+
+    Args:
+        whole: the combined prediction of T tracks.
+        innovation: of these tracks.
+        difference: readings less predictions at the combined mean, (T, S); 0 where not used.
+
+    Returns:
+        Shape (T, S); 0 where not used.
+    """
+    total = innovation_covariance(
+        whole.covariance[:, None], whole.with_bias[:, None], innovation
+    )[:, 0]
+    inverse = np.linalg.inv(total)
+    weighted = (inverse @ difference[..., None])[..., 0]
+    diagonal = np.arange(difference.shape[1])
+    return np.where(innovation.used, weighted / np.sqrt(inverse[:, diagonal, diagonal]), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SoftReadings:
+    """What one sensor may have read of each of T tracks: a mixture of C possibilities.
+
+    Args:
+        weight: of the possibilities, shape (T, C); the rest to 1 is that it read nothing.
+        difference: reading less prediction at the combined mean [px], shape (T, C).
+        variance: of the reading's noise [px^2], shape (T, C).
+    """
+
+    weight: Array
+    difference: Array
+    variance: Array
+
+
+def soft_update(
+    states: States,
+    whole: Combined,
+    soft: SoftReadings,
+    sensor: int,
+    slope: Array,
+    bias: Array,
+) -> States:
+    """Return the states after one sensor's reading that may be one of several, or none.
+
+    The mixture of all possible posteriors as one Gaussian: probabilistic data association
+    (Y. Bar-Shalom, F. Daum, J. Huang, 10.1109/MCS.2009.934469). All lie along one direction, that
+    of the gain, so that three numbers say it all.
+
+    Args:
+        states: of T tracks.
+        whole: their mixture.
+        soft: the possibilities.
+        sensor: which one read.
+        slope: d reading / d place, shape (T, 3).
+        bias: the readings' constant errors' covariance with this sensor's, shape (T, S).
+    """
+    column = states.with_bias[..., sensor]
+    across = np.einsum("tmij,tj->tmi", states.covariance[..., :3], slope) + column
+    own = np.einsum("tmi,ti->tm", across[..., :3], slope)
+    own += np.einsum("tmi,ti->tm", column[..., :3], slope) + bias[:, sensor, None]
+    apart = np.einsum("tmi,ti->tm", states.mean[..., :3] - whole.mean[:, None, :3], slope)
+    difference = soft.difference[:, None] - apart[..., None]
+    total = own[..., None] + soft.variance[:, None]
+    middle = np.einsum("ti,tij,tj->t", slope, whole.covariance[:, :3, :3], slope)
+    middle += 2.0 * np.einsum("ti,ti->t", slope, whole.with_bias[:, :3, sensor]) + bias[:, sensor]
+    of_whole = middle[:, None] + soft.variance
+    # The chances were worked out for the mixture: under each model they are as much more or less.
+    log = -0.5 * (difference**2 / total + np.log(total))
+    log -= (-0.5 * (soft.difference**2 / of_whole + np.log(of_whole)))[:, None]
+    likelihood = soft.weight[:, None] * np.exp(np.minimum(log, 50.0))
+    nothing = np.maximum(1.0 - soft.weight.sum(axis=1), 0.0)
+    sums = nothing[:, None] + likelihood.sum(axis=2)
+    chance = likelihood / np.maximum(sums, 1e-300)[..., None]
+    gain = chance / total
+    shift = (gain * difference).sum(axis=2)
+    known = gain.sum(axis=2)
+    spread = (chance * (difference / total) ** 2).sum(axis=2) - shift**2
+    covariance = states.covariance - (known - spread)[..., None, None] * (
+        across[..., :, None] * across[..., None, :]
+    )
+    towards = np.einsum("ti,tmis->tms", slope, states.with_bias[..., :3, :]) + bias[:, None]
+    probability = states.probability * np.maximum(sums, 1e-12)
+    return States(
+        states.mean + shift[..., None] * across,
+        covariance,
+        states.with_bias - known[..., None, None] * across[..., :, None] * towards[..., None, :],
+        probability / probability.sum(axis=1, keepdims=True),
+    )

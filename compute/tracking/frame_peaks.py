@@ -1,0 +1,84 @@
+"""FramePeaks: the peaks of one exposure as the tracker uses them, with their flags weighed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.signal.peaks import PeakFlag
+from compute.tracking.settings import TrackerSettings
+
+Array = NDArray[np.float64]
+
+DOUBTFUL = PeakFlag.SATURATED | PeakFlag.POOR_FIT | PeakFlag.UNFITTED
+"""Their standard deviations are too small."""
+REPORTED = PeakFlag.SATURATED | PeakFlag.CLIPPED
+"""What makes a track's ``DOUBTFUL_PEAK``."""
+
+
+@dataclass(frozen=True, eq=False)
+class FramePeaks:
+    """Peaks of S sensors, K at most.
+
+    Args:
+        position_px: shape (S, K); NaN where there is none.
+        variance_px2: of the positions, flags weighed, shape (S, K); 1 where there is none.
+        usable: whether there is a peak that may be a track's, shape (S, K).
+        starts: whether a track may be started from it, shape (S, K).
+        flags: PeakFlag values, shape (S, K).
+    """
+
+    position_px: Array
+    variance_px2: Array
+    usable: NDArray[np.bool_]
+    starts: NDArray[np.bool_]
+    flags: NDArray[np.int32]
+
+    @classmethod
+    def of(
+        cls,
+        position_px: Array,
+        sigma_px: Array,
+        flags: NDArray[np.int32],
+        sensors: int,
+        settings: TrackerSettings,
+    ) -> "FramePeaks":
+        """Weigh the flags.
+
+        Clipped peaks are not used: they are drawn inwards, by nobody knows how much. Saturated and
+        ill-fitted ones count with ``doubtful_factor``. One with two maxima may be either of two
+        markers; one of a pattern that fits as well elsewhere serves where a track expects it and
+        starts none.
+
+        Raises:
+            InvalidParameter: other shapes, or a peak's standard deviation is not positive.
+        """
+        position = np.asarray(position_px, dtype=np.float64)
+        sigma = np.asarray(sigma_px, dtype=np.float64)
+        marks = np.asarray(flags, dtype=np.int32)
+        if position.ndim != 2 or len(position) != sensors:
+            raise InvalidParameter(
+                f"position_px has the shape {position.shape}; it must be ({sensors}, K)"
+            )
+        for name, value in (("sigma_px", sigma), ("peak_flags", marks)):
+            if value.shape != position.shape:
+                raise InvalidParameter(
+                    f"{name} has the shape {value.shape}; it must be {position.shape}"
+                )
+        there = np.isfinite(position)
+        bad = np.argwhere(there & ~(sigma > 0.0))
+        if len(bad):
+            sensor, peak = (int(index) for index in bad[0])
+            raise InvalidParameter(
+                f"sigma_px[{sensor}, {peak}] is {sigma[sensor, peak]}; it must be above 0"
+            )
+        # A peak of infinite standard deviation says nothing.
+        there &= np.isfinite(sigma)
+        variance = np.where(there, sigma, 1.0) ** 2
+        if marks.any():
+            variance[(marks & DOUBTFUL) != 0] *= settings.doubtful_factor**2
+            variance[(marks & PeakFlag.MERGED) != 0] += settings.merge_px**2 / 12.0
+            there &= (marks & PeakFlag.CLIPPED) == 0
+        starts = there & ((marks & (PeakFlag.AMBIGUOUS | PeakFlag.UNFITTED)) == 0)
+        return cls(position, variance, there, starts, marks)

@@ -1,0 +1,234 @@
+"""Joint hypotheses: which of a sensor's peaks belongs to which of the tracks that contend for them.
+
+Exact enumeration of a cluster's hypotheses as long as there are few; beyond, the most likely
+partial ones are carried on, track by track, and the weight of what is given up is bounded.
+"""
+
+from dataclasses import dataclass
+from math import exp, log, pi, sqrt
+
+from compute.tracking.settings import TrackerSettings
+
+_LOG_2 = log(2.0)
+_LEAST_MERGED = 1e-4
+"""Chance below which two tracks are not taken as one peak."""
+_WEIGHT_VARIANCE = 1.0 / 12.0
+"""Of the share of one of two markers in their common peak, which nothing is known of."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A track in a cluster: its predicted reading and that one's variance, one sensor."""
+
+    reading_px: float
+    variance_px2: float
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A possibility for a track's reading, as a measurement of that track's own reading.
+
+    Args:
+        peak: its index in the line.
+        chance: probability of it.
+        difference_px: reading less prediction.
+        variance_px2: of the reading's noise.
+        merged: whether the peak is shared with another track.
+    """
+
+    peak: int
+    chance: float
+    difference_px: float
+    variance_px2: float
+    merged: bool
+
+
+@dataclass(frozen=True)
+class _Option:
+    """A way for one track, or for two that share a peak, to be read."""
+
+    tracks: tuple[int, ...]
+    peak: int
+    weight: float
+
+
+@dataclass(frozen=True)
+class _Partial:
+    weight: float
+    options: tuple[_Option, ...]
+    taken: int
+    read: int
+
+
+def merged_chance(apart_px: float, variance_px2: float, merge_px: float) -> float:
+    """Return the chance that two peaks, so far apart, are found as one.
+
+    ``exp(-log 2 (d / merge_px)^2)`` (W. Koch, G. van Keuk, Multiple hypothesis track maintenance
+    with possibly unresolved measurements, 1997), averaged over the distance's own uncertainty.
+    """
+    spread = 1.0 + 2.0 * _LOG_2 * variance_px2 / merge_px**2
+    return exp(-_LOG_2 * apart_px**2 / (merge_px**2 * spread)) / sqrt(spread)
+
+
+def claims(
+    contenders: list[Contender],
+    peaks: list[tuple[int, float, float]],
+    settings: TrackerSettings,
+) -> tuple[list[list[Claim]], float]:
+    """Return each contender's possible readings, and a bound on what was given up.
+
+    Each track is read as a peak of its own, shares one with another track, or is missed. Of
+    hypotheses in which the same tracks have the same peaks only the likeliest counts: the average
+    over exchanged tracks would draw two that run side by side into one (JPDA*: H. A. P. Blom,
+    E. A. Bloem, 10.1109/9.839947). A shared peak lies anywhere between its two markers: it is
+    their mean, with the variance of a share that is not known, of which each track takes its own
+    part.
+
+    Args:
+        contenders: the cluster's tracks.
+        peaks: index, position [px] and variance [px^2] of the peaks that they contend for.
+        settings: detection, false peaks, merging, gate, most hypotheses.
+
+    Returns:
+        Claims of each contender, and the largest weight of hypotheses that were not followed,
+        in parts of all that were; 0 where all were.
+    """
+    chance_merged = {
+        (one, two): merged_chance(
+            a.reading_px - b.reading_px, a.variance_px2 + b.variance_px2, settings.merge_px
+        )
+        for one, a in enumerate(contenders)
+        for two, b in enumerate(contenders)
+        if one < two
+    }
+    options = [
+        _options(track, contenders, peaks, chance_merged, settings)
+        for track in range(len(contenders))
+    ]
+    missed = 1.0 - settings.detection
+    # What a track can multiply a hypothesis by, all its options together; 1 in a shared peak.
+    most = [max(missed + sum(option.weight for option in own), 1.0) for own in options]
+    partials = [_Partial(1.0, (), 0, 0)]
+    given_up = 0.0
+    for track, own in enumerate(options):
+        grown: list[_Partial] = []
+        for partial in partials:
+            if partial.read >> track & 1:
+                # Another track has it in a shared peak already.
+                grown.append(partial)
+                continue
+            grown.append(
+                _Partial(partial.weight * missed, partial.options, partial.taken, partial.read)
+            )
+            for option in own:
+                if partial.taken >> option.peak & 1:
+                    continue
+                if any(partial.read >> other & 1 for other in option.tracks):
+                    continue
+                weight = partial.weight * option.weight
+                for earlier in partial.options:
+                    weight *= _resolved(earlier, option, chance_merged)
+                read = partial.read
+                for other in option.tracks:
+                    read |= 1 << other
+                grown.append(
+                    _Partial(
+                        weight, (*partial.options, option), partial.taken | 1 << option.peak, read
+                    )
+                )
+        if len(grown) > settings.most_hypotheses:
+            grown.sort(key=lambda partial: -partial.weight)
+            ahead = 1.0
+            for rest in most[track + 1 :]:
+                ahead *= rest
+            given_up += ahead * sum(p.weight for p in grown[settings.most_hypotheses :])
+            grown = grown[: settings.most_hypotheses]
+        partials = grown
+    kept: dict[tuple[int, tuple[tuple[int, int], ...]], _Partial] = {}
+    for partial in partials:
+        used = tuple(sorted((option.peak, len(option.tracks)) for option in partial.options))
+        key = (partial.read, used)
+        if key not in kept or partial.weight > kept[key].weight:
+            kept[key] = partial
+    total = sum(partial.weight for partial in kept.values())
+    found: list[dict[tuple[int, tuple[int, ...]], float]] = [{} for _ in contenders]
+    for partial in kept.values():
+        for option in partial.options:
+            for track in option.tracks:
+                place = (option.peak, option.tracks)
+                found[track][place] = found[track].get(place, 0.0) + partial.weight / total
+    made = [
+        [
+            _claim(track, peaks[peak], tracks, chance, contenders)
+            for (peak, tracks), chance in sorted(own.items())
+        ]
+        for track, own in enumerate(found)
+    ]
+    return made, given_up / total
+
+
+def _options(
+    track: int,
+    contenders: list[Contender],
+    peaks: list[tuple[int, float, float]],
+    chance_merged: dict[tuple[int, int], float],
+    settings: TrackerSettings,
+) -> list[_Option]:
+    """Return how this track may be read, alone or with a later one; weights to ``missed``."""
+    gain = settings.detection / settings.false_per_px
+    limit = settings.gate_sigma**2
+    own = contenders[track]
+    options = []
+    for place, (_, position, variance) in enumerate(peaks):
+        total = own.variance_px2 + variance
+        off = (position - own.reading_px) ** 2 / total
+        if off <= limit:
+            options.append(_Option((track,), place, gain * _density(off, total)))
+        for later in range(track + 1, len(contenders)):
+            chance = chance_merged[track, later]
+            if chance < _LEAST_MERGED:
+                continue
+            other = contenders[later]
+            shared = variance + _share_variance(own, other)
+            total = 0.25 * (own.variance_px2 + other.variance_px2) + shared
+            off = (position - 0.5 * (own.reading_px + other.reading_px)) ** 2 / total
+            if off <= limit:
+                weight = settings.detection * gain * chance * _density(off, total)
+                options.append(_Option((track, later), place, weight))
+    return options
+
+
+def _resolved(one: _Option, two: _Option, chance_merged: dict[tuple[int, int], float]) -> float:
+    """Return the chance that the tracks of two peaks were not found as one."""
+    if len(one.tracks) > 1 or len(two.tracks) > 1:
+        return 1.0
+    pair = (one.tracks[0], two.tracks[0])
+    return 1.0 - chance_merged[min(pair), max(pair)]
+
+
+def _share_variance(one: Contender, two: Contender) -> float:
+    """Return the variance of a shared peak about the middle of its two markers [px^2]."""
+    apart = (one.reading_px - two.reading_px) ** 2
+    return _WEIGHT_VARIANCE * (apart + one.variance_px2 + two.variance_px2)
+
+
+def _claim(
+    track: int,
+    peak: tuple[int, float, float],
+    tracks: tuple[int, ...],
+    chance: float,
+    contenders: list[Contender],
+) -> Claim:
+    index, position, variance = peak
+    own = contenders[track]
+    if len(tracks) == 1:
+        return Claim(index, chance, position - own.reading_px, variance, merged=False)
+    other = contenders[tracks[0] if tracks[1] == track else tracks[1]]
+    # position = own / 2 + other / 2 + error: solved for the own reading.
+    noise = 4.0 * (variance + _share_variance(own, other)) + other.variance_px2
+    difference = 2.0 * position - other.reading_px - own.reading_px
+    return Claim(index, chance, difference, noise, merged=True)
+
+
+def _density(off_squared: float, variance: float) -> float:
+    return exp(-0.5 * off_squared) / sqrt(2.0 * pi * variance)

@@ -1,0 +1,73 @@
+"""Points of peaks that no track explains."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.reconstruction.correspondence import group_peaks
+from compute.reconstruction.estimate import PointBatch, PointFlag
+from compute.tracking.frame_peaks import FramePeaks
+
+Array = NDArray[np.float64]
+Solve = Callable[[Array, Array], PointBatch]
+
+_NO_POINT = (
+    PointFlag.TOO_FEW_SENSORS
+    | PointFlag.DEGENERATE
+    | PointFlag.NO_CONVERGENCE
+    | PointFlag.INCONSISTENT
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPoints:
+    """N points of left-over peaks.
+
+    Args:
+        position_mm: shape (N, 3).
+        covariance_mm2: shape (N, 3, 3).
+        peaks: index of each sensor's peak; -1: none, shape (N, S).
+        sigma_px: standard deviations of these; NaN: none, shape (N, S).
+        ambiguous: whether other points may explain the same peaks, shape (N,).
+    """
+
+    position_mm: Array
+    covariance_mm2: Array
+    peaks: NDArray[np.int32]
+    sigma_px: Array
+    ambiguous: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.position_mm)
+
+
+def find_points(solve: Solve, peaks: FramePeaks, free: NDArray[np.bool_]) -> FoundPoints | None:
+    """Return the points of the peaks that are free, shape (S, K); None where there are none."""
+    free = free & peaks.starts
+    counts = free.sum(axis=1)
+    if (counts > 0).sum() < 3:
+        return None
+    # Side by side from the first column on, as ``group_peaks`` wants them.
+    order = np.argsort(~free, axis=1, kind="stable")[:, : int(counts.max())]
+    packed = np.take_along_axis(free, order, axis=1)
+    position = np.where(packed, np.take_along_axis(peaks.position_px, order, axis=1), np.nan)
+    sigma = np.sqrt(np.take_along_axis(peaks.variance_px2, order, axis=1))
+    groups = group_peaks(solve, position, np.where(packed, sigma, np.nan))
+    if len(groups.readings_px) == 0:
+        return None
+    points = solve(groups.readings_px, groups.sigma_px)
+    good = np.isfinite(points.position_mm[:, 0]) & ((points.flags & _NO_POINT) == 0)
+    if not good.any():
+        return None
+    readings = groups.readings_px[good]
+    same = readings[:, :, None] == np.where(free, peaks.position_px, np.nan)[None]
+    return FoundPoints(
+        points.position_mm[good],
+        points.covariance_mm2[good],
+        np.where(same.any(axis=2), same.argmax(axis=2), -1).astype(np.int32),
+        np.where(np.isfinite(readings), groups.sigma_px[good], np.nan),
+        groups.ambiguous[good],
+    )

@@ -1,0 +1,106 @@
+"""Life of tracks: which tentative one is a marker, which lost one it is, and when one ends."""
+
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.reconstruction.points import chi2_limit
+from compute.tracking.motion_model import MotionModels
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.states import combined
+from compute.tracking.tracks import Tracks
+
+Array = NDArray[np.float64]
+
+FOUND_AGAIN = 1e-4
+"""Chance that a lost marker is not known again though it moved as it was believed to."""
+EXCHANGED = 0.01
+"""Chance of a difference in place and velocity beyond which two tracks are told apart."""
+_MOTION = 6
+
+
+def confirmable(tracks: Tracks, settings: TrackerSettings) -> NDArray[np.intp]:
+    """Return the rows of tentative tracks that are markers: seen so often, and so well.
+
+    The evidence is a sequential test of a marker against false peaks (A. Wald, Sequential
+    Analysis, 1947).
+    """
+    enough = log((1.0 - settings.false_confirmation) / settings.false_confirmation)
+    good = ~tracks.confirmed & (tracks.hits >= settings.confirm_hits)
+    good &= tracks.evidence >= enough
+    return np.flatnonzero(good)
+
+
+def lost_one(
+    motion: MotionModels, tracks: Tracks, row: int, lost: NDArray[np.intp]
+) -> tuple[int, bool] | None:
+    """Return which lost track a new marker is, and whether that is ambiguous; None: none of them.
+
+    The one that moved there most likely, by place and velocity; with the same strobed marker the
+    one that it is anyway.
+
+    Args:
+        motion: M models.
+        tracks: all, those in question at the same time.
+        row: the new marker's.
+        lost: rows of confirmed tracks that are not seen.
+    """
+    marker = int(tracks.marker[row])
+    same = [int(one) for one in lost if marker >= 0 and tracks.marker[one] == marker]
+    if same:
+        return same[0], False
+    free = [int(one) for one in lost if marker < 0 or tracks.marker[one] < 0]
+    if not free:
+        return None
+    both = combined(motion, tracks.states.rows(np.array([row, *free])))
+    mean, covariance = both.mean[:, :_MOTION], both.covariance[:, :_MOTION, :_MOTION]
+    off = mean[1:] - mean[0]
+    total = covariance[1:] + covariance[0]
+    squared = (off * np.linalg.solve(total, off[..., None])[..., 0]).sum(axis=1)
+    limit = chi2_limit(_MOTION, FOUND_AGAIN)
+    near = np.flatnonzero(squared <= limit)
+    if len(near) == 0:
+        return None
+    cost = squared[near] + np.linalg.slogdet(total[near])[1]
+    best = int(near[np.argmin(cost)])
+    return free[best], len(near) > 1
+
+
+def exchangeable(motion: MotionModels, tracks: Tracks, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return those of the rows whose place and velocity are not told from another one's.
+
+    Two tracks that meet go on as two, each with its own velocity; where even that is the same
+    within what is known, either may be either from there on.
+    """
+    if len(rows) < 2:
+        return np.empty(0, dtype=np.intp)
+    whole = combined(motion, tracks.states.rows(rows))
+    place = whole.mean[:, :3]
+    size = np.sqrt(np.trace(whole.covariance[:, :3, :3], axis1=1, axis2=2))
+    limit = chi2_limit(_MOTION, EXCHANGED)
+    apart = np.sqrt(((place[:, None] - place[None]) ** 2).sum(axis=2))
+    close = np.triu(apart <= np.sqrt(limit) * (size[:, None] + size[None]), 1)
+    found: set[int] = set()
+    for one, two in np.argwhere(close):
+        # What the calibration's error does to both alike does not part them.
+        common = _common(whole.with_bias[one], whole.with_bias[two], tracks.bias[rows[one]])
+        total = whole.covariance[one] + whole.covariance[two] - common - common.T
+        total = total[:_MOTION, :_MOTION]
+        off = whole.mean[one, :_MOTION] - whole.mean[two, :_MOTION]
+        if off @ np.linalg.solve(total, off) <= limit:
+            found |= {int(one), int(two)}
+    return rows[sorted(found)]
+
+
+def _common(one: Array, two: Array, bias: Array) -> Array:
+    if not bias.any():
+        return np.zeros((len(one), len(two)))
+    common: Array = one @ np.linalg.pinv(bias, hermitian=True) @ two.T
+    return common
+
+
+def ended(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[np.bool_]:
+    """Return which tracks end: not confirmed in time, or not seen for too long."""
+    unseen = time_ns - tracks.seen_ns > round(settings.coast_s * 1e9)
+    return unseen | (~tracks.confirmed & (tracks.misses > settings.confirm_misses))

@@ -1,0 +1,83 @@
+"""Tracks: all that is kept of each track from frame to frame, as arrays."""
+
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.tracking.states import States
+
+Array = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class Tracks:
+    """T tracks, the oldest first.
+
+    Args:
+        states: of motion, each at its own time.
+        identity: numbers that are never used again, int64, shape (T,).
+        marker: strobe slot; -1: not known, int32, shape (T,).
+        confirmed: shape (T,).
+        uncertain: whether the identity is not sure, shape (T,).
+        time_ns: of the states, int64, shape (T,).
+        seen_ns: when it was last seen beyond doubt, int64, shape (T,).
+        hits: exposures that saw an unconfirmed track after its first, int32, shape (T,).
+        misses: exposures that did not, int32, shape (T,).
+        evidence: log likelihood ratio of an unconfirmed track to false peaks, shape (T,).
+        bias: covariance of the readings' constant errors at ``bias_mm``, shape (T, S, S) [px^2].
+        bias_mm: where that was worked out, shape (T, 3).
+    """
+
+    states: States
+    identity: NDArray[np.int64]
+    marker: NDArray[np.int32]
+    confirmed: NDArray[np.bool_]
+    uncertain: NDArray[np.bool_]
+    time_ns: NDArray[np.int64]
+    seen_ns: NDArray[np.int64]
+    hits: NDArray[np.int32]
+    misses: NDArray[np.int32]
+    evidence: Array
+    bias: Array
+    bias_mm: Array
+
+    @classmethod
+    def empty(cls, models: int, sensors: int) -> Self:
+        """Return no tracks."""
+        return cls(
+            States.empty(models, sensors),
+            np.empty(0, np.int64),
+            np.empty(0, np.int32),
+            np.empty(0, np.bool_),
+            np.empty(0, np.bool_),
+            np.empty(0, np.int64),
+            np.empty(0, np.int64),
+            np.empty(0, np.int32),
+            np.empty(0, np.int32),
+            np.empty(0),
+            np.empty((0, sensors, sensors)),
+            np.empty((0, 3)),
+        )
+
+    def __len__(self) -> int:
+        """Return the number of tracks."""
+        return len(self.identity)
+
+    def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Self:
+        """Return a copy of some tracks."""
+        return type(self)(
+            self.states.rows(index),
+            *(getattr(self, field.name)[index] for field in fields(self)[1:]),
+        )
+
+    def joined(self, other: "Tracks") -> Self:
+        """Return these tracks and others after them."""
+        return type(self)(
+            self.states.joined(other.states),
+            *(
+                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
+                for field in fields(self)[1:]
+            ),
+        )

@@ -118,3 +118,15 @@ class FrameConflict(LumilineError):
     """A transform would connect frames that are connected already, another way."""
 
     code = "frame-conflict"
+
+
+class DegenerateTool(LumilineError):
+    """A tool's markers cannot tell its pose: too few, on a line, too near, or exchangeable."""
+
+    code = "degenerate-tool"
+
+
+class LookAlikeTools(LumilineError):
+    """Two tools have markers with the same distances, or the same strobe slots."""
+
+    code = "look-alike-tools"

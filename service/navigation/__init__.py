@@ -1,0 +1,1 @@
+"""What the ports that navigation software connects to have in common."""

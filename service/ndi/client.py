@@ -1,0 +1,78 @@
+"""Client: one connection, from its first command until it ends."""
+
+import asyncio
+import logging
+from typing import Final
+
+from service.ndi.command import CommandReader
+from service.ndi.feed import PoseFeed
+from service.ndi.session import Session
+
+_log = logging.getLogger(__name__)
+
+READ_BYTES: Final = 4096
+HELD_BYTES: Final = 16_384
+"""Replies that may wait for the client to read them; then its commands wait."""
+STALLED_S: Final = 10.0
+"""How long they wait until the connection is ended."""
+PATIENCE_S: Final = 0.02
+"""How long who asks again for the frame that it has waits for another, before it gets it again."""
+
+
+class Client:
+    """Serves a connection.
+
+    Args:
+        name: for the log.
+        session: its conversation.
+        feed: the poses.
+        reader: what it sends.
+        writer: what it gets.
+
+    Attributes:
+        session: its conversation.
+        leaving: whether it was told to go.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        session: Session,
+        feed: PoseFeed,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+    ) -> None:
+        self.session = session
+        self.leaving = False
+        self._name = name
+        self._feed = feed
+        self._reader = reader
+        self._writer = writer
+        self._logged = 0
+        writer.transport.set_write_buffer_limits(high=HELD_BYTES)
+
+    async def serve(self) -> str:
+        """Answer until the connection ends; return why it did."""
+        lines = CommandReader()
+        try:
+            while data := await self._reader.read(READ_BYTES):
+                for received in lines.feed(data):
+                    if self.session.repeats(received):
+                        state = self.session.state
+                        await self._feed.newer(state.device, state.reported, PATIENCE_S)
+                    self._writer.write(self.session.answer(received))
+                    async with asyncio.timeout(STALLED_S):
+                        await self._writer.drain()
+                self._log_complaints()
+                # A client that never lets its commands run out lets others have their turn.
+                await asyncio.sleep(0)
+        except TimeoutError:
+            return f"read none of its replies for {STALLED_S:g} s"
+        except OSError as error:
+            return f"gone ({error})"
+        return "disconnected"
+
+    def _log_complaints(self) -> None:
+        for text in self.session.state.complaints[self._logged :]:
+            _log.warning("NDI client %s: %s", self._name, text)
+        self._logged = len(self.session.state.complaints)

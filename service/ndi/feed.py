@@ -1,0 +1,105 @@
+"""PoseFeed: the newest poses on the board as sessions want them, and the wait for newer ones."""
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.live.pose_board import BoardEntry, PoseBoard
+from service.ndi.view import View
+
+AGE_S: Final = 0.5
+"""Poses are not given any more when nothing has come for so long, nor for AGE_FRAMES frames."""
+AGE_FRAMES: Final = 5.0
+
+Markers = Callable[[str], Mapping[str, NDArray[np.float64]]]
+"""Returns a device's tools' markers in their own coordinates, by the tool's name."""
+
+
+def _unknown(_: str) -> Mapping[str, NDArray[np.float64]]:
+    return {}
+
+
+class PoseFeed:
+    """Made and used in the event loop.
+
+    Args:
+        board: where poses are put up.
+        device: whose poses are given; None: those of the only device that has tools.
+        markers: where a tool's markers are; by default they are not known.
+        age_s: see AGE_S.
+        now: a clock that never goes back [s].
+    """
+
+    def __init__(
+        self,
+        board: PoseBoard,
+        device: str | None = None,
+        markers: Markers = _unknown,
+        age_s: float = AGE_S,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._board = board
+        self._chosen = device
+        self._markers = markers
+        self._age_s = age_s
+        self._now = now
+        self._came: dict[str, float] = dict.fromkeys(board.newest(), now())
+        self._waiting: set[asyncio.Event] = set()
+        self._end = board.listen(self._told)
+
+    def look(self, device: str | None) -> View:
+        """Return what a session sees: of this device; None: of the one that has tools."""
+        newest = self._board.newest()
+        wanted = device or self._chosen
+        if wanted is None:
+            having = [name for name, entry in newest.items() if entry.poses]
+            if len(having) != 1:
+                return View(several=len(having) > 1)
+            wanted = having[0]
+        entry = newest.get(wanted)
+        if entry is None:
+            return View(wanted)
+        fresh = self._fresh(entry)
+        return View(
+            device_id=wanted,
+            tools=tuple(sorted(entry.poses)),
+            poses=entry.poses if fresh else {},
+            sequence=entry.sequence,
+            fresh=fresh,
+            frame_rate_hz=entry.frame_rate_hz,
+            markers_mm=self._markers(wanted),
+        )
+
+    async def newer(self, device: str | None, sequence: int, patience_s: float) -> None:
+        """Return once there are poses of another frame, or patience has ended."""
+        end = self._now() + patience_s
+        news = asyncio.Event()
+        self._waiting.add(news)
+        try:
+            while self.look(device).sequence == sequence:
+                news.clear()
+                async with asyncio.timeout(max(0.0, end - self._now())):
+                    await news.wait()
+        except TimeoutError:
+            pass
+        finally:
+            self._waiting.discard(news)
+
+    def close(self) -> None:
+        """Listen no longer."""
+        self._end()
+
+    def _told(self, entry: BoardEntry) -> None:
+        self._came[entry.device_id] = self._now()
+        for news in self._waiting:
+            news.set()
+
+    def _fresh(self, entry: BoardEntry) -> bool:
+        # What was put up before we listened, or is not told of yet, counts from when it is seen.
+        came = self._came.setdefault(entry.device_id, self._now())
+        slow = AGE_FRAMES / entry.frame_rate_hz if entry.frame_rate_hz > 0.0 else 0.0
+        return self._now() - came <= max(self._age_s, slow)

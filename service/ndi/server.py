@@ -1,0 +1,156 @@
+"""NdiServer: the answerer on a TCP port, in the asyncio loop."""
+
+import asyncio
+import logging
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from service.navigation.allow_list import AllowList
+from service.ndi.client import READ_BYTES, STALLED_S, Client
+from service.ndi.feed import PoseFeed
+from service.ndi.identity import Identity
+from service.ndi.session import Session
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class NdiOptions:
+    """What an administrator sets.
+
+    Args:
+        port: to listen on; 0: a free one.
+        host: address to listen on.
+        allowed: who may connect.
+        clients: at the same time.
+        model: what clients are told that they speak to.
+        version: ours.
+        part_numbers: tools by what uploaded tool definitions call them.
+    """
+
+    port: int
+    host: str = "127.0.0.1"
+    allowed: AllowList = field(default_factory=AllowList)
+    clients: int = 16
+    model: str = "Lumiline Polaris-compatible"
+    version: str = "0"
+    part_numbers: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class NdiCounts:
+    """What happened since the start.
+
+    Args:
+        connections: that were taken.
+        turned_away: that were not: not allowed, or too many.
+        commands: carried out.
+        refused: commands that were not, and what was none.
+    """
+
+    connections: int = 0
+    turned_away: int = 0
+    commands: int = 0
+    refused: int = 0
+
+
+class NdiServer:
+    """Answers many clients; each has a state of its own, and none can hold up another.
+
+    Args:
+        options: what an administrator sets.
+        feed: the poses; it is closed with the server.
+    """
+
+    def __init__(self, options: NdiOptions, feed: PoseFeed) -> None:
+        self.counts = NdiCounts()
+        self._options = options
+        self._feed = feed
+        self._server: asyncio.Server | None = None
+        self._clients: dict[asyncio.Task[None], Client] = {}
+
+    @property
+    def clients(self) -> int:
+        """How many are connected."""
+        return len(self._clients)
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Address and port where it listens."""
+        assert self._server is not None
+        found = self._server.sockets[0].getsockname()
+        return str(found[0]), int(found[1])
+
+    async def start(self) -> None:
+        """Listen; raises OSError when the port cannot be had."""
+        self._server = await asyncio.start_server(
+            self._connected, self._options.host, self._options.port, limit=READ_BYTES
+        )
+        _log.info("NDI clients: listening on %s port %d", *self.address)
+
+    async def close(self) -> None:
+        """End all connections, and listen no longer."""
+        self._feed.close()
+        if self._server is None:
+            return
+        self._server.close()
+        tasks = list(self._clients)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._server.wait_closed()
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        try:
+            host = str((writer.get_extra_info("peername") or ("?",))[0])
+            if not self._taken(host):
+                self.counts.turned_away += 1
+                return
+            self.counts.connections += 1
+            _keep_alive(writer)
+            client = Client(host, self._session(), self._feed, reader, writer)
+            self._clients[task] = client
+            _log.info("NDI client %s: connected", host)
+            reason = await client.serve()
+            _log.info("NDI client %s: %s", host, reason)
+            # What it asked for last is still sent.
+            writer.close()
+            async with asyncio.timeout(STALLED_S):
+                await writer.wait_closed()
+        except (OSError, TimeoutError):
+            pass
+        finally:
+            if (ended := self._clients.pop(task, None)) is not None:
+                self.counts.commands += ended.session.answered
+                self.counts.refused += ended.session.refused
+            # And nothing lingers of who does not read.
+            writer.transport.abort()
+
+    def _session(self) -> Session:
+        identity = Identity(self._options.model, self._options.version, "LUMILINE")
+        return Session(identity, self._feed.look, self._options.part_numbers)
+
+    def _taken(self, host: str) -> bool:
+        """Return whether a connection is taken; for one more, a client that is none may go."""
+        if not self._options.allowed.lets_in(host):
+            _log.warning("NDI client %s: not in ndi_allow, turned away", host)
+            return False
+        if len(self._clients) < self._options.clients:
+            return True
+        for task, client in self._clients.items():
+            if not client.session.answered and not client.leaving:
+                client.leaving = True
+                task.cancel()
+                return True
+        _log.warning("NDI client %s: turned away, there are %d", host, len(self._clients))
+        return False
+
+
+def _keep_alive(writer: asyncio.StreamWriter) -> None:
+    """Have the system notice clients that are gone without a word."""
+    connection = writer.get_extra_info("socket")
+    if connection is not None:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

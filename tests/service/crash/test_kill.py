@@ -40,7 +40,7 @@ def test_what_was_acknowledged_is_there_after_a_kill(tmp_path: Path) -> None:
             service.kill()
             clients.stop()
             assert not [text for text in clients.failures if "unexpected" in text]
-            # 503: where the machine is busy, a request may not get its turn at the database in time.
+            # 503: on a busy machine a request may not get its turn at the database in time.
             assert [one.text for one in clients.refused if one.status_code in range(500, 503)] == []
             calibrations |= clients.calibrations
             runs += clients.runs

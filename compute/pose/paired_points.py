@@ -182,7 +182,8 @@ def _misfit(
     target_covariance: Array,
 ) -> tuple[float, Array, Array]:
     """Return chi2, the information of each pair (N, 3, 3), and the residuals (N, 3)."""
-    information = np.linalg.inv(found.spread(source_covariance, target_covariance))
+    spread = found.spread(source_covariance, target_covariance)
+    information = np.asarray(np.linalg.inv(spread), np.float64)
     residual = found.apply(source) - target
     return (
         float(np.einsum("ni,nij,nj->", residual, information, residual)),

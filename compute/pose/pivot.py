@@ -215,14 +215,16 @@ def _information(turned: Array, known: Array | None, unknowns: Array) -> tuple[A
     slopes[..., 3:] = np.eye(3)
     if known is None:
         return slopes, np.broadcast_to(np.eye(3), (len(turned), 3, 3))
-    return slopes, np.linalg.inv(slopes @ known @ slopes.swapaxes(1, 2))
+    information = np.linalg.inv(slopes @ known @ slopes.swapaxes(1, 2))
+    return slopes, np.asarray(information, np.float64)
 
 
 def _sizes(turned: Array, moved: Array, known: Array | None, unknowns: Array) -> Array:
     """Return how far each pose is off, in its deviations, or in mm where none are known, (N,)."""
     off = _off(turned, moved, unknowns)
     _, information = _information(turned, known, unknowns)
-    return np.sqrt(np.einsum("ni,nij,nj->n", off, information, off))
+    sizes: Array = np.sqrt(np.einsum("ni,nij,nj->n", off, information, off))
+    return sizes
 
 
 def _scale(sizes: Array, known: Array | None) -> float:

@@ -6,7 +6,6 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi_square
 
 from compute.errors import (
     CollinearPoints,
@@ -16,6 +15,7 @@ from compute.errors import (
     TooFewPoints,
 )
 from compute.pose.paired_points import PairedFit, Similarity, fit_pairs, isotropic
+from compute.pose.registration_words import flat_words, misfit_words, order_words
 from compute.pose.target_error import localisation_error
 from compute.pose.transform import Transform
 from compute.pose.wrong_pairs import WrongPairs, look_alikes, wrong_pairs
@@ -26,11 +26,9 @@ Weighting = Literal["covariances", "isotropic"]
 
 LEAST_HEIGHT: Final = 0.01
 """Fiducials flatter than this, RMS off their line over RMS along it, leave the turn open."""
-_NEARLY: Final = 0.1
 _MOST_TURN_RAD: Final = 1.0 / 3.0
 _UNIT: Final = np.eye(3)
 _SAME: Final = 1e-6
-_MISFIT: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,9 +156,9 @@ def register_points(
     wrong = wrong_pairs(shrunk, target, variance if known else None)
     similarity = fit.similarity
     warnings = [
-        *_misfit(fit.chi2 if known else None, freedom, wrong, called),
-        *_orders(look_alikes(shrunk, target, variance if known else None), wrong, called),
-        *_flat(source, covariance, known),
+        *misfit_words(fit.chi2 if known else None, freedom, wrong, called),
+        *order_words(look_alikes(shrunk, target, variance if known else None), wrong, called),
+        *flat_words(*principal_line(source), covariance, known),
     ]
     return Registration(
         Transform(similarity.rotation, similarity.translation_mm, covariance[:6, :6]),
@@ -206,16 +204,16 @@ def _check_places(points: Array, side: str, names: Sequence[str]) -> None:
     apart = np.linalg.norm(points[:, None] - points, axis=2)
     length = apart.max()
     apart[np.tril_indices(len(points))] = np.inf
-    first, second = np.unravel_index(int(np.argmin(apart)), apart.shape)
+    first, second = divmod(int(np.argmin(apart)), len(points))
     if not apart[first, second] > _SAME * length:
         raise DuplicatePoint(
             f'fiducials "{names[first]}" and "{names[second]}" are at one place in the {side}, '
             f"{np.round(points[first], 3).tolist()}; give each once, its measurements averaged",
-            pairs=[int(first), int(second)],
+            pairs=[first, second],
         )
 
 
-def _line(points: Array) -> tuple[float, float]:
+def principal_line(points: Array) -> tuple[float, float]:
     """Return the RMS of points along their principal line, and off it [mm]."""
     values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return float(values[0] / np.sqrt(len(points))), float(
@@ -224,7 +222,7 @@ def _line(points: Array) -> tuple[float, float]:
 
 
 def _check_line(points: Array, side: str, sigma_mm: float) -> None:
-    along, off = _line(points)
+    along, off = principal_line(points)
     turn = sigma_mm / (off * np.sqrt(len(points))) if off > 0.0 else np.inf
     if off >= LEAST_HEIGHT * along and turn <= _MOST_TURN_RAD:
         return
@@ -252,58 +250,3 @@ def _closed(
     information = np.linalg.inv(spread)
     chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
     return PairedFit(found, inverse @ middle @ inverse, residual, chi2)
-
-
-def _misfit(
-    chi2: float | None, freedom: int, wrong: WrongPairs | None, names: Sequence[str]
-) -> list[str]:
-    if wrong is not None:
-        called = ", ".join(f'"{names[one]}"' for one in wrong.pairs)
-        mended = f"the RMS residual falls from {wrong.rms_before_mm:.3g} to"
-        if wrong.kind == "exchanged":
-            goes = ", ".join(
-                f'"{names[one]}" to "{names[wrong.order[one]]}"' for one in wrong.pairs
-            )
-            return [
-                f"fiducials {called} are exchanged: {mended} {wrong.rms_after_mm:.3g} mm with "
-                f"{goes}"
-            ]
-        one = len(wrong.pairs) == 1
-        return [
-            f"{f'fiducial {called} is' if one else f'fiducials {called} are'} not where "
-            f"{'it' if one else 'they'} should be: {mended} {wrong.rms_after_mm:.3g} mm without "
-            f"{'it' if one else 'them'}"
-        ]
-    if chi2 is not None and chi_square.sf(chi2, freedom) < _MISFIT:
-        return [
-            f"the residuals are {np.sqrt(chi2 / freedom):.3g} of their deviations, which noise "
-            f"makes in less than one of {1.0 / _MISFIT:.0f}, and no exchange or leaving out mends "
-            "it: the covariances are too small, or something moved"
-        ]
-    return []
-
-
-def _orders(
-    others: tuple[tuple[int, ...], ...], wrong: WrongPairs | None, names: Sequence[str]
-) -> list[str]:
-    if wrong is not None or not others:
-        return []
-    moved = [one for one, goal in enumerate(others[0]) if one != goal]
-    called = ", ".join(f'"{names[one]}"' for one in moved)
-    return [
-        f"fiducials {called} are placed so that they fit as well in another order: an exchange "
-        "would not be seen; one more fiducial away from their symmetry would show it"
-    ]
-
-
-def _flat(source: Array, covariance: Array, known: bool) -> list[str]:
-    along, off = _line(source)
-    if off >= _NEARLY * along:
-        return []
-    turn = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
-    told = "" if known else ", by what the residuals tell"
-    return [
-        f"the fiducials are only {off:.3g} mm RMS off one line, along which they are spread by "
-        f"{along:.4g} mm: the turn about it is known to {np.degrees(turn):.2g} deg{told}, and a "
-        f"target {along:.3g} mm from the line is {turn * along:.2g} mm off for it"
-    ]

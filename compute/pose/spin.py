@@ -17,14 +17,20 @@ from compute.errors import (
 )
 from compute.pose.orientations import Orientations
 from compute.pose.pose_input import checked_poses
-from compute.pose.transform import cross_matrix
+from compute.pose.spin_axis import (
+    ROWS,
+    UNKNOWNS,
+    SpinAxis,
+    axis_design,
+    axis_differences,
+    linear_axis,
+    pose_slopes,
+)
 
 Array = NDArray[np.float64]
 
-UNKNOWNS: Final = 8
-_ROWS: Final = 4
-_OUTLYING: Final = float(np.sqrt(chi2.isf(1e-4, _ROWS)))
-_MEDIAN: Final = float(np.sqrt(chi2.median(_ROWS)))
+_OUTLYING: Final = float(np.sqrt(chi2.isf(1e-4, ROWS)))
+_MEDIAN: Final = float(np.sqrt(chi2.median(ROWS)))
 _GROSS: Final = 5.0
 _STEPS: Final = 50
 
@@ -78,38 +84,6 @@ class SpinResult:
     residual_sigma: float | None
     outlying: tuple[int, ...]
     orientations: Orientations
-
-
-@dataclass(frozen=True, eq=False)
-class _Axis:
-    """Directions (3,) and points (3,) in the tool and in the world, with a basis across each."""
-
-    tool: Array
-    world: Array
-    point: Array
-    place: Array
-
-    @property
-    def across_tool(self) -> Array:
-        return _across(self.tool)
-
-    @property
-    def across_world(self) -> Array:
-        return _across(self.world)
-
-    def moved(self, step: Array) -> "_Axis":
-        """Return it after a step: two of each direction, two of each point."""
-        tool, world = self.across_tool, self.across_world
-        turned = self.tool + step[0:2] @ tool
-        other = self.world + step[2:4] @ world
-        turned /= np.linalg.norm(turned)
-        other /= np.linalg.norm(other)
-        point = self.point + step[4:6] @ tool
-        place = self.place + step[6:8] @ world
-        # What slid along the axis means nothing.
-        return _Axis(
-            turned, other, point - turned * (turned @ point), place - other * (other @ place)
-        )
 
 
 def spin_calibration(
@@ -169,15 +143,15 @@ def spin_calibration(
             )
     orientations = Orientations.of(turned[used])
     _check_rotation(orientations, wanted)
-    off = _off(turned[used], moved[used], axis)
+    off = axis_differences(turned[used], moved[used], axis)
     tilt = float(np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()))
     rms = float(np.sqrt((off[:, 2:] ** 2).sum(axis=1).mean()))
     _check_axis(tilt, rms, wanted)
-    design = _design(turned[used], axis)
+    design = axis_design(turned[used], axis)
     information = weight[used]
     normal = np.einsum("nia,nij,njb->ab", design, information, design, optimize=True)
     factor = float(np.einsum("ni,nij,nj->", off, information, off))
-    factor /= _ROWS * used.sum() - UNKNOWNS
+    factor /= ROWS * used.sum() - UNKNOWNS
     covariance = np.linalg.inv(normal) * (1.0 if known is None else max(1.0, factor))
     sign = _sign(axis.tool, along)
     across = axis.across_tool
@@ -242,22 +216,15 @@ def _sign(direction: Array, along: Array | None) -> float:
     return float(np.sign(cosine))
 
 
-def _across(direction: Array) -> Array:
-    """Return two unit vectors across a direction, shape (2, 3)."""
-    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first)])
-
-
-def _start(turned: Array, moved: Array) -> _Axis:
+def _start(turned: Array, moved: Array) -> SpinAxis:
     """Return the axis of the half of the poses that fit one another best.
 
     By steps of concentration (P. J. Rousseeuw, K. Van Driessen, doi:10.1007/s10618-005-0024-4).
     """
     half = np.arange(len(moved))
     for _ in range(10):
-        axis = _linear(turned[half], moved[half])
-        off = _off(turned, moved, axis)
+        axis = linear_axis(turned[half], moved[half])
+        off = axis_differences(turned, moved, axis)
         parts = np.stack([(off[:, :2] ** 2).sum(axis=1), (off[:, 2:] ** 2).sum(axis=1)], axis=1)
         size = (parts / np.maximum(np.median(parts, axis=0), 1e-24)).sum(axis=1)
         best = np.sort(np.argsort(size, kind="stable")[: (len(moved) + 1) // 2])
@@ -267,80 +234,42 @@ def _start(turned: Array, moved: Array) -> _Axis:
     return axis
 
 
-def _near(turned: Array, moved: Array, axis: _Axis) -> NDArray[np.bool_]:
+def _near(turned: Array, moved: Array, axis: SpinAxis) -> NDArray[np.bool_]:
     """Return the poses that are not grossly off the start, by the medians, shape (N,)."""
-    off = _off(turned, moved, axis)
+    off = axis_differences(turned, moved, axis)
     sizes = np.stack([np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 2], off[:, 3])], axis=1)
     near: NDArray[np.bool_] = (sizes <= _GROSS * np.median(sizes, axis=0) + 1e-12).all(axis=1)
     return near
 
 
-def _linear(turned: Array, moved: Array) -> _Axis:
-    left, _, right = np.linalg.svd(turned.mean(axis=0))
-    tool, world = right[0], left[:, 0]
-    across, other = _across(tool), _across(world)
-    # other (R_i across' x + t_i) = y
-    design = np.concatenate(
-        [other @ turned @ across.T, np.broadcast_to(-np.eye(2), (len(moved), 2, 2))], axis=-1
-    )
-    found = np.linalg.lstsq(design.reshape(-1, 4), -(moved @ other.T).reshape(-1), rcond=1e-9)[0]
-    return _Axis(tool, world, found[:2] @ across, found[2:] @ other)
-
-
-def _off(turned: Array, moved: Array, axis: _Axis) -> Array:
-    """Return direction's and point's differences across the axis, shape (N, 4)."""
-    other = axis.across_world
-    direction = turned @ axis.tool @ other.T
-    point = (turned @ axis.point + moved - axis.place) @ other.T
-    return np.concatenate([direction, point], axis=1)
-
-
-def _design(turned: Array, axis: _Axis) -> Array:
-    """Return the slopes of ``_off`` to the unknowns, shape (N, 4, 8)."""
-    tool, other = axis.across_tool, axis.across_world
-    design = np.zeros((len(turned), 4, UNKNOWNS))
-    rows = other @ turned @ tool.T
-    design[:, :2, 0:2] = design[:, 2:, 4:6] = rows
-    design[:, :2, 2:4] = design[:, 2:, 6:8] = -np.eye(2)
-    return design
-
-
-def _slopes(turned: Array, axis: _Axis) -> Array:
-    """Return the slopes of ``_off`` to turn and translation of the pose, shape (N, 4, 6)."""
-    other = axis.across_world
-    slopes = np.zeros((len(turned), 4, 6))
-    slopes[:, :2, :3] = -other @ cross_matrix(turned @ axis.tool)
-    slopes[:, 2:, :3] = -other @ cross_matrix(turned @ axis.point)
-    slopes[:, 2:, 3:] = other
-    return slopes
-
-
-def _weights(turned: Array, moved: Array, known: Array | None, axis: _Axis, used: Array) -> Array:
-    """Return the information of ``_off``, shape (N, 4, 4)."""
+def _weights(
+    turned: Array, moved: Array, known: Array | None, axis: SpinAxis, used: NDArray[np.bool_]
+) -> Array:
+    """Return the information of the differences, shape (N, 4, 4)."""
     if known is not None:
-        slopes = _slopes(turned, axis)
-        found: Array = np.linalg.inv(slopes @ known @ slopes.swapaxes(1, 2))
-        return found
-    squares = _off(turned[used], moved[used], axis) ** 2
+        slopes = pose_slopes(turned, axis)
+        spread = slopes @ known @ slopes.swapaxes(1, 2)
+        return np.asarray(np.linalg.inv(spread), np.float64)
+    squares = axis_differences(turned[used], moved[used], axis) ** 2
     freedom = 2 * len(squares) - UNKNOWNS / 2
     variance = np.maximum([squares[:, :2].sum(), squares[:, 2:].sum()], 1e-24) / freedom
     return np.broadcast_to(np.diag(np.repeat(1.0 / variance, 2)), (len(turned), 4, 4))
 
 
 def _adjusted(
-    turned: Array, moved: Array, known: Array | None, axis: _Axis, used: NDArray[np.bool_]
-) -> tuple[_Axis, Array]:
+    turned: Array, moved: Array, known: Array | None, axis: SpinAxis, used: NDArray[np.bool_]
+) -> tuple[SpinAxis, Array]:
     for _ in range(_STEPS):
         weight = _weights(turned, moved, known, axis, used)
         some, information = turned[used], weight[used]
-        off = _off(some, moved[used], axis)
+        off = axis_differences(some, moved[used], axis)
         pull = np.einsum("nij,nj->ni", information, off)
         right = some
         if known is not None:
             # As in pivot calibration: the slopes are those of the adjusted orientations.
-            turn = np.einsum("nij,nkj,nk->ni", known[used], _slopes(some, axis), pull)[:, :3]
+            turn = np.einsum("nij,nkj,nk->ni", known[used], pose_slopes(some, axis), pull)[:, :3]
             right = rotation_matrix(-turn) @ some
-        design = _design(right, axis)
+        design = axis_design(right, axis)
         normal = np.einsum("nia,nij,njb->ab", design, information, design, optimize=True)
         gradient = np.einsum("nia,ni->a", design, pull)
         # Without turns the point is not determined; that is told by the orientations.
@@ -360,11 +289,11 @@ def _fitting(
     turned: Array,
     moved: Array,
     weight: Array,
-    axis: _Axis,
+    axis: SpinAxis,
     used: NDArray[np.bool_],
     known: bool,
 ) -> NDArray[np.bool_]:
-    off = _off(turned, moved, axis)
+    off = axis_differences(turned, moved, axis)
     sizes = np.sqrt(np.einsum("ni,nij,nj->n", off, weight, off))
     scale = float(np.median(sizes[used])) / _MEDIAN
     fits: NDArray[np.bool_] = sizes <= _OUTLYING * (max(scale, 1.0) if known else scale)

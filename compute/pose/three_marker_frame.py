@@ -51,8 +51,8 @@ def three_marker_frame(markers_mm: Array, covariance_mm2: Array | None = None) -
     if flat < LEAST_HEIGHT:
         raise CollinearPoints(
             f"the three markers lie within {flat * longest:.3g} mm of a line {longest:.4g} mm "
-            f"long; they must be at least {LEAST_HEIGHT * longest:.3g} mm off it, or the turn about "
-            "it is not known",
+            f"long; they must be at least {LEAST_HEIGHT * longest:.3g} mm off it, or the turn "
+            "about it is not known",
             height_mm=flat * longest,
             length_mm=longest,
         )

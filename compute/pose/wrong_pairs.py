@@ -59,7 +59,7 @@ class _Tried:
 
     @property
     def freedom(self) -> int:
-        return 3 * self.kept.shape[1] - 6
+        return 3 * int(self.kept.shape[1]) - 6
 
 
 def wrong_pairs(

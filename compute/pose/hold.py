@@ -1,0 +1,250 @@
+"""HoldMonitor: a beam-hold signal when a patient leaves the tolerance (thesis, section 7.2.2)."""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.model import Vector3
+from compute.camera.rotation import rotation_vector
+from compute.errors import InvalidParameter
+from compute.pose.hold_gate import HoldCause, HoldGate, HoldRules, Measured
+from compute.pose.outside_chance import chance_beyond, chance_longer
+from compute.pose.transform import Transform
+
+Array = NDArray[np.float64]
+
+_AXES: Final = "xyz"
+
+
+@dataclass(frozen=True)
+class HoldLimits:
+    """How far a patient may move.
+
+    Args:
+        shift_mm: largest distance of the target, or of a marker, from its place [mm]; None: any.
+        axis_mm: largest shift along each axis [mm]; None: any.
+        turn_rad: largest turn [rad]; None: any. Not for markers.
+        chance: the beam is held when that of being beyond a limit is above this. 0.5 leaves
+            uncertainty aside, less holds sooner.
+        release: share of the limits within which, by the same chance, a hold may end.
+        rules: gap, settling, latch.
+    """
+
+    shift_mm: float | None = None
+    axis_mm: Vector3 | None = None
+    turn_rad: float | None = None
+    chance: float = 0.05
+    release: float = 0.8
+    rules: HoldRules = field(default_factory=HoldRules)
+
+    def __post_init__(self) -> None:
+        limits = [self.shift_mm, self.turn_rad, *(self.axis_mm or ())]
+        given = [one for one in limits if one is not None]
+        if not given or not all(one > 0.0 and np.isfinite(one) for one in given):
+            raise InvalidParameter(
+                f"the limits are shift {self.shift_mm}, axes {self.axis_mm}, turn {self.turn_rad}; "
+                "give at least one, above 0"
+            )
+        if not 0.0 < self.chance <= 0.5:
+            raise InvalidParameter(f"chance is {self.chance}; it must be above 0, at most 0.5")
+        if not 0.0 < self.release <= 1.0:
+            raise InvalidParameter(f"release is {self.release}; it must be above 0, at most 1")
+
+    def beyond(
+        self,
+        shift_mm: Array,
+        shift_covariance: Array | None,
+        turn_rad: Array | None = None,
+        turn_covariance: Array | None = None,
+        share: float = 1.0,
+    ) -> tuple[str | None, float]:
+        """Return what is beyond ``share`` of a limit, for a person, and its chance."""
+        found: list[tuple[float, str]] = []
+        if self.shift_mm is not None:
+            size, limit = float(np.linalg.norm(shift_mm)), share * self.shift_mm
+            chance = chance_longer(shift_mm, shift_covariance, limit)
+            found.append((chance, f"{size:.2f} mm off its place (limit {limit:.2f} mm)"))
+        for axis, most in enumerate(self.axis_mm or ()):
+            variance = 0.0 if shift_covariance is None else float(shift_covariance[axis, axis])
+            chance = chance_beyond(float(shift_mm[axis]), variance, share * most)
+            told = f"{shift_mm[axis]:.2f} mm off along {_AXES[axis]} (limit {share * most:.2f} mm)"
+            found.append((chance, told))
+        if self.turn_rad is not None and turn_rad is not None:
+            size, limit = float(np.linalg.norm(turn_rad)), share * self.turn_rad
+            chance = chance_longer(turn_rad, turn_covariance, limit)
+            told = f"turned by {np.degrees(size):.2f} deg (limit {np.degrees(limit):.2f} deg)"
+            found.append((chance, told))
+        chance, told = max(found)
+        if chance <= self.chance:
+            return None, chance
+        if chance < 0.5:
+            told += f", with a chance of {chance:.0%} to be beyond it; at most {self.chance:.0%}"
+        return told, chance
+
+
+@dataclass(frozen=True, eq=False)
+class HoldState:
+    """Whether the beam is held at an instant, and why.
+
+    Args:
+        time_ns: the instant, on the measurements' clock [ns].
+        hold: whether it is held.
+        cause: why.
+        reason: the same for a person; None while it is not held.
+        since_ns: when the present state, held or not, began [ns].
+        shift_mm: of the target, or the marker that moved most, shape (3,) [mm]; None: not known.
+        turn_rad: rotation vector from the reference, shape (3,) [rad]; None: not known.
+        chance: of being beyond the limit that is nearest to it; None: not known.
+    """
+
+    time_ns: int
+    hold: bool
+    cause: HoldCause
+    reason: str | None
+    since_ns: int
+    shift_mm: Array | None = None
+    turn_rad: Array | None = None
+    chance: float | None = None
+
+
+class HoldMonitor:
+    """Watches a pose beside the one that it had at set-up.
+
+    A function of the times and poses that it was given: a replay gives the same states. Safe
+    when in doubt: held until the first measurements are well within, when none come, and when
+    they are too uncertain. Latency is the caller's to measure, from the exposure's time to the
+    instant at which the signal leaves.
+    """
+
+    def __init__(
+        self,
+        reference: Transform,
+        limits: HoldLimits,
+        target_mm: Array | None = None,
+        axes: Array | None = None,
+    ) -> None:
+        """Watch a target.
+
+        Args:
+            reference: T_world_body at set-up.
+            limits: how far it may move.
+            target_mm: the point to be irradiated, in the body's coordinates, shape (3,) [mm];
+                None: the body's origin.
+            axes: R_axes_world of the axes of ``axis_mm``, such as the treatment room's, shape
+                (3, 3); None: the world's.
+        """
+        self._reference, self._limits = reference, limits
+        self._target = np.zeros(3) if target_mm is None else np.asarray(target_mm, np.float64)
+        self._axes = np.eye(3) if axes is None else np.asarray(axes, np.float64)
+        self._place = reference.apply(self._target)
+        self._place_covariance = reference.point_covariance(self._target)
+        self._gate = HoldGate(limits.rules)
+
+    def acknowledge(self) -> None:
+        """End a latched hold, once all is back."""
+        self._gate.acknowledge()
+
+    def step(self, time_ns: int, pose: Transform | None) -> HoldState:
+        """Return the state after a pose, or, with None, at a time without one.
+
+        Args:
+            time_ns: of the exposure [ns].
+            pose: T_world_body with its covariance; None: it is not known, or not to be used.
+        """
+        if pose is None:
+            return _state(time_ns, self._gate, None)
+        shift = self._axes @ (pose.apply(self._target) - self._place)
+        covariance = pose.point_covariance(self._target) + self._place_covariance
+        covariance = self._axes @ covariance @ self._axes.T
+        turn = rotation_vector(pose.rotation @ self._reference.rotation.T)
+        turn_covariance = np.zeros((3, 3))
+        for one in (pose.covariance, self._reference.covariance):
+            if one is not None:
+                turn_covariance += one[:3, :3]
+        given = (shift, covariance, turn, turn_covariance)
+        told, chance = self._limits.beyond(*given)
+        back, _ = self._limits.beyond(*given, share=self._limits.release)
+        reason = None if told is None else f"the target is {told}"
+        return _state(time_ns, self._gate, Measured(reason, back is None), shift, turn, chance)
+
+
+class MarkerHoldMonitor:
+    """Watches a set of markers, each beside the place that it had at set-up."""
+
+    def __init__(
+        self,
+        reference_mm: Array,
+        limits: HoldLimits,
+        least_markers: int = 3,
+        names: tuple[str, ...] | None = None,
+    ) -> None:
+        """Watch markers.
+
+        Args:
+            reference_mm: where they are to be, shape (M, 3) [mm].
+            limits: how far each may move; ``turn_rad`` means nothing here.
+            least_markers: with fewer of them seen, nothing was measured.
+            names: of the markers, for the reason; None: their numbers from 1.
+
+        Raises:
+            InvalidParameter: there are fewer markers, or a limit of turns.
+        """
+        self._reference = np.asarray(reference_mm, np.float64)
+        if not 1 <= least_markers <= len(self._reference):
+            raise InvalidParameter(
+                f"least_markers is {least_markers} of {len(self._reference)} markers"
+            )
+        if limits.turn_rad is not None:
+            raise InvalidParameter("markers do not turn; watch the pose of a tool for turn_rad")
+        self._limits, self._least = limits, least_markers
+        self._names = names or tuple(str(one + 1) for one in range(len(self._reference)))
+        self._gate = HoldGate(limits.rules)
+
+    def acknowledge(self) -> None:
+        """End a latched hold, once all is back."""
+        self._gate.acknowledge()
+
+    def step(
+        self, time_ns: int, positions_mm: Array | None, covariances_mm2: Array | None = None
+    ) -> HoldState:
+        """Return the state after positions of the markers.
+
+        Args:
+            time_ns: of the exposure [ns].
+            positions_mm: shape (M, 3) [mm]; NaN where a marker is not seen; None: none is.
+            covariances_mm2: shape (M, 3, 3) [mm^2]; None: exact.
+        """
+        if positions_mm is None:
+            return _state(time_ns, self._gate, None)
+        shifts = positions_mm - self._reference
+        seen = np.flatnonzero(np.isfinite(shifts).all(axis=1))
+        worst: tuple[float, float, int] = (-1.0, 0.0, -1)
+        told: str | None = None
+        within = True
+        for one in seen:
+            given = (shifts[one], None if covariances_mm2 is None else covariances_mm2[one])
+            beyond, chance = self._limits.beyond(*given)
+            within &= self._limits.beyond(*given, share=self._limits.release)[0] is None
+            size = float(np.linalg.norm(shifts[one]))
+            if (chance, size) > worst[:2]:
+                worst = (chance, size, int(one))
+                told = None if beyond is None else f'marker "{self._names[one]}" is {beyond}'
+        if len(seen) < self._least and told is None:
+            return _state(time_ns, self._gate, None)
+        return _state(time_ns, self._gate, Measured(told, within), shifts[worst[2]], None, worst[0])
+
+
+def _state(
+    time_ns: int,
+    gate: HoldGate,
+    measured: Measured | None,
+    shift: Array | None = None,
+    turn: Array | None = None,
+    chance: float | None = None,
+) -> HoldState:
+    found = gate.step(time_ns, measured)
+    return HoldState(
+        time_ns, found.hold, found.cause, found.reason, found.since_ns, shift, turn, chance
+    )

@@ -95,9 +95,7 @@ def exchangeable_markers(tool: RigidBody, noise_mm: float = NOISE_MM) -> list[st
     same = list(range(len(markers)))
     return [
         ", ".join(
-            f"{marker + 1} as {point + 1}"
-            for marker, point in enumerate(order)
-            if marker != point
+            f"{marker + 1} as {point + 1}" for marker, point in enumerate(order) if marker != point
         )
         for order in orders
         if order != same

@@ -122,13 +122,13 @@ def _doubt(
             continue
         if other == index:
             return (
-                f"{way.markers} points fit tool \"{tools[index].name}\" in more than one way: chi2 "
+                f'{way.markers} points fit tool "{tools[index].name}" in more than one way: chi2 '
                 f"is {way.chi2:.3g} and {rival.chi2:.3g}"
             )
         if _shared(rival, way) >= settings.least_markers:
             return (
-                f"the same {_shared(rival, way)} points fit tool \"{tools[index].name}\" and tool "
-                f"\"{tools[other].name}\": chi2 is {way.chi2:.3g} and {rival.chi2:.3g}"
+                f'the same {_shared(rival, way)} points fit tool "{tools[index].name}" and tool '
+                f'"{tools[other].name}": chi2 is {way.chi2:.3g} and {rival.chi2:.3g}'
             )
     return None
 

@@ -179,14 +179,14 @@ def _fit_from(
     limit = chi2_limit(len(equations.plain_whitening) - 6, settings.inconsistent_probability)
     poses = None
     if first is not None:
-        poses = _solutions(equations, *first)
+        poses = solutions(equations, *first)
         if not (poses.chi2 <= limit).any():
             poses = None
     if poses is None:
         starts = starts_from_readings(
             equations.model, equations.frame, equations.readings_px, equations.sigma_px
         )
-        poses = _solutions(equations, *starts)
+        poses = solutions(equations, *starts)
     used = equations.used
     if len(poses.chi2) == 0 or not np.isfinite(poses.chi2[0]):
         reason = "the readings' planes tell no place, or the search for one did not come to rest"
@@ -211,8 +211,8 @@ def _fit_from(
     return _pose(equations, poses)
 
 
-def _solutions(equations: PoseEquations, rotation: Array, centroid_mm: Array) -> Poses:
-    """Return the distinct solutions that K starts lead to, best first."""
+def solutions(equations: PoseEquations, rotation: Array, centroid_mm: Array) -> Poses:
+    """Return the distinct solutions that K starts (3, 3) and (3,) lead to, best first."""
     near = equations.refine(rotation, centroid_mm, equations.plain_whitening, FIRST_STEPS)
     value = near.gram[:, 6, 6]
     if not np.isfinite(value).any():

@@ -79,7 +79,7 @@ def starts_from_readings(
     planes = _planes(model, readings_px, sigma_px, used)
     if planes is None:
         return np.empty((0, 3, 3)), np.empty((0, 3))
-    normals, offsets = planes
+    normals, offsets, _ = planes
     markers = frame.markers_mm[np.nonzero(used)[0]]
     inverse = np.linalg.pinv(normals)
     by_rotation = (normals[:, :, None] * markers[:, None, :]).reshape(-1, 9)
@@ -97,10 +97,19 @@ def starts_from_readings(
     return rotations, -(offsets + vectors @ by_rotation.T) @ inverse.T
 
 
+def rough_place(model: ReadingModel, readings_px: Array, sigma_px: Array) -> Array | None:
+    """Return the point (3,) [mm] nearest to the planes of all readings (M, S); None: there is none.
+
+    It is amid the markers, as if they were one.
+    """
+    planes = _planes(model, readings_px, sigma_px, np.isfinite(readings_px))
+    return None if planes is None else planes[2]
+
+
 def _planes(
     model: ReadingModel, readings_px: Array, sigma_px: Array, used: NDArray[np.bool_]
-) -> tuple[Array, Array] | None:
-    """Return the used readings' planes n, d, in standard deviations, about where the tool is."""
+) -> tuple[Array, Array, Array] | None:
+    """Return the used readings' planes n, d, in standard deviations, and where the tool is."""
     cameras = model.cameras
     sensor = np.nonzero(used)[1]
     corrected = cameras.corrected(readings_px)
@@ -108,7 +117,7 @@ def _planes(
     deviation = (sigma_px * slope)[used]
     weight = 1.0 / deviation
     shift = np.zeros(model.sensors)
-    place = None
+    place: Array | None = None
     for _ in range(3):
         rows = (
             cameras.matrices[sensor, 0]
@@ -126,7 +135,8 @@ def _planes(
         if not np.isfinite(shift[np.unique(sensor)]).all():
             return None
         shift = np.nan_to_num(shift)
-    return rows[:, :3], rows[:, 3]
+    assert place is not None
+    return rows[:, :3], rows[:, 3], place
 
 
 def _shift(model: ReadingModel, place_mm: Array) -> Array:

@@ -45,6 +45,10 @@ class ExpectedReadings:
     table_variance_px2: Array
     inside: NDArray[np.bool_]
 
+    def part(self, first: int, last: int) -> "ExpectedReadings":
+        """Return those of the markers from ``first`` to before ``last``."""
+        return ExpectedReadings(*(getattr(self, name)[first:last] for name in vars(self)))
+
 
 @dataclass(frozen=True, eq=False)
 class ReadingModel:

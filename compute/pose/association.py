@@ -1,0 +1,265 @@
+"""Association: which peaks of a frame are which markers of the tools that are being tracked.
+
+All markers of a tool move as one, so its peaks are found jointly: first those that only one marker
+of one tool can have made, which update the tool's pose; then, with the narrower expectations of
+that pose, the others. A peak that still has two owners, or a marker that still has two peaks, is
+left alone: merged lines and false peaks are never guessed at.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.pose.marker_frame import MarkerFrame
+from compute.pose.pose_filter import (
+    Innovations,
+    PoseState,
+    Update,
+    innovations,
+    update,
+)
+from compute.pose.reading_model import ExpectedReadings, ReadingModel
+from compute.reconstruction.points import chi2_limit
+from compute.signal.peaks import PeakFlag
+
+Array = NDArray[np.float64]
+
+ROUNDS: Final = 3
+RIVAL: Final = 16.0
+"""Of two markers that expect a peak, the one with so many times the variance does not count."""
+UNUSABLE: Final = (
+    PeakFlag.SATURATED | PeakFlag.CLIPPED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
+)
+"""Peaks whose position may be wrong by more than their standard deviation says."""
+
+
+@dataclass(frozen=True, eq=False)
+class FramePeaks:
+    """The peaks of one frame that poses may rest on.
+
+    Args:
+        position_px: shape (S, K) [px].
+        variance_px2: of the positions, shape (S, K).
+        usable: which of them there are, and are not in doubt, shape (S, K).
+    """
+
+    position_px: Array
+    variance_px2: Array
+    usable: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, position_px: Array, sigma_px: Array, peak_flags: NDArray[np.int32]) -> "FramePeaks":
+        """Return the peaks of a frame, all of shape (S, K), NaN where there are fewer than K."""
+        position = np.asarray(position_px, dtype=np.float64)
+        sigma = np.asarray(sigma_px, dtype=np.float64)
+        usable = np.isfinite(position) & np.isfinite(sigma) & (sigma > 0.0)
+        usable &= (np.asarray(peak_flags) & int(UNUSABLE)) == 0
+        return cls(np.where(usable, position, np.nan), np.where(usable, sigma**2, 1.0), usable)
+
+    def single(self) -> tuple[Array, Array]:
+        """Return readings and deviations of sensors with one peak, NaN of others, (S,) each."""
+        one = self.usable.sum(axis=1) == 1
+        peak = self.usable.argmax(axis=1)
+        row = np.arange(len(peak))
+        reading = np.where(one, self.position_px[row, peak], np.nan)
+        return reading, np.where(one, np.sqrt(self.variance_px2[row, peak]), np.nan)
+
+    def without(self, looks: Sequence["Look"]) -> "FramePeaks":
+        """Return the peaks that tools have not taken."""
+        usable = self.usable.copy()
+        for look in looks:
+            row, sensor = np.nonzero(look.peaks >= 0)
+            usable[sensor, look.peaks[row, sensor]] = False
+        return replace(self, usable=usable)
+
+
+@dataclass(eq=False)
+class Look:
+    """What a frame shows of one tool; filled in round by round.
+
+    Args:
+        frame: the tool's markers.
+        lit: indices of the markers that this exposure lights, shape (m,).
+        state: the tool, predicted to the exposure; updated by what is found.
+        peaks: which peak of each sensor is which marker's, -1: none, shape (m, S).
+        in_gate: how many peaks each marker might have on each sensor, shape (m, S).
+        nis: normalised innovation squared of what was found.
+        readings: how many readings were found.
+        misfit: readings that were where the tool was expected did not fit it.
+        inside: whether the table vouches for the marker's reading, shape (m, S).
+    """
+
+    frame: MarkerFrame
+    lit: NDArray[np.intp]
+    state: PoseState
+    peaks: NDArray[np.intp] = field(init=False)
+    in_gate: NDArray[np.intp] = field(init=False)
+    nis: float = 0.0
+    readings: int = 0
+    misfit: bool = False
+    inside: NDArray[np.bool_] = field(init=False)
+
+    def readings_px(self, seen: FramePeaks) -> tuple[Array, Array]:
+        """Return what was found as readings and deviations of all markers, shapes (M, S)."""
+        shape = (len(self.frame.markers_mm), len(seen.position_px))
+        readings, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+        row, sensor = np.nonzero(self.peaks >= 0)
+        peak = self.peaks[row, sensor]
+        readings[self.lit[row], sensor] = seen.position_px[sensor, peak]
+        sigma[self.lit[row], sensor] = np.sqrt(seen.variance_px2[sensor, peak])
+        return readings, sigma
+
+
+def associate(
+    model: ReadingModel, looks: list[Look], seen: FramePeaks, gate_probability: float
+) -> None:
+    """Find the peaks of several tools in one frame and update their states; fills ``looks``.
+
+    Args:
+        model: the cameras.
+        looks: the tools; peaks that they have found before are taken.
+        seen: the frame's peaks.
+        gate_probability: chance that a right reading is not taken.
+    """
+    free = seen.usable.copy()
+    for look in looks:
+        shape = (len(look.lit), model.sensors)
+        look.peaks = np.full(shape, -1, dtype=np.intp)
+        look.in_gate = np.zeros(shape, dtype=np.intp)
+        look.inside = np.ones(shape, dtype=np.bool_)
+    if not free.any():
+        return
+    gate = chi2_limit(1, gate_probability)
+    active = [look for look in looks if len(look.lit)]
+    for turn in range(ROUNDS if active else 0):
+        told = _told(model, active)
+        offers = [_offers(*pair, seen, free, gate) for pair in zip(active, told, strict=True)]
+        if turn == 0:
+            for look, offer in zip(active, offers, strict=True):
+                look.in_gate = np.isfinite(offer).sum(axis=2)
+        # A tool that is hardly known any more offers for peaks all over: that does not keep one
+        # from its peaks whose gates are narrow.
+        least = np.min([offer.min(axis=0) for offer in offers], axis=0)
+        claims = np.sum([(offer <= RIVAL * least).sum(axis=0) for offer in offers], axis=0)
+        claims[~np.isfinite(least)] = 0
+        found = False
+        for look, one, offer in zip(active, told, offers, strict=True):
+            known = np.isfinite(offer)
+            single = known & (offer <= RIVAL * least) & (claims == 1)
+            single &= known.sum(axis=2, keepdims=True) == 1
+            row, sensor, peak = np.nonzero(single)
+            if len(row) and not look.misfit:
+                found |= _take(look, one, seen, row, sensor, peak, gate_probability)
+                free[sensor, peak] = False
+        if (
+            not found
+            or not any((np.isfinite(offer).sum(axis=2) > 1).any() for offer in offers)
+            | (claims > 1).any()
+        ):
+            return
+
+
+def _told(model: ReadingModel, looks: list[Look]) -> list[Innovations]:
+    """Return what is expected of the lit markers of all tools, in one call of the cameras."""
+    arms = [look.frame.markers_mm[look.lit] @ look.state.rotation.T for look in looks]
+    places = np.concatenate(
+        [arm + look.state.centroid_mm for arm, look in zip(arms, looks, strict=True)]
+    )
+    whole = model.full(places)
+    found = []
+    first = 0
+    for arm, look in zip(arms, looks, strict=True):
+        part = whole.part(first, first + len(arm))
+        first += len(arm)
+        look.inside = part.inside
+        common = common_slopes(part, look.lit, look.state.common.shape[1])
+        found.append(innovations(look.state, arm, part, common))
+    return found
+
+
+def common_slopes(expected: ExpectedReadings, lit: NDArray[np.intp], errors: int) -> Array:
+    """Return the readings' slopes by all common errors, shape (m, S, errors).
+
+    First the calibration's, then, where there is a correction table, one for each of the tool's
+    markers and sensors: the table's deviation at the place, which is the same in every frame.
+    """
+    own = expected.common_px
+    markers, sensors, count = own.shape
+    if errors == count:
+        return own
+    common = np.zeros((markers, sensors, errors))
+    common[..., :count] = own
+    row, sensor = np.meshgrid(np.arange(markers), np.arange(sensors), indexing="ij")
+    common[row, sensor, count + lit[row] * sensors + sensor] = np.sqrt(expected.table_variance_px2)
+    return common
+
+
+def _offers(
+    look: Look, told: Innovations, seen: FramePeaks, free: NDArray[np.bool_], gate: float
+) -> Array:
+    """Return the variance with which each marker expects each peak, shape (m, S, K) [px^2].
+
+    Infinite where the peak is not free or beyond the gate, and for markers that were found.
+    """
+    shape = look.peaks.shape
+    value = told.value_px.reshape(shape)[..., None]
+    variance = told.covariance.diagonal().reshape(shape)[..., None] + seen.variance_px2
+    with np.errstate(invalid="ignore"):
+        offer = (seen.position_px - value) ** 2 <= gate * variance
+    offer &= free & (look.peaks < 0)[..., None]
+    return np.where(offer, variance, np.inf)
+
+
+def _take(
+    look: Look,
+    told: Innovations,
+    seen: FramePeaks,
+    row: NDArray[np.intp],
+    sensor: NDArray[np.intp],
+    peak: NDArray[np.intp],
+    probability: float,
+) -> bool:
+    """Update a tool by peaks that are its alone; return whether it was."""
+    some = told.of(row * look.peaks.shape[1] + sensor)
+    residual = seen.position_px[sensor, peak] - some.value_px
+    found = robust_update(
+        look.state, some, residual, np.sqrt(seen.variance_px2[sensor, peak]), probability
+    )
+    if found is None:
+        look.misfit = True
+        return False
+    look.state = found.state
+    look.nis += found.nis
+    look.readings += len(found.kept)
+    look.peaks[row[found.kept], sensor[found.kept]] = peak[found.kept]
+    return True
+
+
+def robust_update(
+    state: PoseState, told: Innovations, residual_px: Array, sigma_px: Array, probability: float
+) -> Update | None:
+    """Update a state by n readings, without those that contradict the others.
+
+    The reading that the misfit blames most, by ``(S^-1 r)^2 / (S^-1)_ii``, is left out until the
+    rest fit; None where that takes more than a quarter of them (but one of four).
+    """
+    index = np.arange(len(residual_px))
+    spare = len(index) // 4
+    while True:
+        whole = told.covariance[np.ix_(index, index)] + np.diag(sigma_px[index] ** 2)
+        inverse = np.linalg.inv(whole)
+        weighted = inverse @ residual_px[index]
+        nis = float(residual_px[index] @ weighted)
+        if nis <= chi2_limit(len(index), probability):
+            break
+        if spare == 0:
+            return None
+        spare -= 1
+        index = np.delete(index, np.argmax(weighted**2 / inverse.diagonal()))
+    if len(index) < len(residual_px):
+        told = told.of(index)
+    found = update(state, told, residual_px[index], sigma_px[index])
+    return replace(found, kept=index)

@@ -1,0 +1,146 @@
+"""Pose report: the state of a filter as a ToolPose, with its status and the reason for it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.pose.marker_frame import MarkerFrame
+from compute.pose.observability import observability
+from compute.pose.pose_filter import PoseState, origin_velocity
+from compute.pose.reading_model import ReadingModel
+from compute.pose.rigid_body import RigidBody
+from compute.pose.settings import ToolTrackerSettings
+from compute.pose.tool_pose import PoseStatus, ToolPose
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """What the pose of a tool rests on.
+
+    Args:
+        nis: normalised innovations squared of its last frames.
+        readings: how many readings of each.
+        sensors: which sensor read which marker, shape (M, S).
+    """
+
+    nis: tuple[float, ...]
+    readings: tuple[int, ...]
+    sensors: NDArray[np.bool_]
+
+    @property
+    def residual_sigma(self) -> float | None:
+        """Root of the innovations squared per reading; None without any."""
+        count = sum(self.readings)
+        return float(np.sqrt(sum(self.nis) / count)) if count else None
+
+
+def without_pose(
+    tool: RigidBody, status: PoseStatus, reason: str, time_ns: int, sequence: int
+) -> ToolPose:
+    """Return that there is no pose, and why."""
+    return ToolPose(tool.name, status, reason, time_ns, sequence)
+
+
+def report(
+    tool: RigidBody,
+    state: PoseState,
+    support: Support,
+    sequence: int,
+    outside: str | None,
+    settings: ToolTrackerSettings,
+) -> ToolPose:
+    """Return the pose of a tracked tool.
+
+    Args:
+        tool: the tool.
+        state: of its filter.
+        support: what the state rests on.
+        sequence: number of the frame.
+        outside: what of it lies outside of the volume that is vouched for; None: nothing.
+        settings: limits.
+    """
+    frame = MarkerFrame.of(tool)
+    here = state.covariance[:6, :6]
+    radius = np.array([frame.radius_mm] * 3 + [1.0] * 3)
+    scaled = here * (radius[:, None] * radius)
+    values = np.linalg.eigvalsh(scaled)
+    if not values[-1] <= (settings.fit.most_sd_share * frame.radius_mm) ** 2:
+        judged = observability(np.linalg.inv(scaled), frame, support.sensors, settings.fit)
+        reason = judged.reason or "the pose is not told by what was seen"
+        return without_pose(tool, PoseStatus.MISSING, reason, state.time_ns, sequence)
+    origin, tip = frame.origin_slopes(state.rotation), frame.tip_slopes(state.rotation)
+    tip_covariance = tip @ here @ tip.T
+    tip_sd = float(np.sqrt(np.trace(tip_covariance)))
+    limit = settings.most_tip_sd_mm if tool.most_tip_sd_mm is None else tool.most_tip_sd_mm
+    status, reason = PoseStatus.OK, None
+    if tip_sd > limit:
+        status = PoseStatus.HIGH_ERROR
+        reason = (
+            f"the tip's standard deviation is {tip_sd:.3g} mm, of {int(support.sensors.sum())} "
+            f"readings of {int(support.sensors.any(axis=1).sum())} of {len(tool)} markers; "
+            f"{limit:.3g} mm is the most"
+        )
+    elif outside is not None:
+        status, reason = PoseStatus.OUT_OF_VOLUME, outside
+    return ToolPose(
+        tool.name,
+        status,
+        reason,
+        state.time_ns,
+        sequence,
+        state.rotation,
+        frame.translation(state.rotation, state.centroid_mm),
+        origin @ here @ origin.T,
+        state.centroid_mm + state.rotation @ frame.tip_mm,
+        tip_covariance,
+        support.residual_sigma,
+        int(support.sensors.any(axis=1).sum()),
+        int(support.sensors.sum()),
+        origin_velocity(state, frame),
+        state.turn_rate_rad_s,
+    )
+
+
+def outside_volume(
+    model: ReadingModel,
+    tool: RigidBody,
+    state: PoseState,
+    support: Support,
+    settings: ToolTrackerSettings,
+) -> str | None:
+    """Return what of a tool lies outside of the table's hull or the calibration's volume."""
+    frame = MarkerFrame.of(tool)
+    if settings.volume_mm is not None:
+        low, high = np.array(settings.volume_mm)
+        tip = state.centroid_mm + state.rotation @ frame.tip_mm
+        names = ["the tip", *(f"marker {index + 1}" for index in range(len(tool)))]
+        places = np.vstack([tip, state.places(frame)])
+        beyond = ((places < low) | (places > high)).any(axis=1)
+        if beyond.any():
+            place = places[beyond][0]
+            out = [name for name, far in zip(names, beyond, strict=True) if far]
+            return (
+                f"{_listed(out)} outside of the volume of the calibration, at {_place(place)}; it reaches from "
+                f"{_place(low)} to {_place(high)}"
+            )
+    if model.corrections is not None:
+        inside = model.corrections.at(state.places(frame)).inside
+        foreign = (support.sensors & ~inside).any(axis=1)
+        if foreign.any():
+            names = [f"marker {index + 1}" for index in np.flatnonzero(foreign)]
+            return f"{_listed(names)} where the correction table does not vouch for its readings"
+    return None
+
+
+def _listed(names: Sequence[str]) -> str:
+    if len(names) == 1:
+        return f"{names[0]} is"
+    return f"{', '.join(names[:-1])} and {names[-1]} are"
+
+
+def _place(place: Array) -> str:
+    return "(" + ", ".join(f"{value:.0f}" for value in place) + ") mm"

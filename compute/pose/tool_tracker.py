@@ -1,0 +1,388 @@
+"""ToolTracker: poses of all tools of a device, frame by frame, each with what it is worth."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter
+from compute.mapping.table import CorrectionTable
+from compute.pose.association import FramePeaks, Look, associate
+from compute.pose.lit_start import find_lit
+from compute.pose.marker_frame import MarkerFrame
+from compute.pose.pose_filter import PoseState, predict
+from compute.pose.pose_report import Support, outside_volume, report, without_pose
+from compute.pose.reading_model import ReadingModel
+from compute.pose.rigid_body import RigidBody
+from compute.pose.settings import ToolTrackerSettings
+from compute.pose.strobed_start import Exposure, find_strobed
+from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.reconstruction.estimate import PointBatch
+from compute.reconstruction.points import chi2_limit
+
+Array = NDArray[np.float64]
+
+CYCLES: Final = 2
+"""Exposures of each marker that a strobed tool is found from."""
+WEAK_SHARE: Final = 0.5
+"""A frame that finds fewer than this share of the readings of the frame before is tried again with
+a manoeuvre."""
+
+
+@dataclass(eq=False)
+class _Tool:
+    """A tool and what is known of it.
+
+    Args:
+        body: its markers.
+        errors: number of common errors of its filter.
+        state: of its filter; None: it is lost.
+        seen_ns: when readings last updated it.
+        last: its last updates: time, NIS, readings, which markers and sensors (M, S).
+        exposures: the last exposures of a strobed tool that is lost.
+        fresh: exposures since it was last looked for in vain.
+        status: of a lost tool.
+        reason: why it is lost.
+    """
+
+    body: RigidBody
+    errors: int
+    state: PoseState | None = None
+    seen_ns: int = 0
+    last: deque[tuple[float, int, NDArray[np.bool_]]] = field(default_factory=deque)
+    exposures: deque[Exposure] = field(default_factory=deque)
+    fresh: int = 0
+    status: PoseStatus = PoseStatus.UNKNOWN
+    reason: str = "no exposure could have shown it yet"
+
+    @property
+    def frame(self) -> MarkerFrame:
+        return MarkerFrame.of(self.body)
+
+    def lit(self, marker: int | None) -> NDArray[np.intp]:
+        """Return which of its markers an exposure lights."""
+        if marker is None:
+            return np.arange(len(self.body))
+        slots = self.body.strobe_markers or ()
+        return np.array([slots.index(marker)] if marker in slots else [], dtype=np.intp)
+
+    def lose(self, status: PoseStatus, reason: str) -> None:
+        self.state = None
+        self.last.clear()
+        self.exposures.clear()
+        self.fresh = 0
+        self.status, self.reason = status, reason
+
+    def support(self) -> Support:
+        return Support(
+            tuple(nis for nis, _, _ in self.last),
+            tuple(readings for _, readings, _ in self.last),
+            np.any([sensors for _, _, sensors in self.last], axis=0),
+        )
+
+
+class ToolTracker:
+    """Poses of tools from the peaks of each frame; the same input gives the same poses.
+
+    A tool that is tracked has a filter (``compute.pose.pose_filter``), which every reading of its
+    markers updates, be they lit in turn or together. A strobed tool that is lost is found from the
+    last exposures of its markers, one whose markers are lit together among reconstructed points.
+
+    Args:
+        cameras: S calibrated cameras, one by one or stacked.
+        tools: with names that all differ.
+        settings: limits and tolerances.
+        parameter_covariance: joint covariance of the cameras' parameters, as of ``reconstruct``;
+            None: taken as exact.
+        corrections: correction table of the readings; None: none.
+        pixels: number of pixels of each sensor, to tell what left the field; None: not known.
+
+    Raises:
+        InvalidParameter: two tools have one name, or ``pixels`` are of another number of sensors.
+    """
+
+    def __init__(
+        self,
+        cameras: CameraStack | Sequence[SensorModel],
+        tools: Sequence[RigidBody],
+        settings: ToolTrackerSettings | None = None,
+        parameter_covariance: Array | None = None,
+        corrections: CorrectionTable | None = None,
+        pixels: tuple[int, ...] | None = None,
+    ) -> None:
+        self.model = ReadingModel.of(cameras, parameter_covariance, corrections)
+        self.settings = settings or ToolTrackerSettings()
+        names = [tool.name for tool in tools]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise InvalidParameter(f'two tools are named "{twice[0]}"; names must differ')
+        if pixels is not None and len(pixels) != self.model.sensors:
+            raise InvalidParameter(
+                f"pixels are of {len(pixels)} sensors; there are {self.model.sensors} cameras"
+            )
+        self.pixels = pixels
+        common = self.model.common.shape[2]
+        table = 0 if corrections is None else self.model.sensors
+        self._tools = [_Tool(body, common + table * len(body)) for body in tools]
+        self._time_ns: int | None = None
+
+    @property
+    def tools(self) -> tuple[RigidBody, ...]:
+        """The tools, in the order of the poses."""
+        return tuple(tool.body for tool in self._tools)
+
+    def reset(self) -> None:
+        """Forget where all tools are; needed where time goes back."""
+        self._tools = [_Tool(tool.body, tool.errors) for tool in self._tools]
+        self._time_ns = None
+
+    def keep(self, other: "ToolTracker") -> None:
+        """Go on with what another tracker of the same cameras knows of the same tools."""
+        known = {tool.body.name: tool for tool in other._tools}
+        for tool in self._tools:
+            before = known.get(tool.body.name)
+            if before is None or before.errors != tool.errors:
+                continue
+            same = np.array_equal(before.body.markers_mm, tool.body.markers_mm)
+            if same and before.body.strobe_markers == tool.body.strobe_markers:
+                tool.state, tool.seen_ns, tool.last = before.state, before.seen_ns, before.last
+                tool.exposures, tool.fresh = before.exposures, before.fresh
+                tool.status, tool.reason = before.status, before.reason
+        self._time_ns = other._time_ns
+
+    def step(
+        self,
+        time_ns: int,
+        sequence: int,
+        position_px: Array,
+        sigma_px: Array,
+        peak_flags: NDArray[np.int32],
+        marker: int | None,
+        points: PointBatch | None = None,
+    ) -> tuple[ToolPose, ...]:
+        """Return the pose of every tool at a frame.
+
+        Args:
+            time_ns: middle of the exposure [ns], not before that of the frame before.
+            sequence: number of the frame.
+            position_px: peaks of each sensor, shape (S, K) [px]; NaN where there are fewer than K.
+            sigma_px: their standard deviations, shape (S, K) [px].
+            peak_flags: PeakFlag values, shape (S, K).
+            marker: strobe slot that was lit; None: all markers.
+            points: points reconstructed of this frame, to find tools by their geometry; None: none.
+
+        Raises:
+            InvalidParameter: time goes back, or the peaks are of another number of sensors.
+        """
+        if self._time_ns is not None and time_ns < self._time_ns:
+            raise InvalidParameter(
+                f"the frame at {time_ns} ns comes after that at {self._time_ns} ns; call reset() "
+                "where time goes back"
+            )
+        if position_px.ndim != 2 or len(position_px) != self.model.sensors:
+            raise InvalidParameter(
+                f"position_px has the shape {position_px.shape}; it must be "
+                f"({self.model.sensors}, K)"
+            )
+        self._time_ns = time_ns
+        seen = FramePeaks.of(position_px, sigma_px, peak_flags)
+        looks = self._follow(time_ns, marker, seen)
+        taken = [look for look in looks.values() if look is not None]
+        self._find(time_ns, marker, seen, taken, points)
+        return tuple(
+            self._report(tool, looks.get(index), time_ns, sequence)
+            for index, tool in enumerate(self._tools)
+        )
+
+    def _follow(self, time_ns: int, marker: int | None, seen: FramePeaks) -> dict[int, Look]:
+        """Predict and update the tools that are tracked; drop those not seen for too long."""
+        looks: dict[int, Look] = {}
+        before: dict[int, PoseState] = {}
+        motion = self.settings.motion
+        for index, tool in enumerate(self._tools):
+            if tool.state is None:
+                continue
+            before[index] = tool.state
+            state = predict(tool.state, time_ns, motion)
+            looks[index] = Look(tool.frame, tool.lit(marker), state)
+        associate(self.model, list(looks.values()), seen, self.settings.gate_probability)
+        self._again(looks, before, time_ns, seen)
+        for index, look in looks.items():
+            tool = self._tools[index]
+            tool.state = look.state
+            if look.readings:
+                self._count(tool, look, time_ns)
+            elif 1e-9 * (time_ns - tool.seen_ns) > self.settings.coast_s:
+                self._drop(tool, look)
+        return looks
+
+    def _again(
+        self,
+        looks: dict[int, Look],
+        before: dict[int, PoseState],
+        time_ns: int,
+        seen: FramePeaks,
+    ) -> None:
+        """Try tools that moved as they were not expected to again, with a manoeuvre."""
+        weak = [index for index, look in looks.items() if self._is_weak(self._tools[index], look)]
+        if not weak:
+            return
+        motion = self.settings.motion
+        others = [look for index, look in looks.items() if index not in weak]
+        free = seen.without(others)
+        trials = {
+            index: Look(
+                looks[index].frame,
+                looks[index].lit,
+                predict(before[index], time_ns, motion, motion.manoeuvre),
+            )
+            for index in weak
+        }
+        associate(self.model, list(trials.values()), free, self.settings.gate_probability)
+        for index, trial in trials.items():
+            if trial.readings > looks[index].readings:
+                looks[index] = trial
+
+    def _is_weak(self, tool: _Tool, look: Look) -> bool:
+        if len(look.lit) == 0:
+            return False
+        usual = max((readings for _, readings, _ in tool.last), default=0)
+        return look.misfit or look.readings < WEAK_SHARE * usual
+
+    def _count(self, tool: _Tool, look: Look, time_ns: int) -> None:
+        """Keep what the last frames contributed: one where all markers are lit, else one each."""
+        sensors = np.zeros((len(tool.body), self.model.sensors), dtype=np.bool_)
+        sensors[look.lit] = look.peaks >= 0
+        most = 1 if len(look.lit) == len(tool.body) else len(tool.body)
+        tool.last.append((look.nis, look.readings, sensors))
+        while len(tool.last) > most:
+            tool.last.popleft()
+        tool.seen_ns = time_ns
+
+    def _drop(self, tool: _Tool, look: Look) -> None:
+        """Give a tool up that was predicted for too long, and say where it went."""
+        coast = f"nothing was seen of it for {1e3 * self.settings.coast_s:.3g} ms"
+        if look.misfit:
+            tool.lose(PoseStatus.INVALID, "the readings where it was expected do not fit it")
+            return
+        if self.pixels is not None:
+            places = look.state.places(tool.frame)
+            value = self.model.expected(places)[0]
+            field = (value >= -0.5) & (value <= np.array(self.pixels) - 0.5)
+            if field.sum() < self.settings.fit.least_readings:
+                tool.lose(
+                    PoseStatus.OUT_OF_VIEW,
+                    f"it left the sensors' fields: {int(field.sum())} of its "
+                    f"{field.size} readings would be on the pixels where it was heading; {coast}",
+                )
+                return
+        tool.lose(PoseStatus.MISSING, coast)
+
+    def _find(
+        self,
+        time_ns: int,
+        marker: int | None,
+        seen: FramePeaks,
+        taken: list[Look],
+        points: PointBatch | None,
+    ) -> None:
+        """Look for the tools that are lost."""
+        lost = [tool for tool in self._tools if tool.state is None]
+        together = []
+        for tool in lost:
+            lit = tool.lit(marker)
+            if len(lit) == 0:
+                continue
+            if tool.body.strobe_markers is None or marker is None:
+                together.append(tool)
+            else:
+                self._expose(tool, time_ns, int(lit[0]), seen)
+        if together:
+            self._identify(together, time_ns, seen, taken, points)
+
+    def _expose(self, tool: _Tool, time_ns: int, marker: int, seen: FramePeaks) -> None:
+        """Keep an exposure of a lost strobed tool, and find it when there are enough."""
+        tool.exposures.append(Exposure(time_ns, marker, *seen.single()))
+        oldest = time_ns - round(1e9 * self.settings.window_s)
+        while tool.exposures[0].time_ns < oldest or len(tool.exposures) > CYCLES * len(tool.body):
+            tool.exposures.popleft()
+        tool.fresh += 1
+        shown = [one for one in tool.exposures if np.isfinite(one.readings_px).any()]
+        markers = len({one.marker for one in shown})
+        if not shown and tool.status is PoseStatus.OUT_OF_VIEW:
+            return
+        if tool.status is not PoseStatus.INVALID or markers < 3:
+            tool.status = PoseStatus.MISSING
+            tool.reason = (
+                f"{markers} of {len(tool.body)} markers were seen in the last "
+                f"{1e3 * self.settings.window_s:.3g} ms"
+            )
+        # After a failure a cycle goes by: the same exposures would fail again.
+        if tool.fresh < len(tool.body) or not shown or shown[-1].time_ns != time_ns:
+            return
+        found = find_strobed(self.model, tool.frame, shown, tool.errors, self.settings)
+        tool.fresh = 0
+        if found.state is None:
+            tool.status = PoseStatus.INVALID if found.unfit else PoseStatus.MISSING
+            tool.reason = str(found.reason)
+            return
+        tool.state, tool.seen_ns = found.state, time_ns
+        tool.exposures.clear()
+        tool.last.clear()
+        sensors = np.zeros((len(tool.body), self.model.sensors), dtype=np.bool_)
+        for one in shown:
+            sensors[one.marker] = np.isfinite(one.readings_px)
+        tool.last.append((found.nis, found.readings, sensors))
+
+    def _identify(
+        self,
+        lost: list[_Tool],
+        time_ns: int,
+        seen: FramePeaks,
+        taken: list[Look],
+        points: PointBatch | None,
+    ) -> None:
+        """Find lost tools whose markers are lit together among this frame's points."""
+        found = find_lit(
+            self.model,
+            [tool.body for tool in lost],
+            [tool.errors for tool in lost],
+            time_ns,
+            seen.without(taken),
+            taken,
+            points,
+            self.settings,
+        )
+        for tool, one in zip(lost, found, strict=True):
+            if one.state is None:
+                nothing = one.seen == 0 and tool.status is PoseStatus.OUT_OF_VIEW
+                if not nothing:
+                    tool.status, tool.reason = one.status, one.reason
+                continue
+            tool.state, tool.seen_ns = one.state, time_ns
+            tool.last.clear()
+            tool.last.append((one.nis, int(one.sensors.sum()), one.sensors))
+
+    def _report(self, tool: _Tool, look: Look | None, time_ns: int, sequence: int) -> ToolPose:
+        if tool.state is None:
+            return without_pose(tool.body, tool.status, tool.reason, time_ns, sequence)
+        if look is not None and look.misfit and not look.readings:
+            reason = "the readings where it was expected do not fit it"
+            return without_pose(tool.body, PoseStatus.INVALID, reason, time_ns, sequence)
+        support = tool.support()
+        most = max(support.readings)
+        limit = chi2_limit(most, self.settings.fit.inconsistent_probability) / most
+        residual = support.residual_sigma
+        if residual is not None and residual**2 > limit:
+            reason = (
+                f"its last {sum(support.readings)} readings do not fit it: they are "
+                f"{residual:.3g} deviations off, RMS; {limit**0.5:.3g} is the most"
+            )
+            return without_pose(tool.body, PoseStatus.INVALID, reason, time_ns, sequence)
+        outside = outside_volume(self.model, tool.body, tool.state, support, self.settings)
+        return report(tool.body, tool.state, support, sequence, outside, self.settings)

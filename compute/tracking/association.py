@@ -27,6 +27,8 @@ RELINEARISED_MM = 0.3
 MOST_TURNS = 3
 GIVEN_UP = 0.01
 """Share of joint hypotheses that were not followed, beyond which a track is ambiguous."""
+DOUBTED_SIGMA = 3.0
+"""A reading this far from what all others and the prediction say counts for less."""
 SEEN = 0.5
 """Probability from which a peak is said to be a track's."""
 _REACH = 2.0
@@ -45,7 +47,7 @@ class Associated:
         nis: normalised innovation squared, shape (T,).
         evidence: log likelihood of what was seen, over that of false peaks, shape (T,).
         doubtful: whether hypotheses were given up that might have mattered, shape (T,).
-        taken: peaks that are explained by these tracks, shape (S, K).
+        in_view: how many sensors each place is in the view of, shape (T,).
     """
 
     states: States
@@ -55,7 +57,7 @@ class Associated:
     nis: Array
     evidence: Array
     doubtful: NDArray[np.bool_]
-    taken: NDArray[np.bool_]
+    in_view: NDArray[np.intp]
 
 
 def associate(
@@ -94,7 +96,7 @@ def associate(
         work.nis,
         work.evidence,
         work.doubtful,
-        work.taken,
+        work.predicted.in_view.sum(axis=1),
     )
 
 
@@ -159,6 +161,10 @@ class _Work:
                 break
             used = used.copy()
             used[row[bad], worst[bad]] = False
+        # One that they only doubt may be drawn by a neighbour that is not known.
+        noise = np.where(
+            np.abs(off) > DOUBTED_SIGMA, noise + self.settings.merge_px**2 / 12.0, noise
+        )
         states, log, nis = self._update(used, position, noise, turns=MOST_TURNS if first else 1)
         self.choice = np.where(used, choice, self.choice)
         self.chance = np.where(used, 1.0, self.chance)

@@ -6,8 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.reconstruction.correspondence import group_peaks
+from compute.reconstruction.correspondence import (
+    MatchSettings,
+    PredictedPoints,
+    Predictor,
+    group_peaks,
+)
 from compute.reconstruction.estimate import PointBatch, PointFlag
+from compute.signal.peaks import PeakFlag
 from compute.tracking.frame_peaks import FramePeaks
 
 Array = NDArray[np.float64]
@@ -44,30 +50,61 @@ class FoundPoints:
         return len(self.position_mm)
 
 
-def find_points(solve: Solve, peaks: FramePeaks, free: NDArray[np.bool_]) -> FoundPoints | None:
-    """Return the points of the peaks that are free, shape (S, K); None where there are none."""
-    free = free & peaks.starts
-    counts = free.sum(axis=1)
-    if (counts > 0).sum() < 3:
-        return None
-    # Side by side from the first column on, as ``group_peaks`` wants them.
-    order = np.argsort(~free, axis=1, kind="stable")[:, : int(counts.max())]
-    packed = np.take_along_axis(free, order, axis=1)
-    position = np.where(packed, np.take_along_axis(peaks.position_px, order, axis=1), np.nan)
-    sigma = np.sqrt(np.take_along_axis(peaks.variance_px2, order, axis=1))
-    groups = group_peaks(solve, position, np.where(packed, sigma, np.nan))
-    if len(groups.readings_px) == 0:
-        return None
-    points = solve(groups.readings_px, groups.sigma_px)
-    good = np.isfinite(points.position_mm[:, 0]) & ((points.flags & _NO_POINT) == 0)
-    if not good.any():
-        return None
-    readings = groups.readings_px[good]
-    same = readings[:, :, None] == np.where(free, peaks.position_px, np.nan)[None]
-    return FoundPoints(
-        points.position_mm[good],
-        points.covariance_mm2[good],
-        np.where(same.any(axis=2), same.argmax(axis=2), -1).astype(np.int32),
-        np.where(np.isfinite(readings), groups.sigma_px[good], np.nan),
-        groups.ambiguous[good],
-    )
+@dataclass(frozen=True, eq=False)
+class PointFinder:
+    """Finds points of left-over peaks.
+
+    Args:
+        solve: readings to points.
+        predict: the same sensors, forward.
+        settings: of the grouping.
+    """
+
+    solve: Solve
+    predict: Predictor
+    settings: MatchSettings
+
+    def find(
+        self, peaks: FramePeaks, free: NDArray[np.bool_], expected: PredictedPoints
+    ) -> FoundPoints | None:
+        """Return the points of the peaks that are free, shape (S, K); None where there are none.
+
+        Args:
+            peaks: of the frame.
+            free: which of them to look at.
+            expected: where markers are looked for: three sensors are enough there.
+        """
+        free = free & peaks.starts
+        counts = free.sum(axis=1)
+        if (counts > 0).sum() < 3:
+            return None
+        # Side by side from the first column on, as ``group_peaks`` wants them.
+        order = np.argsort(~free, axis=1, kind="stable")[:, : int(counts.max())]
+        packed = np.take_along_axis(free, order, axis=1)
+        position = np.where(packed, np.take_along_axis(peaks.position_px, order, axis=1), np.nan)
+        sigma = np.sqrt(np.take_along_axis(peaks.variance_px2, order, axis=1))
+        flags = np.where(packed, np.take_along_axis(peaks.flags, order, axis=1), 0)
+        groups = group_peaks(
+            self.solve,
+            position,
+            np.where(packed, sigma, np.nan),
+            predict=self.predict,
+            merged=(flags & PeakFlag.MERGED) != 0,
+            predicted=expected if len(expected) else None,
+            settings=self.settings,
+        )
+        if len(groups) == 0:
+            return None
+        points = self.solve(groups.readings_px, groups.sigma_px)
+        good = np.isfinite(points.position_mm[:, 0]) & ((points.flags & _NO_POINT) == 0)
+        if not good.any():
+            return None
+        place = groups.peaks[good]
+        given = np.take_along_axis(order.T, np.maximum(place, 0), axis=0)
+        return FoundPoints(
+            points.position_mm[good],
+            points.covariance_mm2[good],
+            np.where(place >= 0, given, -1).astype(np.int32),
+            np.where(place >= 0, groups.sigma_px[good], np.nan),
+            groups.ambiguous[good],
+        )

@@ -17,6 +17,10 @@ FOUND_AGAIN = 1e-4
 """Chance that a lost marker is not known again though it moved as it was believed to."""
 EXCHANGED = 0.01
 """Chance of a difference in place and velocity beyond which two tracks are told apart."""
+WEAK_EXPOSURES = 5
+"""A track that so many more exposures did not vouch for than did may be at a ghost."""
+VOUCHING_SENSORS = 4
+"""Three planes meet anywhere: the fourth says that they do where a marker is."""
 _MOTION = 6
 
 
@@ -30,6 +34,40 @@ def confirmable(tracks: Tracks, settings: TrackerSettings) -> NDArray[np.intp]:
     good = ~tracks.confirmed & (tracks.hits >= settings.confirm_hits)
     good &= tracks.evidence >= enough
     return np.flatnonzero(good)
+
+
+def count_weak(tracks: Tracks, rows: NDArray[np.intp], degrees: Array, in_view: Array) -> None:
+    """Count, for these tracks, exposures of fewer sensors than vouch for a place; forget others.
+
+    Args:
+        tracks: all.
+        rows: of those that were looked for.
+        degrees: how many sensors saw each of them.
+        in_view: how many could have.
+    """
+    weak = tracks.weak[rows]
+    step = np.where(degrees >= VOUCHING_SENSORS, -1, np.where(in_view >= VOUCHING_SENSORS, 1, 0))
+    tracks.weak[rows] = np.clip(weak + step, 0, 2 * WEAK_EXPOSURES)
+
+
+def replaced(
+    tracks: Tracks, peaks: NDArray[np.int32], row: int, others: NDArray[np.intp]
+) -> int | None:
+    """Return which weak track lives on peaks of this new marker; None: none.
+
+    Args:
+        tracks: all.
+        peaks: what each saw now, shape (T, S).
+        row: the new marker's; four sensors have seen it.
+        others: rows that are asked.
+    """
+    weak = others[tracks.weak[others] >= WEAK_EXPOSURES]
+    weak = weak[weak != row]
+    if len(weak) == 0:
+        return None
+    same = ((peaks[weak] == peaks[row]) & (peaks[row] >= 0)).sum(axis=1)
+    best = int(same.argmax())
+    return int(weak[best]) if same[best] >= 2 else None
 
 
 def lost_one(

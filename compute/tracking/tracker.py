@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
-from compute.reconstruction.estimate import PointBatch
+from compute.reconstruction.correspondence import MatchSettings, Predictor
 from compute.tracking.association import associate
 from compute.tracking.frame_peaks import FramePeaks
-from compute.tracking.left_over import FoundPoints, find_points
-from compute.tracking.life_cycle import confirmable, ended, exchangeable, lost_one
+from compute.tracking.left_over import PointFinder
+from compute.tracking.life_cycle import count_weak, exchangeable
 from compute.tracking.motion_model import MotionModels
-from compute.tracking.new_states import new_states
-from compute.tracking.point_matching import match_points, update_by_points
+from compute.tracking.newcomers import Newcomers
 from compute.tracking.reading_model import ReadingModel
 from compute.tracking.report import batch_of
 from compute.tracking.seen import Seen
@@ -26,6 +25,7 @@ from compute.tracking.tracks import Tracks
 
 Array = NDArray[np.float64]
 
+STANDARD = TrackerSettings()
 BEYOND_DOUBT = log(1000.0)
 """Evidence of one exposure that a confirmed track lives."""
 STALE_MM = 5.0
@@ -52,7 +52,7 @@ class Tracker:
     def __init__(
         self,
         cameras: CameraStack,
-        settings: TrackerSettings | None = None,
+        settings: TrackerSettings = STANDARD,
         parameter_covariance: Array | None = None,
         corrections: CorrectionTable | None = None,
         pixels: tuple[int, ...] | None = None,
@@ -60,21 +60,24 @@ class Tracker:
         # Here and not above: Warp takes a second to load, and the types are used without it.
         from compute.reconstruction.solver import PointSolver
 
-        self.settings = settings or TrackerSettings()
+        self.settings = settings
         self.model = ReadingModel(cameras, parameter_covariance, corrections, pixels)
-        self.motion = MotionModels.of(self.settings)
-        self._solver = PointSolver(cameras, parameter_covariance, corrections, "cpu", threads=1)
-        self._next = 1
-        self._clear()
+        self.motion = MotionModels.of(settings)
+        solver = PointSolver(cameras, parameter_covariance, corrections, "cpu", threads=1)
+        finder = PointFinder(
+            lambda readings, sigma: solver.solve(readings, np.where(sigma > 0.0, sigma, 1.0)),
+            Predictor(cameras, parameter_covariance, corrections, pixels),
+            MatchSettings(settings.detection, settings.false_per_px),
+        )
+        self._newcomers = Newcomers(self.model, self.motion, settings, finder)
+        self._tracks = Tracks.empty(len(self.motion), len(self.model))
+        self._time_ns: int | None = None
 
     def reset(self) -> None:
         """Forget all tracks; the next ones have new numbers."""
-        self._clear()
-
-    def _clear(self) -> None:
         self._tracks = Tracks.empty(len(self.motion), len(self.model))
-        self._time_ns: int | None = None
-        self._searched_ns: int | None = None
+        self._time_ns = None
+        self._newcomers.reset()
 
     def step(
         self,
@@ -113,9 +116,9 @@ class Tracker:
         part = self._taking_part(marker)
         self._predict(part, time_ns)
         followed = part[tracks.confirmed[part]]
-        free = self._follow(followed, peaks, seen, marker, time_ns)
-        self._find(part, seen, peaks, free, marker, time_ns)
-        return batch_of(self.model, self.motion, self._tracks, self._seen, peaks, time_ns)
+        self._follow(followed, peaks, seen, marker, time_ns)
+        self._tracks, seen = self._newcomers.find(tracks, part, seen, peaks, marker, time_ns)
+        return batch_of(self.model, self.motion, self._tracks, seen, peaks, time_ns)
 
     def _taking_part(self, marker: int | None) -> NDArray[np.intp]:
         """Return the rows of tracks that this exposure may show."""
@@ -156,12 +159,11 @@ class Tracker:
         seen: Seen,
         marker: int | None,
         time_ns: int,
-    ) -> NDArray[np.bool_]:
-        """Update confirmed tracks; return which peaks they leave free, shape (S, K)."""
+    ) -> None:
+        """Update confirmed tracks."""
         tracks = self._tracks
-        free = peaks.usable
-        if len(rows) == 0 or not free.any():
-            return free
+        if len(rows) == 0 or not peaks.usable.any():
+            return
         found = associate(
             self.model,
             self.motion,
@@ -174,148 +176,13 @@ class Tracker:
         seen.peaks[rows], seen.nis[rows] = found.peaks, found.nis
         seen.merged[rows] = found.merged.any(axis=1)
         seen.doubtful[rows] = found.doubtful
+        degrees = (found.peaks >= 0).sum(axis=1)
+        count_weak(tracks, rows, degrees, found.in_view)
         alive = rows[found.evidence >= BEYOND_DOUBT]
         tracks.seen_ns[alive] = time_ns
         if marker is not None:
-            known = rows[(found.peaks >= 0).sum(axis=1) >= 3]
+            known = rows[degrees >= 3]
             tracks.marker[known] = marker
             tracks.uncertain[known] = False
         else:
             tracks.uncertain[exchangeable(self.motion, tracks, rows)] = True
-        return free & ~found.taken
-
-    def _find(
-        self,
-        part: NDArray[np.intp],
-        seen: Seen,
-        peaks: FramePeaks,
-        free: NDArray[np.bool_],
-        marker: int | None,
-        time_ns: int,
-    ) -> None:
-        """Match points of left-over peaks with open tracks, start new ones, confirm and end."""
-        tracks = self._tracks
-        degrees = seen.degrees()[part]
-        open_ = part[(degrees < 3) | ~tracks.confirmed[part]]
-        started = None
-        last = self._searched_ns
-        due = last is None or time_ns - last >= round(self.settings.start_every_s * 1e9)
-        if due or len(open_):
-            self._searched_ns = time_ns
-            points = find_points(self._solve, peaks, free)
-            if points is not None:
-                started = self._match(open_, points, seen, peaks, marker, time_ns)
-        tentative = part[~tracks.confirmed[part]]
-        tracks.misses[tentative[seen.degrees()[tentative] == 0]] += 1
-        if started is not None:
-            self._tracks = tracks = tracks.joined(started)
-            seen = seen.joined(self._started_seen)
-        keep = self._confirm(part, seen, time_ns)
-        keep &= ~ended(tracks, self.settings, time_ns)
-        if not keep.all():
-            self._tracks, seen = tracks.rows(keep), seen.rows(keep)
-        self._seen = seen
-
-    def _match(
-        self,
-        open_: NDArray[np.intp],
-        points: FoundPoints,
-        seen: Seen,
-        peaks: FramePeaks,
-        marker: int | None,
-        time_ns: int,
-    ) -> Tracks | None:
-        """Update open tracks by their points; return the tracks that the others start."""
-        tracks, settings = self._tracks, self.settings
-        rows, columns = match_points(self.motion, tracks.states.rows(open_), points)
-        rows = open_[rows]
-        sensor = np.arange(len(self.model))
-        if len(rows):
-            chosen = points.peaks[columns]
-            at = np.maximum(chosen, 0)
-            # A sensor whose peak the track has already says nothing new.
-            new = (chosen >= 0) & (seen.peaks[rows] < 0)
-            update = update_by_points(
-                self.model,
-                self.motion,
-                settings,
-                tracks.states.rows(rows),
-                tracks.bias[rows],
-                np.where(new, peaks.position_px[sensor, at], np.nan),
-                peaks.variance_px2[sensor, at],
-                points.position_mm[columns],
-            )
-            tracks.states.put(rows, update.states)
-            seen.peaks[rows] = np.where(new, chosen, seen.peaks[rows])
-            seen.nis[rows] += update.nis
-            tracks.hits[rows] += 1
-            tracks.evidence[rows] += update.evidence
-            tracks.seen_ns[rows] = time_ns
-            doubt = points.ambiguous[columns]
-            tracks.uncertain[rows] = np.where(
-                tracks.confirmed[rows],
-                tracks.uncertain[rows] | doubt,
-                tracks.uncertain[rows] & doubt,
-            )
-            if marker is not None:
-                tracks.marker[rows] = marker
-        others = np.setdiff1d(np.arange(len(points)), columns)
-        if marker is not None:
-            known = tracks.confirmed & (tracks.marker == marker)
-            if (known & (seen.degrees() >= 3)).any():
-                return None
-        if len(others) == 0:
-            return None
-        return self._start(points, others, marker, time_ns)
-
-    def _start(
-        self, points: FoundPoints, rows: NDArray[np.intp], marker: int | None, time_ns: int
-    ) -> Tracks:
-        """Return tentative tracks at these points."""
-        place = points.position_mm[rows]
-        states, bias = new_states(
-            self.model, self.motion, self.settings, place, points.sigma_px[rows]
-        )
-        count = len(rows)
-        identity = np.arange(self._next, self._next + count, dtype=np.int64)
-        self._next += count
-        started = Seen.nothing(count, len(self.model))
-        started.peaks[:] = points.peaks[rows]
-        self._started_seen = started
-        return Tracks(
-            states,
-            identity,
-            np.full(count, -1 if marker is None else marker, dtype=np.int32),
-            np.zeros(count, dtype=np.bool_),
-            points.ambiguous[rows].copy(),
-            np.full(count, time_ns, dtype=np.int64),
-            np.full(count, time_ns, dtype=np.int64),
-            np.zeros(count, dtype=np.int32),
-            np.zeros(count, dtype=np.int32),
-            np.zeros(count),
-            bias,
-            place,
-        )
-
-    def _confirm(
-        self, part: NDArray[np.intp], seen: Seen, time_ns: int
-    ) -> NDArray[np.bool_]:
-        """Confirm tracks, as the lost ones that they are; return which tracks to keep."""
-        tracks = self._tracks
-        keep = np.ones(len(tracks), dtype=np.bool_)
-        for row in confirmable(tracks, self.settings):
-            lost = part[tracks.confirmed[part] & (tracks.seen_ns[part] < time_ns) & keep[part]]
-            tracks.confirmed[row] = True
-            found = lost_one(self.motion, tracks, int(row), lost)
-            if found is None:
-                continue
-            old, ambiguous = found
-            keep[old] = False
-            tracks.identity[row] = tracks.identity[old]
-            if tracks.marker[row] < 0:
-                tracks.marker[row] = tracks.marker[old]
-            tracks.uncertain[row] |= ambiguous | tracks.uncertain[old]
-        return keep
-
-    def _solve(self, readings_px: Array, sigma_px: Array) -> PointBatch:
-        return self._solver.solve(readings_px, np.where(np.isfinite(sigma_px), sigma_px, 1.0))

@@ -25,6 +25,8 @@ class Tracks:
         seen_ns: when it was last seen beyond doubt, int64, shape (T,).
         hits: exposures that saw an unconfirmed track after its first, int32, shape (T,).
         misses: exposures that did not, int32, shape (T,).
+        weak: how often, lately, too few sensors saw a confirmed one to vouch for it, int32, shape
+            (T,).
         evidence: log likelihood ratio of an unconfirmed track to false peaks, shape (T,).
         bias: covariance of the readings' constant errors at ``bias_mm``, shape (T, S, S) [px^2].
         bias_mm: where that was worked out, shape (T, 3).
@@ -39,6 +41,7 @@ class Tracks:
     seen_ns: NDArray[np.int64]
     hits: NDArray[np.int32]
     misses: NDArray[np.int32]
+    weak: NDArray[np.int32]
     evidence: Array
     bias: Array
     bias_mm: Array
@@ -54,6 +57,7 @@ class Tracks:
             np.empty(0, np.bool_),
             np.empty(0, np.int64),
             np.empty(0, np.int64),
+            np.empty(0, np.int32),
             np.empty(0, np.int32),
             np.empty(0, np.int32),
             np.empty(0),

@@ -1,0 +1,229 @@
+"""Newcomers: markers found in left-over peaks, as new tracks or as those that were lost."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.reconstruction.correspondence import PredictedPoints
+from compute.tracking.frame_peaks import FramePeaks
+from compute.tracking.left_over import FoundPoints, PointFinder
+from compute.tracking.life_cycle import (
+    VOUCHING_SENSORS,
+    WEAK_EXPOSURES,
+    confirmable,
+    ended,
+    lost_one,
+    replaced,
+)
+from compute.tracking.motion_model import MotionModels
+from compute.tracking.new_states import new_states
+from compute.tracking.point_matching import match_points, update_by_points
+from compute.tracking.reading_model import ReadingModel
+from compute.tracking.seen import Seen
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.states import combined
+from compute.tracking.tracks import Tracks
+
+Array = NDArray[np.float64]
+
+
+class Newcomers:
+    """Starts, confirms, finds again and ends tracks; counts their identity numbers.
+
+    A tentative track is followed by points of at least three sensors, found among the peaks that
+    confirmed tracks leave: a ghost of theirs has none.
+
+    Args:
+        model: of the readings.
+        motion: M models.
+        settings: of the tracker.
+        finder: of points.
+    """
+
+    def __init__(
+        self,
+        model: ReadingModel,
+        motion: MotionModels,
+        settings: TrackerSettings,
+        finder: PointFinder,
+    ) -> None:
+        self._model, self._motion, self._settings = model, motion, settings
+        self._finder = finder
+        self._next = 1
+        self._searched_ns: int | None = None
+
+    def reset(self) -> None:
+        """Forget when it was searched; numbers go on."""
+        self._searched_ns = None
+
+    def find(
+        self,
+        tracks: Tracks,
+        part: NDArray[np.intp],
+        seen: Seen,
+        peaks: FramePeaks,
+        marker: int | None,
+        time_ns: int,
+    ) -> tuple[Tracks, Seen]:
+        """Return the tracks after the search, and what they saw.
+
+        Args:
+            tracks: all; those that take part are changed.
+            part: rows of those that the exposure may show.
+            seen: what they saw so far.
+            peaks: of the frame.
+            marker: the one that was lit; None: all were.
+            time_ns: of the frame.
+        """
+        degrees = seen.degrees()[part]
+        open_ = part[(degrees < 3) | ~tracks.confirmed[part]]
+        last = self._searched_ns
+        due = last is None or time_ns - last >= round(self._settings.start_every_s * 1e9)
+        new: tuple[Tracks, Seen] | None = None
+        if due or len(open_):
+            self._searched_ns = time_ns
+            # What a weak track has may be another marker's; it may find it again itself.
+            weak = tracks.confirmed & (tracks.weak >= WEAK_EXPOSURES)
+            open_ = np.union1d(open_, part[weak[part]])
+            free = _free(peaks, seen, weak)
+            points = self._finder.find(peaks, free, self._expected(tracks, open_))
+            if points is not None:
+                others = self._match(tracks, open_, points, seen, peaks, marker, time_ns)
+                if len(others):
+                    new = self._start(points, others, marker, time_ns)
+        tentative = part[~tracks.confirmed[part]]
+        tracks.misses[tentative[seen.degrees()[tentative] == 0]] += 1
+        if new is not None:
+            tracks, seen = tracks.joined(new[0]), seen.joined(new[1])
+        keep = self._confirm(tracks, part, seen, time_ns)
+        keep &= ~ended(tracks, self._settings, time_ns)
+        return (tracks, seen) if keep.all() else (tracks.rows(keep), seen.rows(keep))
+
+    def _expected(self, tracks: Tracks, rows: NDArray[np.intp]) -> PredictedPoints:
+        whole = combined(self._motion, tracks.states.rows(rows))
+        return PredictedPoints(whole.mean[:, :3], whole.covariance[:, :3, :3])
+
+    def _match(
+        self,
+        tracks: Tracks,
+        open_: NDArray[np.intp],
+        points: FoundPoints,
+        seen: Seen,
+        peaks: FramePeaks,
+        marker: int | None,
+        time_ns: int,
+    ) -> NDArray[np.intp]:
+        """Update open tracks by their points; return the points that start others."""
+        rows, columns = match_points(self._motion, tracks.states.rows(open_), points)
+        rows = open_[rows]
+        if len(rows):
+            self._update(tracks, rows, points, columns, seen, peaks, time_ns)
+            if marker is not None:
+                tracks.marker[rows] = marker
+        if marker is not None:
+            known = tracks.confirmed & (tracks.marker == marker)
+            if (known & (seen.degrees() >= 3)).any():
+                return np.empty(0, dtype=np.intp)
+        return np.setdiff1d(np.arange(len(points)), columns)
+
+    def _update(
+        self,
+        tracks: Tracks,
+        rows: NDArray[np.intp],
+        points: FoundPoints,
+        columns: NDArray[np.intp],
+        seen: Seen,
+        peaks: FramePeaks,
+        time_ns: int,
+    ) -> None:
+        """Update tracks by the readings of their points."""
+        sensor = np.arange(len(self._model))
+        chosen = points.peaks[columns]
+        at = np.maximum(chosen, 0)
+        # A sensor whose peak the track has already says nothing new.
+        fresh = (chosen >= 0) & (seen.peaks[rows] < 0)
+        update = update_by_points(
+            self._model,
+            self._motion,
+            self._settings,
+            tracks.states.rows(rows),
+            tracks.bias[rows],
+            np.where(fresh, peaks.position_px[sensor, at], np.nan),
+            peaks.variance_px2[sensor, at],
+            points.position_mm[columns],
+        )
+        tracks.states.put(rows, update.states)
+        seen.peaks[rows] = np.where(fresh, chosen, seen.peaks[rows])
+        seen.nis[rows] += update.nis
+        tracks.hits[rows] += 1
+        tracks.evidence[rows] += update.evidence
+        tracks.seen_ns[rows] = time_ns
+        confirmed, doubt = tracks.confirmed[rows], points.ambiguous[columns] & fresh.any(axis=1)
+        tracks.uncertain[rows] = np.where(
+            confirmed, tracks.uncertain[rows] | doubt, tracks.uncertain[rows] & doubt
+        )
+
+    def _start(
+        self,
+        points: FoundPoints,
+        rows: NDArray[np.intp],
+        marker: int | None,
+        time_ns: int,
+    ) -> tuple[Tracks, Seen]:
+        """Return tentative tracks at these points, and what they saw."""
+        place = points.position_mm[rows]
+        states, bias = new_states(
+            self._model, self._motion, self._settings, place, points.sigma_px[rows]
+        )
+        count = len(rows)
+        identity = np.arange(self._next, self._next + count, dtype=np.int64)
+        self._next += count
+        seen = Seen.nothing(count, len(self._model))
+        seen.peaks[:] = points.peaks[rows]
+        tracks = Tracks(
+            states,
+            identity,
+            np.full(count, -1 if marker is None else marker, dtype=np.int32),
+            np.zeros(count, dtype=np.bool_),
+            points.ambiguous[rows].copy(),
+            np.full(count, time_ns, dtype=np.int64),
+            np.full(count, time_ns, dtype=np.int64),
+            np.zeros(count, dtype=np.int32),
+            np.zeros(count, dtype=np.int32),
+            np.zeros(count, dtype=np.int32),
+            np.zeros(count),
+            bias,
+            place,
+        )
+        return tracks, seen
+
+    def _confirm(
+        self, tracks: Tracks, part: NDArray[np.intp], seen: Seen, time_ns: int
+    ) -> NDArray[np.bool_]:
+        """Confirm tracks, as the lost ones that they are; return which tracks to keep."""
+        keep = np.ones(len(tracks), dtype=np.bool_)
+        degrees = seen.degrees()
+        for row in confirmable(tracks, self._settings):
+            others = part[tracks.confirmed[part] & keep[part]]
+            lost = others[tracks.seen_ns[others] < time_ns]
+            tracks.confirmed[row] = True
+            found = lost_one(self._motion, tracks, int(row), lost)
+            if found is None and degrees[row] >= VOUCHING_SENSORS:
+                ghost = replaced(tracks, seen.peaks, int(row), others)
+                found = None if ghost is None else (ghost, True)
+            if found is None:
+                continue
+            old, ambiguous = found
+            keep[old] = False
+            tracks.identity[row] = tracks.identity[old]
+            if tracks.marker[row] < 0:
+                tracks.marker[row] = tracks.marker[old]
+            tracks.uncertain[row] |= ambiguous | tracks.uncertain[old]
+        return keep
+
+
+def _free(peaks: FramePeaks, seen: Seen, weak: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which peaks no track explains that is to be relied on, shape (S, K)."""
+    free = peaks.usable.copy()
+    track, sensor = np.nonzero((seen.peaks >= 0) & ~weak[:, None])
+    free[sensor, seen.peaks[track, sensor]] = False
+    return free

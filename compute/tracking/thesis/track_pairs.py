@@ -45,6 +45,7 @@ class TrackPairs:
         self._density = density
         self._history: dict[tuple[int, int], tuple[float, ...]] = {}
         self._side: dict[tuple[int, int], float] = {}
+        self._centre: dict[int, float] = {}
 
     def step(self, intervals: Mapping[int, PositionInterval]) -> dict[tuple[int, int], PairState]:
         """Return the states of the pairs that meet, or have met in the last two scans.
@@ -69,10 +70,17 @@ class TrackPairs:
                 p = exchange_probability(one, other, self._density) if meet else 0.0
                 history[key] = (*before[-2:], p)
                 together = p >= self._threshold
-                side = self._side.get(key, 0.0)
+                side = self._side.get(key, self._last_side(*key))
                 sides[key] = side if together else float(np.sign(apart))
                 states[key] = PairState(
                     p, together, transition(history[key], self._threshold), side
                 )
         self._history, self._side = history, sides
+        self._centre = {number: one.centre_px for number, one in intervals.items()}
         return states
+
+    def _last_side(self, first: int, second: int) -> float:
+        """Return the side of a pair that did not meet in the scan before."""
+        if first not in self._centre or second not in self._centre:
+            return 0.0
+        return float(np.sign(self._centre[second] - self._centre[first]))

@@ -217,16 +217,27 @@ def test_targets_that_meet_and_part_again_keep_their_sides() -> None:
     np.testing.assert_allclose(tracks[1].position_px, 100.0 + apart)
 
 
-def test_after_a_crossing_points_are_on_exchanged_sides() -> None:
-    """One scan on the same track; the points after it are nearer to the wrong predictions."""
+def test_the_side_is_that_of_before_the_meeting() -> None:
     pairs = TrackPairs(0.5, "even")
     states = [
         pairs.step({1: PositionInterval(left, 5.0), 2: PositionInterval(right, 5.0)})[1, 2]
-        for left, right in ((90.0, 99.0), (99.0, 100.0), (108.0, 99.0))
+        for left, right in ((90.0, 99.0), (101.0, 100.0), (108.0, 99.0))
     ]
     assert [state.together for state in states] == [False, True, False]
     assert states[2].transition is Transition.CROSS
     assert states[2].side == 1.0
+
+
+def test_after_a_crossing_points_are_on_exchanged_sides() -> None:
+    """The third condition, to the letter: together in one scan only is a crossing."""
+    apart, near = [100.0, 110.0], [104.0, 106.0]
+    # They are predicted to be together in the scan after they came near, and apart again later.
+    left, right = followed([*[apart] * 10, near, apart, apart], least=5.0)
+    assert left.position_px.tolist() == [*[100.0] * 10, 104.0, 100.0, 110.0]
+    assert right.position_px.tolist() == [*[110.0] * 10, 106.0, 110.0, 100.0]
+    # Together in two scans, they split: the dynamic model keeps them where they were.
+    left, right = followed([*[apart] * 10, near, near, apart, apart], least=5.0)
+    assert left.position_px[-1] == 100.0
 
 
 def test_refused() -> None:

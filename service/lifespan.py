@@ -16,6 +16,7 @@ from service.live.hub import Hub
 from service.live.manager import LiveManager
 from service.metrics.live import LiveCollector
 from service.metrics.stored import DatabaseCollector, RecordingsCollector
+from service.openigtlink.run import openigtlink_running
 from service.quality.watch import Watch
 from service.recordings.manager import Recordings
 from service.runs.manager import RunManager
@@ -82,6 +83,7 @@ async def running(
             DatabaseCollector(database, runs.durations),
             RecordingsCollector(recordings),
         )
+        await stack.enter_async_context(openigtlink_running(app, settings, recordings))
         if started is not None:
             started()
         yield

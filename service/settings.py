@@ -16,6 +16,8 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
+from service.navigation.allow_list import AllowList
+
 
 def default_data_dir() -> Path:
     """Return ``$XDG_DATA_HOME/lumiline``, by default ``~/.local/share/lumiline``."""
@@ -101,7 +103,28 @@ class Settings(BaseSettings):
     oidc_scope_claim: str = Field(default="scope", min_length=1)
     """The tokens' member with the scopes: a text with spaces, or a list."""
 
-    @field_validator("trusted_proxies")
+    openigtlink_port: int | None = Field(default=None, ge=0, le=65535)
+    """Port of the OpenIGTLink server; 18944 is the usual one; None: there is none."""
+    openigtlink_host: str = "127.0.0.1"
+    """Address that it listens on; another than loopback needs ``openigtlink_allow``."""
+    openigtlink_allow: tuple[str, ...] = ()
+    """Addresses or networks of its clients, besides this machine's: the protocol has no keys."""
+    openigtlink_device: str | None = None
+    """The device whose tools it sends; None: the first that has any."""
+    openigtlink_rate_hz: float = Field(default=250.0, gt=0.0, le=10_000.0)
+    """Most frames that one client gets a second, the newest each time."""
+    openigtlink_clients: int = Field(default=16, ge=1, le=1000)
+    """Most clients at the same time."""
+    openigtlink_stall_s: float = Field(default=10.0, gt=0.0, le=3600.0)
+    """How long a client may read nothing before it is disconnected [s]."""
+    openigtlink_message_s: float = Field(default=30.0, gt=0.0, le=3600.0)
+    """Within which a message of a client has to arrive [s]."""
+    openigtlink_send_invalid: bool = False
+    """Send poses that are not OK, too, marked so, to clients of header version 2."""
+    openigtlink_changes: bool = False
+    """Let clients begin and end recordings, and set transforms; nobody knows who they are."""
+
+    @field_validator("trusted_proxies", "openigtlink_allow")
     @classmethod
     def _addresses(cls, given: tuple[str, ...]) -> tuple[str, ...]:
         for one in given:
@@ -113,7 +136,7 @@ class Settings(BaseSettings):
                     "10.0.0.0/24"
                 ) from None
             if found.prefixlen == 0:
-                raise ValueError(f"{one!r} is every address; name the proxies")
+                raise ValueError(f"{one!r} is every address; name those that are meant")
         return given
 
     @field_validator("oidc_issuer", "oidc_jwks_url")
@@ -130,6 +153,7 @@ class Settings(BaseSettings):
     def _complete(self) -> "Settings":
         if self.oidc_issuer is not None and not self.oidc_audience:
             raise ValueError("oidc_issuer needs oidc_audience: tokens for others are not ours")
+        _check_reach("openigtlink", self.openigtlink_host, self.openigtlink_allow)
         return self
 
     @property
@@ -159,6 +183,15 @@ class Settings(BaseSettings):
                 raise FileNotFoundError(f"LUMILINE_CONFIG names {file}, which is not a file")
             return init_settings, env_settings
         return init_settings, env_settings, TomlConfigSettingsSource(settings_cls, toml_file=file)
+
+
+def _check_reach(protocol: str, host: str, allow: tuple[str, ...]) -> None:
+    """Refuse a port that others reach, of a protocol without keys, unless it says which others."""
+    if not (host == "localhost" or AllowList().lets_in(host) or allow):
+        raise ValueError(
+            f"{protocol}_host {host} is reached from other machines, and the protocol has no keys: "
+            f"name the clients' addresses in {protocol}_allow"
+        )
 
 
 def _check_environment(settings: set[str]) -> None:

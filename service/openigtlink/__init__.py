@@ -1,0 +1,1 @@
+"""OpenIGTLink: poses of tools for navigation software, and what it may ask for and command."""

@@ -1,0 +1,211 @@
+"""What a client's message is answered with."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final
+
+from compute.errors import LumilineError
+from service.openigtlink.command_xml import Asked, Reply, read_asked, reply_metadata, write_reply
+from service.openigtlink.commands import Commands
+from service.openigtlink.counters import Counters
+from service.openigtlink.errors import BadMessage, CommandRefused
+from service.openigtlink.host import Host, WireTool
+from service.openigtlink.message import Message
+from service.openigtlink.points import wanted_points
+from service.openigtlink.pose_contents import Point, read_start, write_points
+from service.openigtlink.session import SERVER, Kind, Session, Wanted
+from service.openigtlink.snapshot import Snapshot
+from service.openigtlink.text_contents import (
+    Command,
+    StatusCode,
+    read_command,
+    read_string,
+    write_capability,
+    write_command,
+    write_result,
+    write_string,
+)
+
+_KINDS: Final[dict[str, Kind]] = {
+    "TRANS": "TRANSFORM",
+    # What is left of GET_TRANSFORM in a field of 12 bytes.
+    "TRANSFOR": "TRANSFORM",
+    "POSITION": "POSITION",
+    "TDATA": "TDATA",
+    "QTDATA": "QTDATA",
+}
+_ASKED: Final = ("GET_STATUS", "GET_CAPABIL", "GET_POINT", "STRING", "COMMAND", "STATUS")
+KNOWN: Final = frozenset(
+    (*_ASKED, *(f"{prefix}_{kind}" for prefix in ("GET", "STT", "STP") for kind in _KINDS))
+)
+"""Types that are read; others are skipped."""
+_OLD_COMMAND: Final = "CMD_"
+_OLD_REPLY: Final = "ACK_"
+
+
+class Answers:
+    """Answers messages; what takes its time is awaited.
+
+    Args:
+        host: the application.
+        newest: returns the newest poses.
+        tools: returns the tools that are known.
+        counters: of the server.
+        invalid: whether poses that are not OK are sent.
+        changes: whether clients may change anything.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        newest: Callable[[], Snapshot | None],
+        tools: Callable[[], Sequence[WireTool]],
+        counters: Counters,
+        *,
+        invalid: bool,
+        changes: bool,
+    ) -> None:
+        self._host = host
+        self._newest = newest
+        self._tools = tools
+        self._counters = counters
+        self._invalid = invalid
+        self._commands = Commands(host, newest, changes=changes)
+
+    def at_once(self, session: Session, message: Message) -> Sequence[Message] | None:
+        """Return the answers to a message; None: ``later`` has them.
+
+        Raises:
+            BadMessage: its content is none of its type.
+        """
+        prefix, _, rest = message.type.partition("_")
+        kind = _KINDS.get(rest)
+        if message.type in ("COMMAND", "GET_POINT") or _is_command(message):
+            return None
+        if message.type == "GET_STATUS":
+            return [self._status(session, message)]
+        if message.type == "GET_CAPABIL":
+            content = write_capability(sorted(KNOWN))
+            return [_answer(session, message, "CAPABILITY", content)]
+        if kind is None:
+            return []  # STATUS keeps a connection alive; a STRING is none of our business
+        if prefix == "GET":
+            return self._current(session, message, kind)
+        return self._stream(session, message, kind, rest, begin=prefix == "STT")
+
+    async def later(self, session: Session, message: Message) -> Sequence[Message]:
+        """Return the answers to a message that take their time.
+
+        Raises:
+            BadMessage: its content is none of its type.
+        """
+        if message.type == "GET_POINT":
+            return [await self._points(session, message)]
+        if message.type == "STRING":
+            reply = await self._run(session, "", read_string(message.content))
+            device = f"{_OLD_REPLY}{message.device[len(_OLD_COMMAND) :]}"[:20]
+            answer = _answer(session, message, "STRING", write_string(write_reply(None, reply)))
+            return [replace(answer, device=device)]
+        command = read_command(message.content)
+        reply = await self._run(session, command.name, command.text)
+        text = write_reply(command.name, reply)
+        answer = _answer(
+            session,
+            message,
+            "RTS_COMMAND",
+            write_command(Command(command.number, command.name, text)),
+        )
+        return [replace(answer, metadata=reply_metadata(reply) if session.version > 1 else {})]
+
+    async def _run(self, session: Session, name: str, text: str) -> Reply:
+        try:
+            asked: Asked = read_asked(name, text)
+            reply = await self._commands.run(asked, session.address)
+        except CommandRefused as error:
+            reply = Reply(done=False, message=error.detail)
+        if not reply.done:
+            self._counters.commands_refused += 1
+        return reply
+
+    def _status(self, session: Session, message: Message) -> Message:
+        snapshot = self._newest()
+        if snapshot is None:
+            text = "no device with tools runs now"
+            return session.status(StatusCode.NOT_READY, "NotReady", text, message.device or SERVER)
+        found = session.pose_status(snapshot, message.device)
+        if found is not None:
+            return found
+        seen = sum(pose.valid for pose in snapshot.poses)
+        text = (
+            f"device {snapshot.entry.device_id}: {seen} of {len(snapshot.poses)} tools are seen in "
+            f"frame {snapshot.entry.sequence}"
+        )
+        return session.status(StatusCode.OK, "OK", text, message.device or SERVER)
+
+    def _current(self, session: Session, message: Message, kind: Kind) -> Sequence[Message]:
+        """Return the newest poses; an empty body if there is none, as the protocol says."""
+        snapshot = self._newest()
+        nothing = [_answer(session, message, kind, b"")]
+        if snapshot is None:
+            return nothing
+        if kind in ("TDATA", "QTDATA"):
+            return [snapshot.tracking(kind, session.version, message.device or SERVER, "")]
+        poses = snapshot.poses
+        if message.device:
+            found = snapshot.find(message.device)
+            poses = () if found is None else (found,)
+        messages = snapshot.messages(kind, session.version, invalid=self._invalid, poses=poses)
+        return messages or nothing
+
+    def _stream(
+        self, session: Session, message: Message, kind: Kind, rest: str, *, begin: bool
+    ) -> Sequence[Message]:
+        """Begin or stop sending a kind, and say whether that was done."""
+        answers: list[Message] = []
+        done = True
+        if begin:
+            start = read_start(message.type, message.content)
+            snapshot = self._newest()
+            try:
+                if start.frame and kind in ("TRANSFORM", "POSITION"):
+                    raise BadMessage(f"{kind} is sent in each tool's own coordinate system")
+                if start.frame and snapshot is not None:
+                    snapshot.poses_in(start.frame)
+                device = message.device or SERVER
+                session.wanted[kind] = Wanted(start.resolution_ms / 1e3, device, start.frame)
+            except BadMessage as error:
+                done = False
+                answers.append(session.status(StatusCode.NOT_FOUND, "NoFrame", error.detail))
+        else:
+            session.wanted.pop(kind, None)
+        result = _answer(session, message, f"RTS_{rest}", write_result(done=done))
+        return [result, *answers]
+
+    async def _points(self, session: Session, message: Message) -> Message:
+        snapshot = self._newest()
+        points: tuple[Point, ...] = ()
+        if snapshot is not None:
+            device = snapshot.entry.device_id
+            try:
+                landmarks = await self._host.landmarks(device)
+            except LumilineError as error:
+                return session.status(StatusCode.UNKNOWN_ERROR, "NoPoints", error.detail)
+            tools = [tool for tool in self._tools() if tool.device_id == device]
+            points = wanted_points(message.device, snapshot, tools, landmarks)
+        return _answer(session, message, "POINT", write_points(points))
+
+
+def _is_command(message: Message) -> bool:
+    return message.type == "STRING" and message.device.upper().startswith(_OLD_COMMAND)
+
+
+def _answer(session: Session, message: Message, kind: str, content: bytes) -> Message:
+    """Return an answer: of the same name and number as what it answers."""
+    return Message(
+        kind,
+        # What was cut, or broken, in the field of the question is not longer in that of the answer.
+        message.device.encode()[:20].decode(errors="ignore"),
+        content,
+        version=session.version,
+        number=message.number,
+    )

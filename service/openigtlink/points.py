@@ -1,0 +1,62 @@
+"""The points that GET_POINT asks for: markers and tips of the tools that are seen, landmarks."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.openigtlink.host import Landmark, WireTool
+from service.openigtlink.names import frame_name
+from service.openigtlink.pose_contents import Point
+from service.openigtlink.snapshot import Snapshot, WirePose
+
+Array = NDArray[np.float64]
+
+_MARKER = (255, 255, 0, 255)
+_TIP = (255, 0, 0, 255)
+_LANDMARK = (0, 255, 0, 255)
+
+
+def wanted_points(
+    name: str,
+    snapshot: Snapshot | None,
+    tools: Sequence[WireTool],
+    landmarks: Sequence[Landmark],
+) -> tuple[Point, ...]:
+    """Return the points of a name, in the frame that poses of their tool are given in.
+
+    Args:
+        name: of a tool, its transform, ``Landmarks``, ``Markers``; empty: all.
+        snapshot: the newest poses; markers of tools that are not seen have no place.
+        tools: of the device.
+        landmarks: likewise.
+    """
+    points: list[Point] = []
+    by_id = {tool.id: tool for tool in tools}
+    for pose in snapshot.poses if snapshot is not None else ():
+        tool = by_id.get(pose.source.tool)
+        names = (pose.name.short, pose.name.full, pose.source.tool, "Markers", "")
+        if tool is not None and pose.valid and pose.placed is not None and name in names:
+            points += _of_tool(tool, pose, pose.placed)
+    points += (
+        Point(one.name, "Landmark", one.position_mm, _LANDMARK, owner=one.owner)
+        for one in landmarks
+        if name in ("", "Landmarks", one.owner, one.name)
+    )
+    return tuple(points)
+
+
+def _of_tool(tool: WireTool, pose: WirePose, placed: tuple[Array, Array]) -> Iterable[Point]:
+    owner = frame_name(pose.name.frame)
+    if tool.markers_mm is not None:
+        for number, marker in enumerate(tool.markers_mm):
+            place = _moved(placed, marker)
+            yield Point(f"{tool.id} marker {number}", "Marker", place, _MARKER, owner=owner)
+    if tool.tip_mm is not None:
+        yield Point(f"{tool.id} tip", "Tip", _moved(placed, tool.tip_mm), _TIP, owner=owner)
+
+
+def _moved(placed: tuple[Array, Array], point_mm: Array) -> tuple[float, float, float]:
+    rotation, translation = placed
+    x, y, z = rotation @ point_mm + translation
+    return float(x), float(y), float(z)

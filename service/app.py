@@ -38,6 +38,8 @@ from service.security.router import router as keys
 from service.server import router as server
 from service.settings import Settings
 from service.stream import router as stream
+from service.tools.registrations_router import router as registrations
+from service.tools.router import router as tools
 from service.version import package_version
 
 DESCRIPTION: Final = """
@@ -48,7 +50,9 @@ of the first pixel at 0. Errors are problem documents (RFC 9457); `GET /problems
 types. Every example below works as it stands on a new server, which has the simulated device
 `sim`, but for those of the correction tables `sim-map` and `sim-map-spare`: post the mapping run
 first, with that `result_id`; those of the key `examplekey00`: the server chooses a key's id; and
-those of the recording `earlier.h5`: record one of that name.
+those of the recording `earlier.h5`: record one of that name; and those that look at a tool or
+calibrate one (`captured`, `pivot-calibrations`, `spin-calibrations`): show the device the tool
+first, as docs/tools.md says.
 """
 
 
@@ -104,6 +108,8 @@ def create_app(
         correction_tables,
         reconstructions,
         recordings_router,
+        tools,
+        registrations,
         line_scans,
         device_profiles,
         stream,

@@ -369,6 +369,48 @@ class DatabaseInUse(LumilineError):
     code = "database-in-use"
 
 
+class UnknownTool(LumilineError):
+    """No tool has this id."""
+
+    code = "unknown-tool"
+
+
+class ToolExists(LumilineError):
+    """The id that a tool is to have is taken, by a tool or by a registration."""
+
+    code = "tool-exists"
+
+
+class ToolInUse(LumilineError):
+    """Poses of other tools, or registrations, are relative to the tool."""
+
+    code = "tool-in-use"
+
+
+class TooManyTools(LumilineError):
+    """The device has as many tools as it may; delete one."""
+
+    code = "too-many-tools"
+
+
+class MarkersTaken(LumilineError):
+    """Another tool of the device has a strobed marker of this number."""
+
+    code = "markers-taken"
+
+
+class UnknownRegistration(LumilineError):
+    """No registration has this id."""
+
+    code = "unknown-registration"
+
+
+class RegistrationExists(LumilineError):
+    """The id that a registration is to have is taken, by a registration or by a tool."""
+
+    code = "registration-exists"
+
+
 class DatabaseDamaged(LumilineError):
     """What the database holds does not agree with itself."""
 

@@ -93,6 +93,10 @@ TAGS: Final = [
     },
     {"name": "reconstructions", "description": "3D points from readings that you post."},
     {
+        "name": "tools",
+        "description": "Rigid tools with markers: geometry, tip, poses, registration to images.",
+    },
+    {
         "name": "recordings",
         "description": "Line scans and results of running devices in files, to be replayed.",
     },

@@ -29,7 +29,9 @@ from service.errors import SensorsChanged
 from service.live.in_force import InForce
 from service.live.manager import Accept, LiveManager
 from service.live.session import DeviceStatus
+from service.live.tracked import Tracked
 from service.settings import DataFolders
+from service.tools.tracked import tracked_of
 
 _log = logging.getLogger(__name__)
 
@@ -81,7 +83,11 @@ class Operation:
             running = self._live.status(device_id).state in _RUNS
             with self._database.write() as session:
                 row = store.change_device(session, device_id, change, sensors, running=running)
-                return store.document(session, row)
+                changed = store.document(session, row)
+                tracked = tracked_of(session, row)
+            if "tracking" in change.model_fields_set:
+                self._follow(device_id, tracked)
+            return changed
 
     def delete(self, device_id: str, *, cascade: bool) -> None:
         """Delete a device and stop it; raises UnknownDevice, DeviceInUse."""
@@ -103,6 +109,8 @@ class Operation:
                 source = store.source_of(row)
                 found = _in_force(session, device_id)
                 stored = store.sensors_of_row(row)
+                tracked = tracked_of(session, row)
+            self._live.set_tracked(device_id, tracked)
             driver = make_driver(device_id, source, self._folders)
             self._live.start_device(device_id, driver, found, _only_with(device_id, stored))
             return self._live.status(device_id)
@@ -200,6 +208,26 @@ class Operation:
                 self._live.set_calibration(device_id, found)
             except Exception:  # noqa: BLE001 - committed: an error would say that it was not
                 _log.exception("device %s does not use %s yet", device_id, found.calibration_id)
+
+    @contextmanager
+    def tools_change(self, device_id: str) -> Iterator[Session]:
+        """Yield a transaction that changes tools of a device; then the live side follows them.
+
+        Raises:
+            UnknownDevice.
+        """
+        with self._exclusive(device_id):
+            with self._database.write() as session:
+                device = store.get_device(session, device_id, lock=True)
+                yield session
+                tracked = tracked_of(session, device)
+            self._follow(device_id, tracked)
+
+    def _follow(self, device_id: str, tracked: Tracked) -> None:
+        try:
+            self._live.set_tracked(device_id, tracked)
+        except Exception:  # noqa: BLE001 - committed: an error would say that it was not
+            _log.exception("device %s does not follow its tools as stored yet", device_id)
 
     def autostart(self, *also: str) -> None:
         """Start all devices that say so, and these; one that fails keeps no other waiting."""

@@ -10,6 +10,7 @@ from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.settings import SimulationSettings
 from hardware.tcd1304.settings import Tcd1304Settings
 from service.devices.sensor import Sensor
+from service.devices.tracking import Tracking
 from service.live.session import DeviceStatus
 from service.schema import Document, Given, Moment, Slug, Text200, absent
 
@@ -97,6 +98,7 @@ class NewDevice(Given):
     title: Text200
     source: Source
     autostart: bool = Field(default=False, description="Start it together with the server.")
+    tracking: Tracking = Field(default_factory=Tracking)
 
 
 class DeviceChange(Given):
@@ -105,6 +107,7 @@ class DeviceChange(Given):
     title: Text200 = absent()
     source: Source = absent()
     autostart: bool = absent()
+    tracking: Tracking = absent()
 
 
 class Device(Document):
@@ -115,6 +118,7 @@ class Device(Document):
     source: Source
     sensors: list[Sensor] = Field(description="In the order of the lines of a frame.")
     autostart: bool
+    tracking: Tracking
     active_calibration_id: str | None
     active_table_id: str | None = Field(description="The correction table used with it.")
     created_at: Moment

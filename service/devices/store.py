@@ -1,6 +1,7 @@
 """Devices in the database."""
 
 from datetime import UTC, datetime
+from typing import Any
 
 from pydantic import TypeAdapter
 from sqlalchemy import Select, delete, func, select
@@ -19,12 +20,16 @@ from service.database.models import (
     DriftCheckRow,
     QualityCheckRow,
     ReconstructionRow,
+    RegistrationRow,
     RunRow,
+    ToolCalibrationRow,
+    ToolRow,
     WatchRow,
     WatchSampleRow,
 )
 from service.devices.schema import Device, DeviceChange, NewDevice, Source
 from service.devices.sensor import Sensor
+from service.devices.tracking import Tracking
 from service.errors import DeviceExists, DeviceInUse, DeviceRunning, UnknownDevice
 
 _SOURCE: TypeAdapter[Source] = TypeAdapter(Source)
@@ -61,6 +66,7 @@ def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> D
         source=_SOURCE.dump_python(request.source, mode="json"),
         sensors=_SENSORS.dump_python(sensors, mode="json"),
         autostart=request.autostart,
+        tracking=_stored(request.tracking),
         created_at=now,
         updated_at=now,
     )
@@ -96,6 +102,8 @@ def change_device(
         row.title = change.title
     if "autostart" in given:
         row.autostart = change.autostart
+    if "tracking" in given:
+        row.tracking = _stored(change.tracking)
     if "source" in given and sensors is not None:
         described = _SENSORS.dump_python(sensors, mode="json")
         if described != row.sensors:
@@ -118,8 +126,8 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
 
     Raises:
         UnknownDevice.
-        DeviceInUse: calibrations, reconstructions, captures or runs belong to it, and ``cascade``
-            is not asked.
+        DeviceInUse: calibrations, reconstructions, captures, runs, tools or registrations belong
+            to it, and ``cascade`` is not asked.
     """
     row = get_device(session, device_id, lock=True)
     if cascade:
@@ -133,6 +141,9 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
             DriftCheckRow,
             QualityCheckRow,
             WatchSampleRow,
+            RegistrationRow,
+            ToolCalibrationRow,
+            ToolRow,
             CalibrationRow,
         ):
             session.execute(delete(table).where(table.device_id == device_id))
@@ -143,6 +154,8 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
             "add ?cascade=true to delete them with it",
             captures=CaptureRow,
             runs=RunRow,
+            tools=ToolRow,
+            registrations=RegistrationRow,
         )
     session.execute(delete(WatchRow).where(WatchRow.device_id == device_id))
     session.delete(row)
@@ -150,7 +163,10 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
 
 
 def _refuse_if_used(
-    session: Session, device_id: str, why: str, **others: type[CaptureRow] | type[RunRow]
+    session: Session,
+    device_id: str,
+    why: str,
+    **others: type[CaptureRow | RunRow | ToolRow | RegistrationRow],
 ) -> None:
     """Raise DeviceInUse when calibrations, reconstructions or ``others`` belong to a device."""
     kinds = {"calibrations": CalibrationRow, "reconstructions": ReconstructionRow, **others}
@@ -185,6 +201,21 @@ def source_of(row: DeviceRow) -> Source:
     return _SOURCE.validate_python(source)
 
 
+def tracking_of(row: DeviceRow) -> Tracking:
+    """Return how the device is tracked; by default while nobody has said."""
+    return Tracking() if row.tracking is None else Tracking.model_validate(row.tracking)
+
+
+def _stored(tracking: Tracking) -> dict[str, Any] | None:
+    """Return what is stored: nothing of the defaults, which may get better.
+
+    Raises:
+        InvalidParameter: the settings contradict one another.
+    """
+    tracking.tool_tracker()
+    return tracking.model_dump(mode="json", exclude_defaults=True) or None
+
+
 def sensors_of_row(row: DeviceRow) -> list[Sensor]:
     """Return the device's sensors."""
     return _SENSORS.validate_python(row.sensors)
@@ -199,6 +230,7 @@ def document(session: Session, row: DeviceRow) -> Device:
         source=source_of(row),
         sensors=sensors_of_row(row),
         autostart=row.autostart,
+        tracking=tracking_of(row),
         active_calibration_id=pointer.calibration_id if pointer else None,
         active_table_id=pointer.table_id if pointer else None,
         created_at=row.created_at,

@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.result import Calibration
-from compute.calibration.weights import reading_sigma
+from compute.mapping.table import CorrectionTable
 from compute.reconstruction.correspondence import group_peaks
 from compute.reconstruction.estimate import PointBatch, PointFlag
 from compute.reconstruction.solver import PointSolver
-from compute.signal.peaks import PeakBatch, PeakFlag
+from compute.signal.peaks import PeakBatch
 from hardware.frame import LineFrame
+from service.live.usable_peaks import PeakUse, UsablePeaks
 
 Array = NDArray[np.float64]
 
@@ -25,19 +26,7 @@ class ActiveCalibration:
     calibration: Calibration
     table_id: str | None
     solver: PointSolver
-
-
-@dataclass(frozen=True)
-class PeakUse:
-    """What flags of peaks mean for points.
-
-    Args:
-        unusable: such a peak is taken as not seen.
-        doubtful: a point of such a peak is flagged.
-    """
-
-    unusable: PeakFlag
-    doubtful: PeakFlag
+    table: CorrectionTable | None = None
 
 
 def no_points(sensors: int) -> PointBatch:
@@ -62,20 +51,24 @@ def frame_points(
         peaks: of their F x S lines.
         use: which of them are used, and which doubted.
     """
-    sensors = len(active.calibration.sensors)
-    shape = (len(frames), sensors, -1)
-    position = peaks.position_px.reshape(shape).astype(np.float64)
-    flags = np.where(np.isfinite(position), peaks.flags.reshape(shape), 0)
-    position[(flags & use.unusable) != 0] = np.nan
-    doubtful = np.where((flags & use.doubtful) != 0, position, np.nan)
-    # By frame, peak and sensor for the calibration's figures, which are by sensor.
-    own = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
-    spread = reading_sigma(active.calibration, own, own)
-    if active.table_id is not None:
-        # The calibration's misfit, which would widen them, is what the table takes away.
-        spread = np.where(np.isfinite(own), own, spread)
-    spread = spread.transpose(0, 2, 1)
-    amplitude = peaks.amplitude.reshape(shape)
+    return points_of(active, frames, usable_peaks(active, frames, peaks, use))
+
+
+def usable_peaks(
+    active: ActiveCalibration, frames: Sequence[LineFrame], peaks: PeakBatch, use: PeakUse
+) -> UsablePeaks:
+    """Return the peaks that points are made of; arguments as of ``frame_points``."""
+    corrected = active.table_id is not None
+    return UsablePeaks.of(active.calibration, len(frames), peaks, use, corrected=corrected)
+
+
+def points_of(
+    active: ActiveCalibration, frames: Sequence[LineFrame], usable: UsablePeaks
+) -> tuple[PointBatch, NDArray[np.intp]]:
+    """Return the points of usable peaks, and the frame that each belongs to."""
+    position, spread = usable.position_px, usable.sigma_px
+    doubtful, amplitude = usable.doubtful_px, usable.amplitude
+    sensors = position.shape[1]
     rows: list[Array] = []
     sigmas: list[Array] = []
     owner: list[int] = []

@@ -19,11 +19,14 @@ from service.live.latency import LatencyCounts
 from service.live.line_model import FindProfile, LineModel, built_in_profile, line_model
 from service.live.messages import status_message
 from service.live.opening import Opening
+from service.live.pose_board import PoseBoard
+from service.live.pose_counts import ToolCounts
 from service.live.processor import DeviceProcessor
 from service.live.reader import Reader
 from service.live.ring import FrameRing
 from service.live.session import DeviceSession, DeviceStatus
 from service.live.tap import PeakTap, Tap
+from service.live.tracked import NOTHING_TRACKED, Tracked
 
 _log = logging.getLogger(__name__)
 
@@ -56,6 +59,8 @@ class LiveManager:
         frames are published, one of its own by default.
         """
         self.hub = Hub() if hub is None else hub
+        self.poses = PoseBoard()
+        """The newest poses of all tools."""
         self._compute_device = compute_device
         self._find_profile = find_profile
         self._compute = ComputeThread()
@@ -64,6 +69,7 @@ class LiveManager:
         self._sessions: dict[str, DeviceSession] = {}
         self._openings: dict[str, Opening] = {}
         self._refused: dict[str, str] = {}
+        self._tracked: dict[str, Tracked] = {}
         self._lock = RLock()
 
     @property
@@ -138,6 +144,9 @@ class LiveManager:
             session = self._compute.submit(
                 lambda: self._prepare(device_id, description, model)
             ).result()
+            tracked = self._tracked.get(device_id, NOTHING_TRACKED)
+            if not tracked.nothing:
+                self._compute.submit(lambda: session.set_tracked(tracked)).result()
             self._set(session, opening.found)
             session.reader = Reader(
                 device_id,
@@ -186,6 +195,7 @@ class LiveManager:
             session.stopped = True
             # Behind the last batch in hand, so that nothing of it is published after this.
             self._compute.submit(lambda: self._compute.remove(device_id)).result()
+            self.poses.remove(device_id)
             if was_running:
                 self.hub.publish(device_id, status_message(device_id, "stopped", None))
 
@@ -195,6 +205,7 @@ class LiveManager:
             self.stop_device(device_id)
             self._sessions.pop(device_id, None)
             self._refused.pop(device_id, None)
+            self._tracked.pop(device_id, None)
             self.hub.end(device_id, status_message(device_id, "deleted", None))
 
     def set_calibration(self, device_id: str, found: InForce) -> None:
@@ -214,6 +225,14 @@ class LiveManager:
                 self._set(session, found)
             except InvalidParameter as error:
                 _log.warning("device %s goes on as it was: %s", device_id, error.detail)
+
+    def set_tracked(self, device_id: str, tracked: Tracked) -> None:
+        """Say what of a device is followed: from the next batch on, or once it is started."""
+        with self._lock:
+            self._tracked[device_id] = tracked
+            session = self._sessions.get(device_id)
+            if session is not None and session.running:
+                self._compute.submit(lambda: session.set_tracked(tracked)).result()
 
     def _set(self, session: DeviceSession, found: InForce) -> None:
         """Hand calibration and table to the processor, between two batches in its own thread."""
@@ -245,6 +264,12 @@ class LiveManager:
     def latencies(self) -> dict[str, LatencyCounts]:
         """Return the latencies of every device that was started. Never waits."""
         return {name: session.latency.counts() for name, session in tuple(self._sessions.items())}
+
+    def pose_counts(self) -> dict[str, dict[str, ToolCounts]]:
+        """Return what was counted of the tools of every device that was started. Never waits."""
+        return {
+            name: session.pose_counts.counts() for name, session in tuple(self._sessions.items())
+        }
 
     def statuses(self) -> dict[str, DeviceStatus]:
         """Return the status of every device that was started, or tried to. Never waits."""
@@ -328,7 +353,7 @@ class LiveManager:
         capacity = max(RING_LEAST, int(RING_SECONDS * description.frame_rate_hz))
         ring = FrameRing(capacity, self._compute.wake)
         processor = DeviceProcessor(device_id, description, self._compute_device, model)
-        return DeviceSession(device_id, description, processor, ring, self.hub)
+        return DeviceSession(device_id, description, processor, ring, self.hub, self.poses)
 
     def _tell_behind(self, session: DeviceSession) -> None:
         """Tell the clients how a device stands now, behind its last frames."""
@@ -336,6 +361,8 @@ class LiveManager:
         def tell() -> None:
             while session.work():
                 pass
+            if not session.connected:
+                self.poses.remove(session.device_id)
             if not session.stopped:
                 self.hub.publish(session.device_id, session.status_message())
 

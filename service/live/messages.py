@@ -12,10 +12,11 @@ from compute.flags import flag_names
 from compute.reconstruction.estimate import PointFlag
 from compute.signal.peaks import PeakFlag
 from hardware.driver import DeviceDescription
+from service.live.motion_messages import tool_lists, track_lists
 from service.live.peak_finding import peak_method
 from service.live.stream_batch import StreamBatch
 
-Content = Literal["points", "peaks"]
+Content = Literal["points", "peaks", "tracks", "tools"]
 Encoding = Literal["msgpack", "json"]
 CONTENTS: Final[tuple[Content, ...]] = get_args(Content)
 ENCODINGS: Final[tuple[Encoding, ...]] = get_args(Encoding)
@@ -80,6 +81,16 @@ def frame_messages(
     if "peaks" in content:
         for message, peaks in zip(messages, _peaks(batch, first, len(frames)), strict=True):
             message["peaks"] = peaks
+    if "tracks" in content:
+        for message, tracks in zip(
+            messages, track_lists(batch.motion, first, len(frames)), strict=True
+        ):
+            message["tracks"] = tracks
+    if "tools" in content:
+        for message, tools in zip(
+            messages, tool_lists(batch.motion, first, len(frames)), strict=True
+        ):
+            message["tools"] = tools
     return messages
 
 

@@ -18,8 +18,8 @@ from compute.signal.noise import LineNoise
 from compute.signal.peaks import PeakBatch, PeakFlag, no_peaks
 from compute.signal.settings import CentroidSettings
 from hardware.driver import DeviceDescription
-from service.live.frame_points import PeakUse
 from service.live.line_model import LineModel
+from service.live.usable_peaks import PeakUse
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,12 @@ from compute.reconstruction.solver import PointSolver, load_kernels
 from hardware.driver import DeviceDescription
 from hardware.frame import LineFrame
 from service.live.batch import FrameBatch
-from service.live.frame_points import ActiveCalibration, frame_points, no_points
+from service.live.followers import MakeFollowers
+from service.live.frame_points import ActiveCalibration, no_points, points_of, usable_peaks
 from service.live.line_model import LineModel, line_model
+from service.live.motion_finding import MotionFinding
 from service.live.peak_finding import PeakFinding
+from service.live.tracked import Tracked
 
 MAX_FRAMES = 64
 """Frames that are processed together, at most, when they have piled up."""
@@ -22,8 +25,8 @@ MAX_FRAMES = 64
 class DeviceProcessor:
     """Pure function of frames, calibration and correction table, with the buffers that it needs.
 
-    Made and called in the compute thread, ``set_calibration`` too: it makes what the next batch
-    is reconstructed with, so that no frame waits for a kernel.
+    Made and called in the compute thread, ``set_calibration`` and ``set_tracked`` too: they make
+    what the next batch is worked on with, so that no frame waits for a kernel.
     """
 
     def __init__(
@@ -32,10 +35,12 @@ class DeviceProcessor:
         description: DeviceDescription,
         compute_device: str | None = None,
         model: LineModel | None = None,
+        make: MakeFollowers | None = None,
     ) -> None:
         """Load what finds the peaks; ``compute_device`` as of FitFinder.
 
-        Without a model, it is that of the built-in profile that the description names.
+        Without a model, it is that of the built-in profile that the description names. ``make``
+        makes what follows markers and tools; None: what compute has.
         """
         self._device_id = device_id
         self._names = tuple(sensor.name for sensor in description.sensors)
@@ -43,6 +48,9 @@ class DeviceProcessor:
         model = line_model(description) if model is None else model
         self._finding = PeakFinding(description, MAX_FRAMES, model, compute_device)
         self._compute_device = compute_device
+        self._motion = MotionFinding(
+            device_id, len(self._names), reads=self._finding.reads, make=make
+        )
         if self._finding.reads:
             load_kernels(len(self._names), compute_device)
 
@@ -80,6 +88,7 @@ class DeviceProcessor:
         """
         if calibration_id is None or calibration is None:
             self._active = None
+            self._motion.set_calibration(None)
             return
         names = tuple(model.name for model in calibration.models)
         for what, own in (
@@ -98,7 +107,13 @@ class DeviceProcessor:
             calibration,
             None if table is None else table_id,
             PointSolver(calibration.models, covariance, table, self._compute_device, threads=1),
+            table,
         )
+        self._motion.set_calibration(self._active)
+
+    def set_tracked(self, tracked: Tracked) -> None:
+        """Switch what is followed, between two batches; what cannot be followed says why."""
+        self._motion.set_tracked(tracked)
 
     def process(self, frames: Sequence[LineFrame]) -> FrameBatch:
         """Find the peaks of up to MAX_FRAMES frames and reconstruct their points.
@@ -111,10 +126,13 @@ class DeviceProcessor:
         else:
             lines = np.concatenate([frame.lines for frame in frames])
         peaks = self._finding.find(lines)
+        usable = None
         if active is None or not self._finding.reads:
             points, owner = no_points(len(self._names)), np.empty(0, dtype=np.intp)
         else:
-            points, owner = frame_points(active, frames, peaks, self._finding.use)
+            usable = usable_peaks(active, frames, peaks, self._finding.use)
+            points, owner = points_of(active, frames, usable)
+        motion = self._motion
         return FrameBatch(
             self._device_id,
             self._names,
@@ -124,4 +142,5 @@ class DeviceProcessor:
             peaks,
             points,
             owner,
+            motion.find(frames, usable, points, owner) if motion.wanted else None,
         )

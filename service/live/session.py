@@ -12,17 +12,24 @@ from service.live.hub import Hub
 from service.live.in_force import NOTHING
 from service.live.latency import Latency
 from service.live.messages import describe_message, status_message
+from service.live.pose_board import BoardEntry, PoseBoard
+from service.live.pose_counts import PoseCounts
 from service.live.processor import MAX_FRAMES, DeviceProcessor
 from service.live.ring import FrameRing
+from service.live.tracked import Tracked
 
 if TYPE_CHECKING:
     from service.live.batch import FrameBatch
+    from service.live.motion import Motion
     from service.live.reader import Reader
     from service.live.tap import Tap
 
 _log = logging.getLogger(__name__)
 
 DeviceState = Literal["stopped", "starting", "running", "disconnected", "ended", "failed"]
+
+BOARD_SECONDS = 0.001
+"""Least time between two entries of the board: of faster devices not every frame is put up."""
 
 BATCH_SECONDS = 0.02
 """How long the frames of one device may keep those of the others waiting."""
@@ -69,12 +76,17 @@ class DeviceSession:
         processor: DeviceProcessor,
         ring: FrameRing,
         hub: Hub,
+        poses: PoseBoard | None = None,
     ) -> None:
         self.device_id = device_id
         self.description = description
         self.processor = processor
         self.ring = ring
         self.hub = hub
+        self.poses = PoseBoard() if poses is None else poses
+        """Where the newest poses are put up."""
+        self.pose_counts = PoseCounts()
+        self._board_s = -BOARD_SECONDS
         self.reader: Reader | None = None
         self._taps_lock = Lock()
         self.taps: tuple[Tap, ...] = ()
@@ -98,6 +110,9 @@ class DeviceSession:
         begin = time.monotonic()
         try:
             batch = self.processor.process(frames)
+            if batch.motion is not None and batch.motion.poses:
+                # Before all others: who steers by a pose waits for nothing else.
+                self._put_up(batch, batch.motion)
             self._offer(batch)
             self.hub.publish_batch(batch)
             self.latency.count((time.time_ns() - frames[0].exposure_host_ns) * 1e-9)
@@ -109,6 +124,31 @@ class DeviceSession:
         per_frame = (time.monotonic() - begin) / len(frames)
         self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(per_frame, 1e-6))))
         return True
+
+    def set_tracked(self, tracked: Tracked) -> None:
+        """Follow other things from the next batch on; runs in the compute thread."""
+        self.processor.set_tracked(tracked)
+        self.pose_counts.keep(tool.name for tool in tracked.tools)
+        if not tracked.tools:
+            self.poses.remove(self.device_id)
+
+    def _put_up(self, batch: "FrameBatch", motion: "Motion") -> None:
+        """Count the poses of a batch, and put those of its newest frame up."""
+        self.pose_counts.count(motion.poses)
+        now = time.monotonic()
+        if self.stopped or now - self._board_s < BOARD_SECONDS:
+            return
+        self._board_s = now
+        newest = batch.frames[-1]
+        entry = BoardEntry(
+            self.device_id,
+            newest.sequence,
+            newest.exposure_host_ns,
+            {pose.tool: pose for pose in motion.poses_of(len(batch.frames) - 1)},
+            batch.calibration_id,
+            self.description.frame_rate_hz,
+        )
+        self.poses.put(entry)
 
     def attach(self, tap: "Tap") -> None:
         """Let a tap have the batches from now on."""
@@ -142,6 +182,7 @@ class DeviceSession:
         self.failure = f"processing failed: {type(error).__name__}: {error}"
         if self.reader is not None:
             self.reader.close_driver()
+        self.poses.remove(self.device_id)
         self.hub.publish(self.device_id, status_message(self.device_id, "failed", self.failure))
 
     @property

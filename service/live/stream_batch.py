@@ -10,6 +10,7 @@ from compute.reconstruction.estimate import PointBatch
 from compute.signal.peaks import PeakBatch
 from hardware.frame import FrameFlag
 from service.live.batch import FrameBatch
+from service.live.motion import Motion
 
 
 class FrameHeader(NamedTuple):
@@ -70,6 +71,7 @@ class StreamBatch:
     peaks: FlatPeaks
     points: PointBatch
     owner: NDArray[np.intp]
+    motion: Motion | None = None
 
     @classmethod
     def of(cls, batch: FrameBatch) -> Self:
@@ -93,4 +95,5 @@ class StreamBatch:
             FlatPeaks.of(batch.peaks),
             batch.points,
             batch.owner,
+            batch.motion,
         )

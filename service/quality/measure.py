@@ -1,6 +1,5 @@
 """A quality check: some seconds of a running device's points, and what they say."""
 
-import time
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,12 +8,12 @@ import numpy as np
 from compute.errors import InvalidParameter
 from compute.quality.point_to_point import PointToPoint, point_to_point
 from compute.quality.single_point import SinglePoint, single_point
-from service.errors import CalibrationSwitched, DeviceNotRunning, NoActiveCalibration
+from service.errors import CalibrationSwitched, NoActiveCalibration
+from service.live.gather import gather
 from service.live.manager import LiveManager
 from service.quality.point_tap import PointTap
 from service.quality.schema import NewPointToPoint, NewSinglePoint
 
-_LOOK_S: Final = 0.1
 _GAPS: Final = 2.5
 """Positions of a marker are interpolated over one of its exposures that is missing, not more."""
 
@@ -46,18 +45,7 @@ def measure(live: LiveManager, device_id: str, asked: NewSinglePoint | NewPointT
     wanted = _markers(asked)
     _check_markers(device_id, wanted, session.description.markers)
     tap = PointTap(wanted, 1 if isinstance(asked, NewSinglePoint) else 2)
-    live.attach(session, tap)
-    try:
-        end = time.monotonic() + asked.seconds
-        while (left := end - time.monotonic()) > 0 and not tap.switched.wait(min(_LOOK_S, left)):
-            if not session.connected:
-                raise DeviceNotRunning(
-                    f'device "{device_id}" stopped or was lost while it was measured; start it '
-                    "and check again",
-                    device=device_id,
-                )
-    finally:
-        live.detach(session, tap)
+    gather(live, session, tap, asked.seconds, tap.switched)
     if tap.switched.is_set():
         raise CalibrationSwitched(
             f'another calibration or table of device "{device_id}" was activated while it was '

@@ -47,6 +47,23 @@ ACCESS: Final[Mapping[str, Access]] = {
     "list-reconstructions": "read:stream",
     "get-reconstruction": "read:stream",
     "delete-reconstruction": "write:calibration",
+    # Who may see the points may see the poses, and what makes sense of them.
+    "list-tools": "read:stream",
+    "get-tool": "read:stream",
+    "get-tool-pose": "read:stream",
+    "list-tool-calibrations": "read:stream",
+    "list-registrations": "read:stream",
+    "get-registration": "read:stream",
+    # What a tool is and where its tip is decides what a pose means, as a calibration does; who
+    # calibrates pointers need not be able to stop devices.
+    "create-tool": "write:calibration",
+    "capture-tool": "write:calibration",
+    "change-tool": "write:calibration",
+    "delete-tool": "write:calibration",
+    "calibrate-pivot": "write:calibration",
+    "calibrate-spin": "write:calibration",
+    "create-registration": "write:calibration",
+    "delete-registration": "write:calibration",
     "list-quality-checks": "read:calibration",
     "get-quality-check": "read:calibration",
     "get-quality": "read:calibration",

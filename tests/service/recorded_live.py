@@ -13,12 +13,16 @@ from service.live.in_force import NOTHING, InForce
 from service.live.latency import LatencyCounts
 from service.live.manager import Accept, LiveManager, any_device
 from service.live.peak_finding import PeakFinding
+from service.live.pose_board import PoseBoard
+from service.live.pose_counts import ToolCounts
 from service.live.processor import DeviceProcessor
 from service.live.ring import FrameRing
 from service.live.session import DeviceSession, DeviceStatus
 from service.live.tap import Tap
+from service.live.tracked import Tracked
 from service.quality.point_tap import PointTap
 from service.quality.watch_tap import WatchTap
+from service.tools.pose_tap import PoseTap
 
 if TYPE_CHECKING:
     from service.live.batch import FrameBatch
@@ -76,6 +80,8 @@ class RecordedLive(LiveManager):
         self.states: dict[str, DeviceStatus] = {}
         self.seen_px = np.full(4, 1000.0)
         self.in_force: dict[str, InForce] = {}
+        self.poses = PoseBoard()
+        self.tracked: dict[str, Tracked] = {}
         self.answers = True
         self.busy = 0.0
         self.records: DeviceDescription | None = None
@@ -128,6 +134,12 @@ class RecordedLive(LiveManager):
         self.calls.append(("calibration", device_id, found.calibration_id, found.calibration))
         self.in_force[device_id] = found
 
+    def set_tracked(self, device_id: str, tracked: Tracked) -> None:
+        self.tracked[device_id] = tracked
+
+    def pose_counts(self) -> dict[str, dict[str, ToolCounts]]:
+        return {}
+
     def status(self, device_id: str) -> DeviceStatus:
         return self.states.get(device_id, DeviceStatus("stopped"))
 
@@ -150,7 +162,7 @@ class RecordedLive(LiveManager):
 
     def attach(self, session: DeviceSession, tap: Tap) -> None:
         self.calls.append(("attach", session.device_id))
-        if isinstance(tap, PointTap | WatchTap):
+        if isinstance(tap, PointTap | WatchTap | PoseTap):
             for batch in self.batches:
                 tap.offer(batch)
 

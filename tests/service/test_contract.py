@@ -26,8 +26,9 @@ EXAMPLES = 15
 # What a JSON schema cannot say, and so is answered with 422 although the body fits it: that points
 # are enough and span space, that names differ, that a sensor exists and a reading lies on its
 # pixels, that a calibration is the device's, that a bar's plane has a normal, that lines are of
-# one length, that points or a capture session are given, that bytes are a table. Everywhere else a
-# request that fits the schema must be accepted, or find nothing (404) or a conflict (409).
+# one length, that markers make a tool that is like no other, that points or a capture session are
+# given, that bytes are a table. Everywhere else a request that fits the schema must be accepted, or
+# find nothing (404) or a conflict (409).
 RULES_BEYOND_THE_SCHEMA = {
     "create-calibration",
     "create-reconstruction",
@@ -44,6 +45,10 @@ RULES_BEYOND_THE_SCHEMA = {
     "upload-correction-table",
     "create-key",
     "create-quality-check",
+    "create-tool",
+    "capture-tool",
+    "change-tool",
+    "create-registration",
 }
 
 

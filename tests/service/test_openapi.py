@@ -5,20 +5,30 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hardware.recording import RecordingWriter
 from hardware.simulated.driver import SimulatedDriver
+from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings
 from service.app import create_app
 from service.correction_tables.content import MEDIA_TYPE
 from service.correction_tables.hdf5 import write_table
 from service.database.models import ApiKeyRow
 from service.settings import Settings
+from service.tools import calibrate
 from tests.service.correction_tables.tables import content as content_of_table
 from tests.service.quality.batches import strobed_batch
 from tests.service.recorded_live import RecordedLive, TestClient
+from tests.service.tools.batches import pivoting, spinning, tool_batch
 
+# Strobed markers of the tool that an example captures.
+CLAMP = {
+    4: np.array([0.0, 0.0, 1500.0]),
+    5: np.array([90.0, 0.0, 1500.0]),
+    6: np.array([0.0, 50.0, 1500.0]),
+}
 METHODS = ("post", "put", "get", "patch", "delete")
 # Making comes first, then reading and changing; what ends something comes last.
 LAST = ("delete-", "retire-", "roll-back-", "stop-")
@@ -93,10 +103,18 @@ def prepare(client: Any) -> None:
         )
 
 
-def test_every_example_works_on_a_new_server(sqlite_settings: Settings):
+def test_every_example_works_on_a_new_server(
+    sqlite_settings: Settings, monkeypatch: pytest.MonkeyPatch
+):
     live = RecordedLive()
-    live.records = SimulatedDriver("sim", SimulationSettings()).description
-    live.batches = [strobed_batch(range(20))]
+    shown = MovingTools((MovingTool(((0.0, 0.0, 0.0),) * 4), MovingTool(((0.0, 0.0, 0.0),) * 3)))
+    live.records = SimulatedDriver("sim", SimulationSettings(scene=shown)).description
+    live.batches = [
+        strobed_batch(range(20)),
+        tool_batch([pivoting("pointer", 60), spinning("clamp", 60)], CLAMP),
+    ]
+    # Poses are collected for as long as the example says, or until there are enough.
+    monkeypatch.setattr(calibrate, "MOST_COLLECTED", 60)
     with TestClient(create_app(sqlite_settings, live)) as client:
         served = client.get("/openapi.json").json()
         prepare(client)

@@ -25,8 +25,9 @@ from hardware.driver import DeviceDescription
 from hardware.frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
-from service.live.frame_points import ActiveCalibration, PeakUse, frame_points
+from service.live.frame_points import ActiveCalibration, frame_points
 from service.live.processor import DeviceProcessor
+from service.live.usable_peaks import PeakUse
 from tests.compute.rig import control_points, geometry, project, rig
 
 Array = NDArray[np.float64]

@@ -1,0 +1,85 @@
+"""How a device's markers and tools are tracked, as clients give it."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from compute.pose.settings import MotionSettings, ToolTrackerSettings
+from compute.tracking.settings import MotionModel, TrackerSettings
+from service.schema import Given, Position
+
+_TRACKER = TrackerSettings()
+_TOOLS = ToolTrackerSettings()
+
+
+class Tracking(Given):
+    """How the markers and tools of a running device are tracked; all has defaults."""
+
+    tracks: Literal["with-tools", "always", "never"] = Field(
+        default="with-tools",
+        description="Whether markers are followed as tracks: as soon as the device has tools, "
+        "always, or never. Tools are tracked in any case.",
+    )
+    motion: MotionModel = Field(
+        default=_TRACKER.motion,
+        description="How markers move: at constant velocity, at constant acceleration, or "
+        "whichever of the two fits.",
+    )
+    white_acceleration: Annotated[float, Field(ge=1e-3, le=1e12)] = Field(
+        default=_TRACKER.white_acceleration,
+        description="Spectral density of the acceleration at constant velocity [mm^2/s^3].",
+    )
+    white_jerk: Annotated[float, Field(ge=1e-3, le=1e18)] = Field(
+        default=_TRACKER.white_jerk,
+        description="Spectral density of the jerk at constant acceleration [mm^2/s^5].",
+    )
+    coast_s: Annotated[float, Field(ge=1e-3, le=60.0)] = Field(
+        default=_TRACKER.coast_s,
+        description="How long a track is predicted without being seen; then it ends.",
+    )
+    tool_acceleration_mm_s2: Annotated[float, Field(ge=1e-3, le=1e7)] = Field(
+        default=_TOOLS.motion.acceleration_mm_s2, description="RMS acceleration of tools."
+    )
+    tool_turn_acceleration_rad_s2: Annotated[float, Field(ge=1e-3, le=1e5)] = Field(
+        default=_TOOLS.motion.turn_acceleration_rad_s2,
+        description="RMS angular acceleration of tools.",
+    )
+    tool_coast_s: Annotated[float, Field(ge=1e-3, le=5.0)] = Field(
+        default=_TOOLS.coast_s,
+        description="Longest time that a pose rests on prediction alone; then it is MISSING.",
+    )
+    tool_tip_sd_mm: Annotated[float, Field(ge=1e-6, le=1e4)] = Field(
+        default=_TOOLS.most_tip_sd_mm,
+        description="Standard deviation of the tip in space above which a pose is HIGH_ERROR, of "
+        "tools without a limit of their own.",
+    )
+    volume_mm: tuple[Position, Position] | None = Field(
+        default=None,
+        description="Lowest and highest corner of the volume that the calibration is good for; a "
+        "pose outside is OUT_OF_VOLUME. null: only a correction table says.",
+    )
+
+    def tracker(self) -> TrackerSettings:
+        """Return how markers are followed."""
+        return TrackerSettings(
+            motion=self.motion,
+            white_acceleration=self.white_acceleration,
+            white_jerk=self.white_jerk,
+            coast_s=self.coast_s,
+        )
+
+    def tool_tracker(self) -> ToolTrackerSettings:
+        """Return how tools are followed.
+
+        Raises:
+            InvalidParameter: the volume's corners are not in order.
+        """
+        return ToolTrackerSettings(
+            motion=MotionSettings(
+                acceleration_mm_s2=self.tool_acceleration_mm_s2,
+                turn_acceleration_rad_s2=self.tool_turn_acceleration_rad_s2,
+            ),
+            coast_s=self.tool_coast_s,
+            most_tip_sd_mm=self.tool_tip_sd_mm,
+            volume_mm=self.volume_mm,
+        )

@@ -1,0 +1,34 @@
+"""Lets a tap have a running device's batches for some seconds."""
+
+import time
+from threading import Event
+from typing import Final
+
+from service.errors import DeviceNotRunning
+from service.live.manager import LiveManager
+from service.live.session import DeviceSession
+from service.live.tap import Tap
+
+_LOOK_S: Final = 0.1
+
+
+def gather(
+    live: LiveManager, session: DeviceSession, tap: Tap, seconds: float, ended: Event
+) -> None:
+    """Attach a tap for so long, or until ``ended`` is set; waits.
+
+    Raises:
+        DeviceNotRunning: the device stops or is lost meanwhile.
+    """
+    live.attach(session, tap)
+    try:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0 and not ended.wait(min(_LOOK_S, left)):
+            if not session.connected:
+                raise DeviceNotRunning(
+                    f'device "{session.device_id}" stopped or was lost while it was measured; '
+                    "start it and try again",
+                    device=session.device_id,
+                )
+    finally:
+        live.detach(session, tap)

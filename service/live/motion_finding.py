@@ -1,0 +1,250 @@
+"""MotionFinding: a device's tracks and tool poses, frame by frame, whatever fails on the way."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import LumilineError
+from compute.pose.rigid_body import RigidBody
+from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.reconstruction.estimate import PointBatch
+from compute.tracking.track_batch import TrackBatch
+from hardware.frame import LineFrame
+from service.live.followers import MakeFollowers, MarkerFollower, OwnFollowers, ToolFollower
+from service.live.frame_points import ActiveCalibration
+from service.live.motion import Motion
+from service.live.tracked import NOTHING_TRACKED, Tracked
+from service.live.usable_peaks import UsablePeaks
+
+_log = logging.getLogger(__name__)
+
+NO_CALIBRATION: Final = "the device has no active calibration"
+NOT_READ: Final = "nothing is known to read the lines of this device"
+
+
+class _Group:
+    """Tools that are followed together; a fault in one of them is a fault of its group."""
+
+    def __init__(self, tools: Sequence[RigidBody], follower: ToolFollower | None, reason: str):
+        self.tools = tuple(tools)
+        self.follower = follower
+        self.reason = reason  # why there is no follower
+
+
+class MotionFinding:
+    """Follows markers and tools through the frames of one device; lives in the compute thread.
+
+    Nothing that a tracker does stops the device: tools that cannot be followed have the status
+    INVALID and the reason. When following all tools together fails, each is followed by itself
+    from then on, so that the faulty one does not take the others with it; when following markers
+    fails, it begins anew, at most FRESH_STARTS times.
+
+    Args:
+        device_id: the device, for the log.
+        sensors: how many it has.
+        reads: whether its lines are read at all.
+        make: makes what follows.
+    """
+
+    FRESH_STARTS: Final = 3
+
+    def __init__(
+        self, device_id: str, sensors: int, *, reads: bool, make: MakeFollowers | None = None
+    ) -> None:
+        self._device_id = device_id
+        self._sensors = sensors
+        self._reads = reads
+        self._make: MakeFollowers = OwnFollowers() if make is None else make
+        self._tracked = NOTHING_TRACKED
+        self._active: ActiveCalibration | None = None
+        self._markers: MarkerFollower | None = None
+        self._groups: list[_Group] = []
+        self._fresh_starts = 0
+        self._last_ns: int | None = None
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is anything to follow."""
+        return not self._tracked.nothing
+
+    def set_tracked(self, tracked: Tracked) -> None:
+        """Follow other things from the next frame on; what was followed begins anew."""
+        self._tracked = tracked
+        self._begin()
+
+    def set_calibration(self, active: ActiveCalibration | None) -> None:
+        """Follow with another calibration, from where things were where that is possible."""
+        self._active = active
+        self._begin()
+
+    def find(
+        self,
+        frames: Sequence[LineFrame],
+        usable: UsablePeaks | None,
+        points: PointBatch,
+        owner: NDArray[np.intp],
+    ) -> Motion:
+        """Return what moved in a batch.
+
+        Args:
+            frames: F frames, in their order.
+            usable: their peaks; None: there is no calibration, or nothing is read.
+            points: of these frames.
+            owner: index of the frame of each.
+        """
+        tracks: list[TrackBatch] = []
+        poses: list[tuple[ToolPose, ...]] = []
+        starts = owner.searchsorted(range(len(frames) + 1)).tolist()
+        none = TrackBatch.empty(self._sensors)
+        for index, frame in enumerate(frames):
+            if usable is None:
+                tracks.append(none)
+                poses.append(self._unknown(frame))
+                continue
+            self._check_clock(frame)
+            readings = usable.position_px[index], usable.sigma_px[index], usable.flags[index]
+            tracks.append(self._follow_markers(frame, *readings) or none)
+            own = (
+                None if frame.marker is not None else points.part(starts[index], starts[index + 1])
+            )
+            poses.append(self._follow_tools(frame, *readings, own))
+        return Motion.of(tracks, poses, self._sensors)
+
+    def _begin(self) -> None:
+        """Make what follows, or nothing where nothing can be followed."""
+        self._fresh_starts = 0
+        self._last_ns = None
+        self._markers, self._groups = None, []
+        active, tracked = self._active, self._tracked
+        if active is None or not self._reads:
+            return
+        if tracked.tracks:
+            self._markers = self._made_markers(active)
+        self._groups = self._grouped(active, tracked.tools)
+
+    def _made_markers(self, active: ActiveCalibration) -> MarkerFollower | None:
+        try:
+            return self._make.markers(active, self._tracked)
+        except Exception:  # noqa: BLE001 - logged
+            self._log("its markers cannot be tracked")
+            return None
+
+    def _grouped(self, active: ActiveCalibration, tools: Sequence[RigidBody]) -> list[_Group]:
+        """Return all tools in one group, without those that cannot be followed."""
+        if not tools:
+            return []
+        try:
+            return [_Group(tools, self._make.tools(active, self._tracked, tools), "")]
+        except Exception:  # noqa: BLE001 - logged
+            self._log("its tools cannot be tracked together; each is by itself")
+            return self._one_by_one(active, tools)
+
+    def _one_by_one(self, active: ActiveCalibration, tools: Sequence[RigidBody]) -> list[_Group]:
+        return [self._alone(active, tool) for tool in tools]
+
+    def _alone(self, active: ActiveCalibration, tool: RigidBody) -> _Group:
+        try:
+            return _Group([tool], self._make.tools(active, self._tracked, [tool]), "")
+        except Exception as error:  # noqa: BLE001 - becomes the tool's status
+            self._log(f"its tool {tool.name} cannot be tracked")
+            return _Group([tool], None, f"the tool cannot be tracked: {_words(error)}")
+
+    def _check_clock(self, frame: LineFrame) -> None:
+        """Begin anew when the device's clock did: it was restarted."""
+        last, self._last_ns = self._last_ns, frame.exposure_device_ns
+        if last is None or frame.exposure_device_ns > last:
+            return
+        for follower in (self._markers, *(group.follower for group in self._groups)):
+            if follower is not None:
+                follower.reset()
+
+    def _follow_markers(
+        self,
+        frame: LineFrame,
+        position_px: NDArray[np.float64],
+        sigma_px: NDArray[np.float64],
+        flags: NDArray[np.int32],
+    ) -> TrackBatch | None:
+        if self._markers is None:
+            return None
+        # The device's clock: the host's has the jitter of the way to it.
+        time_ns = frame.exposure_device_ns
+        try:
+            return self._markers.step(time_ns, position_px, sigma_px, flags, frame.marker)
+        except Exception:  # noqa: BLE001 - logged
+            self._fresh_starts += 1
+            again = self._fresh_starts <= self.FRESH_STARTS
+            self._log(f"tracking its markers failed and {'begins anew' if again else 'has ended'}")
+            assert self._active is not None
+            self._markers = self._made_markers(self._active) if again else None
+            return None
+
+    def _follow_tools(
+        self,
+        frame: LineFrame,
+        position_px: NDArray[np.float64],
+        sigma_px: NDArray[np.float64],
+        flags: NDArray[np.int32],
+        points: PointBatch | None,
+    ) -> tuple[ToolPose, ...]:
+        found: list[ToolPose] = []
+        groups: list[_Group] = []
+        for group in self._groups:
+            if group.follower is None:
+                found += _without(group.tools, frame, PoseStatus.INVALID, group.reason)
+                groups.append(group)
+                continue
+            try:
+                found += group.follower.step(
+                    frame.exposure_device_ns,
+                    frame.sequence,
+                    position_px,
+                    sigma_px,
+                    flags,
+                    frame.marker,
+                    points,
+                )
+                groups.append(group)
+            except Exception as error:  # noqa: BLE001 - becomes the tools' status
+                reason = f"its tracking failed: {_words(error)}"
+                found += _without(group.tools, frame, PoseStatus.INVALID, reason)
+                groups += self._failed(group, reason)
+        self._groups = groups
+        host_ns = frame.exposure_host_ns
+        return tuple(
+            pose if pose.exposure_ns == host_ns else replace(pose, exposure_ns=host_ns)
+            for pose in found
+        )
+
+    def _failed(self, group: _Group, reason: str) -> list[_Group]:
+        """Return what to do after a fault: each tool by itself; one that was so, not any more."""
+        self._log(f"tracking of {', '.join(tool.name for tool in group.tools)} failed")
+        assert self._active is not None
+        if len(group.tools) > 1:
+            return self._one_by_one(self._active, group.tools)
+        return [_Group(group.tools, None, reason)]
+
+    def _unknown(self, frame: LineFrame) -> tuple[ToolPose, ...]:
+        reason = NO_CALIBRATION if self._reads else NOT_READ
+        return tuple(_without(self._tracked.tools, frame, PoseStatus.UNKNOWN, reason))
+
+    def _log(self, what: str) -> None:
+        device = {"device": self._device_id}
+        _log.exception("device %s: %s", self._device_id, what, extra=device)
+
+
+def _without(
+    tools: Sequence[RigidBody], frame: LineFrame, status: PoseStatus, reason: str
+) -> list[ToolPose]:
+    return [
+        ToolPose(tool.name, status, reason, frame.exposure_host_ns, frame.sequence)
+        for tool in tools
+    ]
+
+
+def _words(error: Exception) -> str:
+    return error.detail if isinstance(error, LumilineError) else type(error).__name__

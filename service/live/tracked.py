@@ -1,0 +1,34 @@
+"""Tracked: what of a running device is followed, markers and tools, and how."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from compute.pose.rigid_body import RigidBody
+    from compute.pose.settings import ToolTrackerSettings
+    from compute.tracking.settings import TrackerSettings
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """What a device follows.
+
+    Args:
+        tracks: whether markers are followed as tracks.
+        tools: tools whose poses are wanted, in the order of their poses.
+        tracker: how markers are followed; None: by default.
+        tool_tracker: how tools are followed; None: by default.
+    """
+
+    tracks: bool = False
+    tools: tuple["RigidBody", ...] = ()
+    tracker: "TrackerSettings | None" = None
+    tool_tracker: "ToolTrackerSettings | None" = None
+
+    @property
+    def nothing(self) -> bool:
+        """Whether there is nothing to follow."""
+        return not self.tracks and not self.tools
+
+
+NOTHING_TRACKED: Final = Tracked()

@@ -1,0 +1,15 @@
+"""What a device follows, from its settings and its tools in the database."""
+
+from sqlalchemy.orm import Session
+
+from service.database.models import DeviceRow
+from service.devices.store import tracking_of
+from service.live.tracked import Tracked
+from service.tools.bodies import tools_of
+
+
+def tracked_of(session: Session, device: DeviceRow) -> Tracked:
+    """Return what is followed of a device when it runs."""
+    tracking, tools = tracking_of(device), tools_of(session, device.id)
+    tracks = tracking.tracks == "always" or (tracking.tracks == "with-tools" and bool(tools))
+    return Tracked(tracks, tools, tracking.tracker(), tracking.tool_tracker())

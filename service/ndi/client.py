@@ -66,11 +66,22 @@ class Client:
                 self._log_complaints()
                 # A client that never lets its commands run out lets others have their turn.
                 await asyncio.sleep(0)
+            # What it asked for last is still sent.
+            self._writer.close()
+            async with asyncio.timeout(STALLED_S):
+                await self._writer.wait_closed()
         except TimeoutError:
             return f"read none of its replies for {STALLED_S:g} s"
         except OSError as error:
             return f"gone ({error})"
+        finally:
+            self.end()
         return "disconnected"
+
+    def end(self) -> None:
+        """End the connection at once; what the client has not read is thrown away."""
+        self.leaving = True
+        self._writer.transport.abort()
 
     def _log_complaints(self) -> None:
         for text in self.session.state.complaints[self._logged :]:

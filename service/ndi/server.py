@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from service.navigation.allow_list import AllowList
-from service.ndi.client import READ_BYTES, STALLED_S, Client
+from service.ndi.client import READ_BYTES, Client
 from service.ndi.feed import PoseFeed
 from service.ndi.identity import Identity
 from service.ndi.session import Session
@@ -61,10 +61,15 @@ class NdiServer:
     Args:
         options: what an administrator sets.
         feed: the poses; it is closed with the server.
+
+    Attributes:
+        counts: what happened since the start.
+        address: address and port where it listens.
     """
 
     def __init__(self, options: NdiOptions, feed: PoseFeed) -> None:
         self.counts = NdiCounts()
+        self.address = options.host, options.port
         self._options = options
         self._feed = feed
         self._server: asyncio.Server | None = None
@@ -75,18 +80,13 @@ class NdiServer:
         """How many are connected."""
         return len(self._clients)
 
-    @property
-    def address(self) -> tuple[str, int]:
-        """Address and port where it listens."""
-        assert self._server is not None
-        found = self._server.sockets[0].getsockname()
-        return str(found[0]), int(found[1])
-
     async def start(self) -> None:
         """Listen; raises OSError when the port cannot be had."""
         self._server = await asyncio.start_server(
             self._connected, self._options.host, self._options.port, limit=READ_BYTES
         )
+        found = self._server.sockets[0].getsockname()
+        self.address = str(found[0]), int(found[1])
         _log.info("NDI clients: listening on %s port %d", *self.address)
 
     async def close(self) -> None:
@@ -96,9 +96,9 @@ class NdiServer:
             return
         self._server.close()
         tasks = list(self._clients)
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        for client in self._clients.values():
+            client.end()
+        await asyncio.gather(*tasks)
         await self._server.wait_closed()
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -116,17 +116,10 @@ class NdiServer:
             _log.info("NDI client %s: connected", host)
             reason = await client.serve()
             _log.info("NDI client %s: %s", host, reason)
-            # What it asked for last is still sent.
-            writer.close()
-            async with asyncio.timeout(STALLED_S):
-                await writer.wait_closed()
-        except (OSError, TimeoutError):
-            pass
         finally:
             if (ended := self._clients.pop(task, None)) is not None:
                 self.counts.commands += ended.session.answered
                 self.counts.refused += ended.session.refused
-            # And nothing lingers of who does not read.
             writer.transport.abort()
 
     def _session(self) -> Session:
@@ -138,13 +131,13 @@ class NdiServer:
         if not self._options.allowed.lets_in(host):
             _log.warning("NDI client %s: not in ndi_allow, turned away", host)
             return False
-        if len(self._clients) < self._options.clients:
+        staying = [client for client in self._clients.values() if not client.leaving]
+        if len(staying) < self._options.clients:
             return True
-        for task, client in self._clients.items():
-            if not client.session.answered and not client.leaving:
-                client.leaving = True
-                task.cancel()
-                return True
+        silent = next((client for client in staying if not client.session.answered), None)
+        if silent is not None:
+            silent.end()
+            return True
         _log.warning("NDI client %s: turned away, there are %d", host, len(self._clients))
         return False
 

@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -61,14 +61,18 @@ async def answering(board: PoseBoard, **options: Any) -> AsyncIterator[NdiServer
     try:
         yield server
     finally:
+        await Talker.close_all()
         await server.close()
 
 
 class Talker:
-    """A client that sends whatever it likes."""
+    """A client that sends whatever it likes; ``all`` are closed by the test."""
+
+    all: ClassVar[list["Talker"]] = []
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
+        self.all.append(self)
 
     @classmethod
     async def to(cls, server: NdiServer) -> "Talker":
@@ -89,5 +93,10 @@ class Talker:
             assert await self.ask(f"PENA {handle}D") == "OKAY"
         assert await self.ask("TSTART") == "OKAY"
 
-    def close(self) -> None:
-        self.writer.close()
+    @classmethod
+    async def close_all(cls) -> None:
+        """Close every connection that was made."""
+        for one in cls.all:
+            one.writer.transport.abort()
+        cls.all.clear()
+        await asyncio.sleep(0)

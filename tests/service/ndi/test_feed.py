@@ -1,0 +1,94 @@
+"""Poses from the board: whose they are, how old, and the wait for newer ones."""
+
+import asyncio
+
+import numpy as np
+
+from service.live.pose_board import PoseBoard
+from service.ndi.feed import AGE_S, PoseFeed
+from tests.service.ndi.boards import PATIENT_S, entry, pose
+
+
+class Clock:
+    now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_the_only_device_with_tools():
+    async def see() -> None:
+        board = PoseBoard()
+        feed = PoseFeed(board)
+        assert feed.look(None).device_id is None
+        board.put(entry(device="empty"))
+        board.put(entry(pose("b"), pose("a"), device="bar"))
+        view = feed.look(None)
+        assert (view.device_id, view.tools, view.sequence) == ("bar", ("a", "b"), 7)
+        assert view.fresh
+        board.put(entry(pose("c"), device="other"))
+        assert feed.look(None).several
+        assert feed.look("other").tools == ("c",)
+        assert PoseFeed(board, "other").look(None).tools == ("c",)
+        board.remove("bar")
+        assert feed.look("bar").tools == ()
+        assert not feed.look("bar").fresh
+
+    asyncio.run(see())
+
+
+def test_poses_grow_old():
+    """From when they came, by a clock of our own: exposures of a replay may be of last year."""
+
+    async def see() -> None:
+        clock, board = Clock(), PoseBoard()
+        board.put(entry(pose("a")))
+        feed = PoseFeed(board, now=clock)
+        clock.now += AGE_S
+        assert feed.look(None).poses
+        clock.now += 0.01
+        assert not feed.look(None).poses
+        assert feed.look(None).tools == ("a",)
+        board.put(entry(pose("a")))
+        await asyncio.sleep(0)
+        assert feed.look(None).poses
+        # A device of one frame a second is not old after half a second.
+        board.put(entry(pose("a"), rate_hz=1.0))
+        await asyncio.sleep(0)
+        clock.now += 4.9
+        assert feed.look(None).fresh
+        clock.now += 0.2
+        assert not feed.look(None).fresh
+        feed.close()
+
+    asyncio.run(see())
+
+
+def test_waiting_for_another_frame():
+    async def see() -> None:
+        board = PoseBoard()
+        board.put(entry(pose("a"), sequence=1))
+        feed = PoseFeed(board)
+        waiting = asyncio.create_task(feed.newer(None, 1, PATIENT_S))
+        await asyncio.sleep(0)
+        board.put(entry(pose("a"), sequence=1))
+        for _ in range(5):
+            await asyncio.sleep(0)
+        assert not waiting.done()
+        board.put(entry(pose("a"), sequence=2))
+        await waiting
+        await feed.newer(None, 2, 0.0)  # patience ends
+        await feed.newer(None, 1, PATIENT_S)  # it is there
+        feed.close()
+
+    asyncio.run(see())
+
+
+def test_markers_come_along():
+    async def see() -> None:
+        board = PoseBoard()
+        board.put(entry(pose("a")))
+        feed = PoseFeed(board, markers=lambda device: {"a": np.eye(3), device: np.eye(3)})
+        assert set(feed.look(None).markers_mm) == {"a", "bar"}
+
+    asyncio.run(see())

@@ -13,6 +13,7 @@ from service.cli.spawn import running_service
 BENCHMARKS = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
     "load": "4 sensors x 2048 pixels at full rate, a recorder, 50 clients, some of them stalled",
+    "navigation": "simulated optics to an OpenIGTLink client: latency, jitter and tip errors",
     "signal": "raw lines to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
     "reconstruct": "readings to points through a correction table, beside SciPy, numba, CuPy",
@@ -43,6 +44,10 @@ def run(
         from service.cli import bench_load
 
         bench_load.run(rate_hz, seconds, as_json=as_json)
+    elif name == "navigation":
+        from service.cli import bench_navigation
+
+        bench_navigation.run(1000.0, seconds, as_json=as_json)
     elif name == "signal":
         from benchmarks import signal
 

@@ -5,7 +5,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,17 +36,21 @@ def running_service(data_dir: Path) -> Iterator[str]:
 
 
 @contextmanager
-def service_process(data_dir: Path) -> Iterator[RunningService]:
+def service_process(
+    data_dir: Path, settings: Mapping[str, str] | None = None
+) -> Iterator[RunningService]:
     """Run ``lumiline serve`` on a free port; ends it afterwards.
 
     Args:
         data_dir: its data directory, which also gets its log, ``service.log``.
+        settings: further settings by name.
     """
     data_dir.mkdir(parents=True, exist_ok=True)
     log_path = data_dir / "service.log"
     port = free_port()
     # The embedded default, whatever this user's environment says of another database.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("LUMILINE_")}
+    environment |= {f"LUMILINE_{k.upper()}": v for k, v in (settings or {}).items()}
     with log_path.open("w", encoding="utf-8") as log:
         process = subprocess.Popen(  # noqa: S603 - our own command line
             [sys.executable, "-m", "service.cli", "serve",

@@ -1,0 +1,139 @@
+"""The peer of the tracker: Stone Soup's JPDA on the same readings, sensor after sensor.
+
+A competent user's Stone Soup: an extended Kalman filter of constant acceleration, one measurement
+model for each sensor with its exact slope, its fastest exact JPDA (EHM2), and the marginals reduced
+to one Gaussian. It starts no tracks of one-dimensional readings: each marker's is given to it at
+its true place and velocity.
+"""
+
+import time
+from datetime import datetime, timedelta
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.tracking_scene import SIGMA_PX, Scene
+from benchmarks.tracking_score import Tracked
+
+Array = NDArray[np.float64]
+
+GATE = 0.99999
+"""Probability of its gate: 4.4 deviations."""
+START_DEVIATIONS = (0.5, 20.0, 1000.0)
+"""Of the given place [mm], velocity [mm/s] and acceleration [mm/s^2]."""
+_BEGIN = datetime(2000, 1, 1)  # noqa: DTZ001 - Stone Soup's own times have no zone
+_PLACE = [0, 3, 6]
+
+
+def stone_soup(scene: Scene, first: int, white_jerk: float, detection: float) -> list[Tracked]:
+    """Return what it reports of the exposures from ``first`` on."""
+    from stonesoup.dataassociator.probability import JPDAwithEHM2
+    from stonesoup.functions import gm_reduce_single
+    from stonesoup.hypothesiser.probability import PDAHypothesiser
+    from stonesoup.models.transition.linear import (
+        CombinedLinearGaussianTransitionModel,
+        ConstantAcceleration,
+    )
+    from stonesoup.predictor.kalman import ExtendedKalmanPredictor
+    from stonesoup.types.array import StateVectors
+    from stonesoup.types.detection import Detection
+    from stonesoup.types.state import GaussianState
+    from stonesoup.types.track import Track
+    from stonesoup.types.update import GaussianStateUpdate
+    from stonesoup.updater.kalman import ExtendedKalmanUpdater
+
+    motion = CombinedLinearGaussianTransitionModel([ConstantAcceleration(white_jerk)] * 3)
+    updater = ExtendedKalmanUpdater(measurement_model=None)
+    hypothesiser = PDAHypothesiser(
+        ExtendedKalmanPredictor(motion),
+        updater,
+        clutter_spatial_density=scene.false_per_px,
+        prob_detect=detection,
+        prob_gate=GATE,
+    )
+    associator = JPDAwithEHM2(hypothesiser)
+    models = measurement_models(scene)
+    rng = np.random.default_rng(first)
+    covariance = np.diag(np.tile(START_DEVIATIONS, 3)) ** 2
+    tracks = []
+    for place, velocity in zip(scene.places_mm[first], scene.velocity_mm_s[first], strict=True):
+        truth = np.stack([place, velocity, np.zeros(3)], axis=1).ravel()
+        mean = truth + np.tile([*START_DEVIATIONS[:2], 0.0], 3) * rng.standard_normal(9)
+        begin = _BEGIN + timedelta(seconds=float(scene.times_s[first]))
+        tracks.append(Track([GaussianState(mean[:, None], covariance, timestamp=begin)]))
+    found = []
+    for exposure in range(first, len(scene.times_s)):
+        now = _BEGIN + timedelta(seconds=float(scene.times_s[exposure]))
+        begin_s = time.perf_counter()
+        for model, line in zip(models, scene.peaks_px[exposure], strict=True):
+            detections = {
+                Detection(np.array([[value]]), timestamp=now, measurement_model=model)
+                for value in line[np.isfinite(line)]
+            }
+            for track, options in associator.associate(set(tracks), detections, now).items():
+                means, covariances, weights = [], [], []
+                for option in options:
+                    state = updater.update(option) if option else option.prediction
+                    means.append(state.state_vector)
+                    covariances.append(state.covar)
+                    weights.append(option.probability)
+                mean, spread = gm_reduce_single(
+                    StateVectors(means), np.stack(covariances, axis=2), np.asarray(weights)
+                )
+                track.append(GaussianStateUpdate(mean, spread, options, now))
+        seconds = time.perf_counter() - begin_s
+        states = [track[-1] for track in tracks]
+        for track in tracks:
+            # Its history is not asked for; kept, it would grow.
+            del track.states[:-1]
+        found.append(
+            Tracked(
+                np.arange(len(tracks)),
+                np.stack([np.asarray(s.state_vector, dtype=float)[_PLACE, 0] for s in states]),
+                np.stack([np.asarray(s.covar)[np.ix_(_PLACE, _PLACE)] for s in states]),
+                seconds,
+            )
+        )
+    return found
+
+
+def measurement_models(scene: Scene) -> list[Any]:
+    """Return a measurement model of Stone Soup's for each sensor, with its exact slope."""
+    from stonesoup.base import Property
+    from stonesoup.models.measurement.nonlinear import NonLinearGaussianMeasurement
+    from stonesoup.types.array import StateVector
+
+    class LineSensor(NonLinearGaussianMeasurement):  # type: ignore[misc]
+        """One sensor's reading of a place."""
+
+        camera: Any = Property(doc="Rows m1 and m2 of the sensor's matrix")
+
+        @property
+        def ndim_meas(self) -> int:
+            return 1
+
+        def function(self, state: Any, noise: Any = False, **_: Any) -> Any:
+            place = np.asarray(state.state_vector, dtype=float)[_PLACE]
+            along, depth = self.camera[:, :3] @ place + self.camera[:, 3:]
+            reading = along / depth
+            if isinstance(noise, bool):
+                noise = self.rvs() if noise else 0.0
+            return StateVector([float(reading[0])]) + noise
+
+        def jacobian(self, state: Any, **_: Any) -> Array:
+            place = np.asarray(state.state_vector, dtype=float)[_PLACE, 0]
+            along, depth = self.camera[:, :3] @ place + self.camera[:, 3]
+            slope = np.zeros((1, 9))
+            slope[0, _PLACE] = (self.camera[0, :3] - along / depth * self.camera[1, :3]) / depth
+            return slope
+
+    return [
+        LineSensor(
+            ndim_state=9,
+            mapping=tuple(_PLACE),
+            noise_covar=np.array([[SIGMA_PX**2]]),
+            camera=matrix,
+        )
+        for matrix in scene.cameras.matrices
+    ]

@@ -17,7 +17,7 @@ import httpx
 from rich.table import Table
 
 from service.cli.output import console, fail, print_json, progress
-from service.cli.spawn import free_port, service_process
+from service.cli.spawn import service_process, simulated_device
 
 TITLE: Final = (
     "4 sensors x 2048 pixels over the serial protocol, a recorder, 50 clients of which five stalled"
@@ -69,7 +69,7 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
 
     with contextlib.ExitStack() as stack:
         with progress("starting the service", quiet=quiet):
-            source = stack.enter_context(_simulated_device(rate_hz, folder))
+            source = stack.enter_context(simulated_device(folder, rate_hz, cycle=500))
             service = stack.enter_context(service_process(folder / "service"))
         with httpx.Client(base_url=service.url, timeout=60.0) as client:
             _ok(client.patch(f"/api/v1/devices/{DEVICE}", json={"source": source}))
@@ -111,23 +111,6 @@ def _received(url: str, echo: str, seconds: float, *, quiet: bool) -> dict[str, 
         raise RuntimeError("the clients failed; see above")
     received: dict[str, Any] = json.loads(output)
     return received
-
-
-@contextmanager
-def _simulated_device(rate_hz: float, folder: Path) -> Iterator[dict[str, Any]]:
-    """Run a device of its own process and yield the source that reads it."""
-    port = free_port()
-    with (folder / "device.log").open("wb") as log:
-        process = subprocess.Popen(  # noqa: S603 - our own command line
-            [sys.executable, "-m", "service.cli", "simulate-serial",
-             "--listen", f"127.0.0.1:{port}", "--rate", str(rate_hz), "--cycle", "500"],
-            stdout=log, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        try:
-            yield {"kind": "serial", "settings": {"url": f"socket://127.0.0.1:{port}"}}
-        finally:
-            process.terminate()
-            process.wait()
 
 
 def _wait_for_frames(client: httpx.Client) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from service.cli.output import console, fail, print_json, progress
-from service.cli.spawn import free_port, service_process
+from service.cli.spawn import free_port, service_process, simulated_device
 
 TITLE: Final = "a tool of four strobed markers, 4 sensors x 2048 pixels, to an OpenIGTLink client"
 TOOL: Final = "pointer"
@@ -41,13 +41,16 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
     from hardware.simulated.scenes import MovingTool, MovingTools
 
     scene = MovingTools((MovingTool(MARKERS_MM),))
+    cycle = round(scene.period_s * rate_hz)
+    shown = {"kind": "moving-tools", "tools": [{"markers_mm": MARKERS_MM}]}
     port = free_port()
     settings = {"openigtlink_port": str(port), "openigtlink_rate_hz": "10000"}
     with ExitStack() as stack:
         with progress("starting the service", quiet=quiet):
-            service = stack.enter_context(service_process(folder, settings))
+            source = stack.enter_context(simulated_device(folder, rate_hz, cycle, {"scene": shown}))
+            service = stack.enter_context(service_process(folder / "service", settings))
             with httpx.Client(base_url=service.url, timeout=60.0) as client:
-                _start(client, scene, rate_hz)
+                _start(client, source)
         with progress("receiving", seconds, quiet=quiet) as done:
             received = list(transforms("127.0.0.1", port, seconds, done))
         with httpx.Client(base_url=service.url, timeout=60.0) as client:
@@ -65,7 +68,7 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
     errors = []
     tip = np.array(TIP_MM)
     for one in own:
-        rotation, origin = scene.pose(0, one.sequence / rate_hz)
+        rotation, origin = scene.pose(0, one.sequence % cycle / rate_hz)
         found = one.matrix[:, :3] @ tip + one.matrix[:, 3]
         errors.append(float(np.linalg.norm(found - (rotation @ tip + origin))))
     return {
@@ -81,13 +84,8 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
     }
 
 
-def _start(client: httpx.Client, scene: Any, rate_hz: float) -> None:
-    """Have the simulated device show the tool, and the server know it."""
-    shown = {
-        "kind": "moving-tools",
-        "tools": [{"markers_mm": scene.tools[0].markers_mm}],
-    }
-    source = {"kind": "simulated", "settings": {"scene": shown, "frame_rate_hz": rate_hz}}
+def _start(client: httpx.Client, source: dict[str, Any]) -> None:
+    """Have the device read, and tell the server of the tool."""
     _ok(client.post(f"/api/v1/devices/{DEVICE}/stop"))
     _ok(client.patch(f"/api/v1/devices/{DEVICE}", json={"source": source}))
     tool = {

@@ -1,5 +1,6 @@
 """A real service in a process of its own, for the commands that act as its client."""
 
+import json
 import os
 import socket
 import subprocess
@@ -9,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import httpx
 
@@ -68,6 +70,35 @@ def service_process(
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+
+
+@contextmanager
+def simulated_device(
+    folder: Path, rate_hz: float, cycle: int, settings: Mapping[str, Any] | None = None
+) -> Iterator[dict[str, Any]]:
+    """Run a device in a process of its own, and yield the source that reads it over a socket.
+
+    Args:
+        folder: gets its log and its settings.
+        rate_hz: exposures a second.
+        cycle: how many of them are rendered beforehand, and repeat.
+        settings: as of ``SimulationSettings``.
+    """
+    port = free_port()
+    given = folder / "device.json"
+    given.write_text(json.dumps(settings or {}), encoding="utf-8")
+    with (folder / "device.log").open("wb") as log:
+        process = subprocess.Popen(  # noqa: S603 - our own command line
+            [sys.executable, "-m", "service.cli", "simulate-serial",
+             "--listen", f"127.0.0.1:{port}", "--rate", str(rate_hz), "--cycle", str(cycle),
+             "--settings", str(given)],
+            stdout=log, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+        try:
+            yield {"kind": "serial", "settings": {"url": f"socket://127.0.0.1:{port}"}}
+        finally:
+            process.terminate()
+            process.wait()
 
 
 def free_port() -> int:

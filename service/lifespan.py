@@ -16,6 +16,7 @@ from service.live.hub import Hub
 from service.live.manager import LiveManager
 from service.metrics.live import LiveCollector
 from service.metrics.stored import DatabaseCollector, RecordingsCollector
+from service.ndi.run import ndi_running
 from service.openigtlink.run import openigtlink_running
 from service.quality.watch import Watch
 from service.recordings.manager import Recordings
@@ -84,6 +85,7 @@ async def running(
             RecordingsCollector(recordings),
         )
         await stack.enter_async_context(openigtlink_running(app, settings, recordings))
+        await stack.enter_async_context(ndi_running(app, settings))
         if started is not None:
             started()
         yield

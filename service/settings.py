@@ -124,7 +124,22 @@ class Settings(BaseSettings):
     openigtlink_changes: bool = False
     """Let clients begin and end recordings, and set transforms; nobody knows who they are."""
 
-    @field_validator("trusted_proxies", "openigtlink_allow")
+    ndi_port: int | None = Field(default=None, ge=0, le=65535)
+    """Port of the answerer for NDI clients; 8765 is the usual one; None: there is none."""
+    ndi_host: str = "127.0.0.1"
+    """Address that it listens on; another than loopback needs ``ndi_allow``."""
+    ndi_allow: tuple[str, ...] = ()
+    """Addresses or networks of its clients, besides this machine's: the protocol has no keys."""
+    ndi_device: str | None = None
+    """The device whose tools it reports; None: the only one that has any."""
+    ndi_clients: int = Field(default=16, ge=1, le=1000)
+    """Most clients at the same time."""
+    ndi_model: str = Field(default="Lumiline Polaris-compatible", pattern=r"^[ -~]{1,40}$")
+    """What clients are told that they speak to; some look for a word in it."""
+    ndi_part_numbers: dict[str, str] = Field(default_factory=dict)
+    """Ids of tools by what the tool definitions that clients upload call them."""
+
+    @field_validator("trusted_proxies", "openigtlink_allow", "ndi_allow")
     @classmethod
     def _addresses(cls, given: tuple[str, ...]) -> tuple[str, ...]:
         for one in given:
@@ -154,6 +169,7 @@ class Settings(BaseSettings):
         if self.oidc_issuer is not None and not self.oidc_audience:
             raise ValueError("oidc_issuer needs oidc_audience: tokens for others are not ours")
         _check_reach("openigtlink", self.openigtlink_host, self.openigtlink_allow)
+        _check_reach("ndi", self.ndi_host, self.ndi_allow)
         return self
 
     @property

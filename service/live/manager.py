@@ -234,6 +234,10 @@ class LiveManager:
             if session is not None and session.running:
                 self._compute.submit(lambda: session.set_tracked(tracked)).result()
 
+    def tracked(self, device_id: str) -> Tracked:
+        """Return what of a device is followed, or will be once it is started."""
+        return self._tracked.get(device_id, NOTHING_TRACKED)
+
     def _set(self, session: DeviceSession, found: InForce) -> None:
         """Hand calibration and table to the processor, between two batches in its own thread."""
         given = found.calibration_id, found.calibration, found.table_id, found.table

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from service.ndi.crc16 import crc16
+from fastcrc import crc16
+
 from service.ndi.refusal import ErrorCode, Refused
 
 MOST_BYTES: Final = 2048
@@ -106,7 +107,7 @@ def parse(line: bytes) -> Command:
     if separator == b":":
         if len(rest) < 4:
             raise Refused(ErrorCode.TOO_SHORT)
-        if _HEX4.fullmatch(rest[-4:]) is None or int(rest[-4:], 16) != crc16(line[:-4]):
+        if _HEX4.fullmatch(rest[-4:]) is None or int(rest[-4:], 16) != crc16.arc(line[:-4]):
             raise Refused(ErrorCode.BAD_CRC)
         rest = rest[:-4]
     return Command(name.decode().upper(), (rest or b"").decode())

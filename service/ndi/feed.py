@@ -2,7 +2,8 @@
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -15,12 +16,12 @@ AGE_S: Final = 0.5
 """Poses are not given any more when nothing has come for so long, nor for AGE_FRAMES frames."""
 AGE_FRAMES: Final = 5.0
 
-Markers = Callable[[str], Mapping[str, NDArray[np.float64]]]
-"""Returns a device's tools' markers in their own coordinates, by the tool's name."""
+MarkersOf = Callable[[str, str], NDArray[np.float64] | None]
+"""Returns the markers of a device's tool in its own coordinates [mm]; None: they are not known."""
 
 
-def _unknown(_: str) -> Mapping[str, NDArray[np.float64]]:
-    return {}
+def _unknown(_device: str, _tool: str) -> None:
+    return None
 
 
 class PoseFeed:
@@ -38,7 +39,7 @@ class PoseFeed:
         self,
         board: PoseBoard,
         device: str | None = None,
-        markers: Markers = _unknown,
+        markers: MarkersOf = _unknown,
         age_s: float = AGE_S,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -71,7 +72,7 @@ class PoseFeed:
             sequence=entry.sequence,
             fresh=fresh,
             frame_rate_hz=entry.frame_rate_hz,
-            markers_mm=self._markers(wanted),
+            markers=partial(self._markers, wanted),
         )
 
     async def newer(self, device: str | None, sequence: int, patience_s: float) -> None:

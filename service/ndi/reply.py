@@ -3,7 +3,8 @@
 import struct
 from typing import Final
 
-from service.ndi.crc16 import crc16
+from fastcrc import crc16
+
 from service.ndi.refusal import ErrorCode
 
 START: Final = 0xA5C4
@@ -16,7 +17,7 @@ RESET: Final = "RESET"
 def text_reply(text: str) -> bytes:
     """Return a reply of ASCII characters: with its checksum, and a carriage return."""
     body = text.encode("ascii", "replace")
-    return body + b"%04X\r" % crc16(body)
+    return body + b"%04X\r" % crc16.arc(body)
 
 
 def error_reply(code: ErrorCode) -> bytes:
@@ -31,4 +32,4 @@ def binary_reply(body: bytes) -> bytes:
     own checksum leaves this checksum at 0.
     """
     head = struct.pack("<HH", START, len(body))
-    return head + struct.pack("<H", crc16(head)) + body + struct.pack("<H", crc16(body))
+    return head + struct.pack("<H", crc16.arc(head)) + body + struct.pack("<H", crc16.arc(body))

@@ -4,7 +4,7 @@ import asyncio
 import logging
 import socket
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from service.navigation.allow_list import AllowList
 from service.ndi.client import READ_BYTES, Client
@@ -63,7 +63,7 @@ class NdiServer:
         feed: the poses; it is closed with the server.
 
     Attributes:
-        counts: what happened since the start.
+        counts: what happened since the start, of clients that have gone; see ``totals``.
         address: address and port where it listens.
     """
 
@@ -79,6 +79,15 @@ class NdiServer:
     def clients(self) -> int:
         """How many are connected."""
         return len(self._clients)
+
+    def totals(self) -> NdiCounts:
+        """Return what happened since the start, of those who are still connected, too."""
+        sessions = [client.session for client in self._clients.values()]
+        return replace(
+            self.counts,
+            commands=self.counts.commands + sum(one.answered for one in sessions),
+            refused=self.counts.refused + sum(one.refused for one in sessions),
+        )
 
     async def start(self) -> None:
         """Listen; raises OSError when the port cannot be had."""

@@ -36,5 +36,5 @@ def _report(port: Port, view: View, frame: int, options: ReplyOption) -> ToolRep
         view.poses.get(tool),
         frame,
         out_of_volume=ReplyOption.OUT_OF_VOLUME in options,
-        markers_mm=view.markers_mm.get(tool) if ReplyOption.MARKERS in options else None,
+        markers_mm=view.markers(tool) if ReplyOption.MARKERS in options else None,
     )

@@ -8,6 +8,12 @@ from numpy.typing import NDArray
 
 from compute.pose.tool_pose import ToolPose
 
+Markers = Callable[[str], NDArray[np.float64] | None]
+
+
+def _unknown(_: str) -> None:
+    return None
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -21,7 +27,8 @@ class View:
         sequence: number of the frame that they are of; -1: there is none.
         fresh: whether they are new.
         frame_rate_hz: of the device; 0: not known.
-        markers_mm: markers of tools in the tools' own coordinates, where known.
+        markers: returns a tool's markers in its own coordinates, shape (M, 3) [mm]; None: they
+            are not known.
     """
 
     device_id: str | None = None
@@ -31,7 +38,7 @@ class View:
     sequence: int = -1
     fresh: bool = False
     frame_rate_hz: float = 0.0
-    markers_mm: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    markers: Markers = _unknown
 
 
 Look = Callable[[str | None], View]

@@ -268,7 +268,7 @@ def test_no_more_handles_than_drivers_have_room_for():
 def test_markers_where_they_are_known():
     talk = Talk("probe").tracking()
     assert talk("TX:0008") == "010100\n0000"
-    talk.view = replace(talk.view, markers_mm={"probe": np.zeros((4, 3))})
+    talk.view = replace(talk.view, markers=lambda _: np.zeros((4, 3)))
     told = talk("TX:0008")
     place = pose("probe").translation_mm
     assert place is not None

@@ -1,0 +1,65 @@
+"""Runs the NDI answerer as long as the application, where settings say so."""
+
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+from fastapi import FastAPI
+from numpy.typing import NDArray
+
+from service.metrics.ndi import NdiCollector
+from service.navigation.allow_list import AllowList
+from service.ndi.feed import PoseFeed
+from service.ndi.server import NdiOptions, NdiServer
+from service.settings import Settings
+from service.version import package_version
+
+if TYPE_CHECKING:
+    from service.live.manager import LiveManager
+
+_log = logging.getLogger(__name__)
+
+
+@asynccontextmanager
+async def ndi_running(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
+    """Run it; with no port set, do nothing.
+
+    Args:
+        app: with the live side and the metrics in its state; gets ``ndi``.
+        settings: of the service.
+
+    Raises:
+        OSError: the port is taken, or the address is none of this machine.
+    """
+    if settings.ndi_port is None:
+        yield
+        return
+    live: "LiveManager" = app.state.live
+    options = NdiOptions(
+        port=settings.ndi_port,
+        host=settings.ndi_host,
+        allowed=AllowList(settings.ndi_allow),
+        clients=settings.ndi_clients,
+        model=settings.ndi_model,
+        version=package_version(),
+        part_numbers=settings.ndi_part_numbers,
+    )
+
+    def markers(device_id: str, tool: str) -> NDArray[np.float64] | None:
+        tools = live.tracked(device_id).tools
+        return next((one.markers_mm for one in tools if one.name == tool), None)
+
+    server = NdiServer(options, PoseFeed(live.poses, settings.ndi_device, markers))
+    try:
+        await server.start()
+    except OSError as error:
+        _log.critical("NDI clients on %s port %d: %s", options.host, options.port, error)
+        raise
+    app.state.metrics.add(NdiCollector(server))
+    app.state.ndi = server
+    try:
+        yield
+    finally:
+        await server.close()

@@ -1,0 +1,83 @@
+"""The answerer as a part of the service."""
+
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from compute.pose.rigid_body import RigidBody
+from service.app import create_app
+from service.live.tracked import Tracked
+from service.settings import Settings
+from tests.service.ndi.boards import entry, pose
+from tests.service.recorded_live import TestClient
+
+
+def ask(connection: socket.socket, command: str) -> str:
+    connection.sendall(command.encode() + b"\r")
+    reply = b""
+    while not reply.endswith(b"\r"):
+        reply += connection.recv(4096)
+    return reply[:-5].decode()
+
+
+def test_it_runs_where_settings_say_so(tmp_path: Path):
+    settings = Settings(data_dir=tmp_path, compute_device="cpu", ndi_port=0, ndi_model="Model")
+    app = create_app(settings)
+    with TestClient(app) as client:
+        live = app.state.live
+        with socket.create_connection(app.state.ndi.address, timeout=60.0) as connection:
+            assert "Freeze Tag: Model " in ask(connection, "VER 0")
+            body = RigidBody("probe", np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0, 70.0, 0.0]]))
+            live.set_tracked("bar", Tracked(tools=(body,)))
+            given = pose("probe")
+            live.poses.put(entry(given))
+            assert ask(connection, "INIT") == "OKAY"
+            assert ask(connection, "PHSR 02") == "0101001"
+            assert ask(connection, "PINIT 01") == ask(connection, "PENA 01D") == "OKAY"
+            assert ask(connection, "TSTART") == "OKAY"
+            told = ask(connection, "TX 0009")
+            while "MISSING" in told:
+                # It took longer than poses are good for: the machine is busy.
+                live.poses.put(entry(given))
+                told = ask(connection, "TX 0009")
+            place = told.index("000000310000000703") + 19
+            assert given.translation_mm is not None
+            assert int(told[place : place + 7]) / 100 == pytest.approx(
+                given.translation_mm[0], abs=0.0051
+            )
+            text = client.get("/metrics").text
+            assert "lumiline_ndi_clients 1.0" in text
+            assert "lumiline_ndi_commands_refused_total 0.0" in text
+        address = app.state.ndi.address
+    with pytest.raises(OSError):
+        socket.create_connection(address, timeout=1.0)
+
+
+def test_it_does_not_unless_they_do(tmp_path: Path):
+    app = create_app(Settings(data_dir=tmp_path, compute_device="cpu"))
+    with TestClient(app):
+        assert not hasattr(app.state, "ndi")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "name"),
+    [
+        ({"ndi_port": 70_000}, "ndi_port"),
+        ({"ndi_port": 8765, "ndi_host": "0.0.0.0"}, "ndi_allow"),
+        ({"ndi_allow": ("everybody",)}, "ndi_allow"),
+        ({"ndi_allow": ("0.0.0.0/0",)}, "ndi_allow"),
+        ({"ndi_model": "two\rlines"}, "ndi_model"),
+    ],
+)
+def test_settings_that_make_no_sense(wrong: dict[str, object], name: str):
+    with pytest.raises(ValidationError, match=name):
+        Settings(**wrong)
+
+
+def test_settings_that_do(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("LUMILINE_NDI_PART_NUMBERS", '{"8700340": "probe"}')
+    settings = Settings(ndi_host="10.0.0.1", ndi_allow=("10.0.0.0/24",))
+    assert settings.ndi_part_numbers == {"8700340": "probe"}

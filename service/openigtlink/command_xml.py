@@ -1,5 +1,6 @@
 """Commands as PLUS writes them: one XML element with attributes, and the answer to it."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -12,6 +13,7 @@ from defusedxml.ElementTree import fromstring
 from service.openigtlink.errors import CommandRefused
 
 _SHOWN: Final = 200
+_NOT_XML: Final = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 @dataclass(frozen=True)
@@ -100,4 +102,4 @@ def reply_metadata(reply: Reply) -> dict[str, str]:
 
 def _clean(text: str) -> str:
     """Return a text without what XML cannot have."""
-    return "".join(one if one in "\t\n\r" or one >= " " else "?" for one in text)
+    return _NOT_XML.sub("?", text)

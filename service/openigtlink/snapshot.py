@@ -208,8 +208,8 @@ class Snapshot:
                 status, reason = frame.status, f'reference "{name.frame}": {frame.reason}'
             translation = frame.rotation.T @ (translation - frame.translation_mm)
             rotation = frame.rotation.T @ rotation
-        largest = max(np.abs(rotation).max(), np.abs(translation).max())
-        if not largest < _LARGEST:  # NaN too
+        if not (np.abs(rotation) < _LARGEST).all() or not (np.abs(translation) < _LARGEST).all():
+            # NaN too, which is not smaller than anything.
             why = "its pose is not finite"
             return WirePose(name, PoseStatus.INVALID, why, None, tool)
         return WirePose(name, status, reason, (rotation, translation), tool)

@@ -8,6 +8,7 @@ from compute.calibration.result import Calibration
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.solver import PointSolver, load_kernels
+from compute.signal.peaks import PeakBatch
 from hardware.driver import DeviceDescription
 from hardware.frame import LineFrame
 from service.live.batch import FrameBatch
@@ -120,12 +121,15 @@ class DeviceProcessor:
 
         A device whose lines nothing is known to read gives neither.
         """
-        active = self._active
         if len(frames) == 1:
             lines = frames[0].lines
         else:
             lines = np.concatenate([frame.lines for frame in frames])
-        peaks = self._finding.find(lines)
+        return self.process_peaks(frames, self._finding.find(lines))
+
+    def process_peaks(self, frames: Sequence[LineFrame], peaks: PeakBatch) -> FrameBatch:
+        """Do the rest for frames whose peaks are found; their lines are not looked at."""
+        active = self._active
         usable = None
         if active is None or not self._finding.reads:
             points, owner = no_points(len(self._names)), np.empty(0, dtype=np.intp)

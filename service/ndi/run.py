@@ -36,7 +36,7 @@ async def ndi_running(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     if settings.ndi_port is None:
         yield
         return
-    live: "LiveManager" = app.state.live
+    live: LiveManager = app.state.live
     options = NdiOptions(
         port=settings.ndi_port,
         host=settings.ndi_host,

@@ -1,18 +1,24 @@
 """`lumiline bench navigation`: simulated optics to OpenIGTLink, latency, jitter and tip errors."""
 
 import tempfile
+import time
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
 import httpx
 import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 
 from service.cli.output import console, fail, print_json, progress
 from service.cli.spawn import free_port, service_process, simulated_device
+
+if TYPE_CHECKING:
+    from benchmarks.navigation import Received
+    from hardware.simulated.scenes import MovingTools
 
 TITLE: Final = "a tool of four strobed markers, 4 sensors x 2048 pixels, to an OpenIGTLink client"
 TOOL: Final = "pointer"
@@ -51,10 +57,12 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
             service = stack.enter_context(service_process(folder / "service", settings))
             with httpx.Client(base_url=service.url, timeout=60.0) as client:
                 _start(client, source)
+                _wait_for_a_cycle(client, cycle)
+                before = _status(client)
         with progress("receiving", seconds, quiet=quiet) as done:
             received = list(transforms("127.0.0.1", port, seconds, done))
         with httpx.Client(base_url=service.url, timeout=60.0) as client:
-            status = client.get(f"/api/v1/devices/{DEVICE}/status").json()["status"]
+            after = _status(client)
         stack.close()
         with (
             progress("a bare server beside it", BARE_SECONDS, quiet=quiet) as done,
@@ -65,23 +73,58 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
             assert address.port is not None
             bare = list(transforms(address.hostname, address.port, BARE_SECONDS, done))
     own = [one for one in received if one.device == f"{TOOL}ToTracker"]
-    errors = []
-    tip = np.array(TIP_MM)
-    for one in own:
-        rotation, origin = scene.pose(0, one.sequence % cycle / rate_hz)
-        found = one.matrix[:, :3] @ tip + one.matrix[:, 3]
-        errors.append(float(np.linalg.norm(found - (rotation @ tip + origin))))
+    errors = _tip_errors(own, scene, rate_hz, cycle)
     return {
         "rate_hz": rate_hz,
         "lumiline": asdict(summed(own)),
         "bare": asdict(summed(bare)),
-        "frames_lost": status["frames_lost_device"] + status["frames_dropped_ring"],
+        "frames_lost": sum(
+            after[name] - before[name] for name in ("frames_lost_device", "frames_dropped_ring")
+        ),
         "tip_error_mm": {
             "rms": float(np.sqrt(np.mean(np.square(errors)))),
             "p95": float(np.percentile(errors, 95.0)),
-            "max": max(errors),
+            "max": float(errors.max()),
         },
     }
+
+
+def _tip_errors(
+    received: "list[Received]", scene: "MovingTools", rate_hz: float, cycle: int
+) -> NDArray[np.float64]:
+    """Return how far each tip is from the truth of its frame [mm].
+
+    Where in its cycle the device was when the service began to count is not told: it is where the
+    tips fit best.
+    """
+    tip = np.array(TIP_MM)
+    rotation, origin = scene.pose(0, (np.arange(cycle) + 0.5) / rate_hz)
+    truth = rotation @ tip + origin
+    matrices = np.array([one.matrix for one in received])
+    found = matrices[:, :, :3] @ tip + matrices[:, :, 3]
+    numbers = np.array([one.sequence for one in received])
+    best = min(
+        (
+            np.linalg.norm(found - truth[(numbers + begin) % cycle], axis=1)
+            for begin in range(cycle)
+        ),
+        key=lambda errors: float((errors**2).mean()),
+    )
+    return np.asarray(best)
+
+
+def _wait_for_a_cycle(client: httpx.Client, frames: int) -> None:
+    """Wait until the device has rendered all that it repeats."""
+    end = time.monotonic() + 120.0
+    while _status(client)["frames"] < frames:
+        if time.monotonic() > end:
+            raise RuntimeError(f"too few frames come: {_status(client)}")
+        time.sleep(0.1)
+
+
+def _status(client: httpx.Client) -> dict[str, Any]:
+    found: dict[str, Any] = _ok(client.get(f"/api/v1/devices/{DEVICE}/status"))["status"]
+    return found
 
 
 def _start(client: httpx.Client, source: dict[str, Any]) -> None:

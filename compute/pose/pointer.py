@@ -132,8 +132,7 @@ def _check_times(times: Array, wanted: StillSettings) -> None:
         raise InvalidParameter("the times of the tip's positions do not ascend")
     if times[-1] < wanted.seconds * (1.0 - 1e-9):
         raise TooFewPoses(
-            f"the tip's positions span {times[-1]:.3g} s; it must be held for "
-            f"{wanted.seconds:g} s",
+            f"the tip's positions span {times[-1]:.3g} s; it must be held for {wanted.seconds:g} s",
             seconds=float(times[-1]),
             needed_s=wanted.seconds,
         )

@@ -102,6 +102,14 @@ class Look:
     misfit: bool = False
     inside: NDArray[np.bool_] = field(init=False)
 
+    def __post_init__(self) -> None:
+        self._predicted = self.state
+
+    def reject(self) -> None:
+        """Go back to what was predicted: what was found does not fit."""
+        self.state, self.nis, self.readings, self.misfit = self._predicted, 0.0, 0, True
+        self.peaks[:] = -1
+
     def readings_px(self, seen: FramePeaks) -> tuple[Array, Array]:
         """Return what was found as readings and deviations of all markers, shapes (M, S)."""
         shape = (len(self.frame.markers_mm), len(seen.position_px))

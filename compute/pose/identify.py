@@ -153,10 +153,8 @@ def ways(
     fits = _distances_fit(tool, places, spread, settings)
     found: list[Way] = []
     most = settings.least_markers
-    tried = 0
-    for points in _assignments(fits, settings.least_markers):
-        tried += 1
-        if tried > settings.most_ways:
+    for points in _assignments(fits, settings.least_markers, settings.most_ways):
+        if points is None:
             return []
         count = int((points >= 0).sum())
         if count < most:
@@ -189,18 +187,22 @@ def _distances_fit(
     return fits
 
 
-def _assignments(fits: NDArray[np.bool_], least: int) -> Iterator[NDArray[np.intp]]:
+def _assignments(
+    fits: NDArray[np.bool_], least: int, most_steps: int
+) -> Iterator[NDArray[np.intp] | None]:
     """Yield points of markers, -1: none, such that all distances agree; more markers first tried.
 
-    Those with fewer markers than an earlier one are not gone into.
+    Those with fewer markers than an earlier one are not gone into. After too many steps None comes,
+    and nothing more.
     """
     markers, points = len(fits), fits.shape[2]
-    most = least
+    most, steps = least, 0
     assigned = np.full(markers, -1, dtype=np.intp)
 
     def extend(marker: int, count: int, open_points: NDArray[np.bool_]) -> Iterator[None]:
-        nonlocal most
-        if count + markers - marker < most:
+        nonlocal most, steps
+        steps += 1
+        if steps > most_steps or count + markers - marker < most:
             return
         if marker == markers:
             most = max(most, count)
@@ -217,6 +219,8 @@ def _assignments(fits: NDArray[np.bool_], least: int) -> Iterator[NDArray[np.int
 
     for _ in extend(0, 0, np.ones((markers, points), dtype=np.bool_)):
         yield assigned.copy()
+    if steps > most_steps:
+        yield None
 
 
 def _laid(

@@ -91,20 +91,14 @@ def find_lit(
         )
         looks[index] = Look(frame, np.arange(len(tools[index])), state)
     associate(model, list(looks.values()), seen, settings.gate_probability)
-    return [
-        _start(
-            model,
-            tool,
-            errors[index],
-            time_ns,
-            seen,
-            found.get(index),
-            looks.get(index),
-            len(place),
-            settings,
-        )
-        for index, tool in enumerate(tools)
-    ]
+    starts = []
+    for index, tool in enumerate(tools):
+        one, look = found.get(index), looks.get(index)
+        if one is not None and look is not None:
+            starts.append(_start(model, tool, errors[index], seen, one, look, len(place), settings))
+        else:
+            starts.append(_no_start(model, tool, one, len(place), settings))
+    return starts
 
 
 def _free_points(

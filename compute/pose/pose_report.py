@@ -124,8 +124,8 @@ def outside_volume(
             place = places[beyond][0]
             out = [name for name, far in zip(names, beyond, strict=True) if far]
             return (
-                f"{_listed(out)} outside of the volume of the calibration, at {_place(place)}; it reaches from "
-                f"{_place(low)} to {_place(high)}"
+                f"{_listed(out)} outside of the volume of the calibration, at {_place(place)}; it "
+                f"reaches from {_place(low)} to {_place(high)}"
             )
     if model.corrections is not None:
         inside = model.corrections.at(state.places(frame)).inside

@@ -32,6 +32,7 @@ CYCLES: Final = 2
 WEAK_SHARE: Final = 0.5
 """A frame that finds fewer than this share of the readings of the frame before is tried again with
 a manoeuvre."""
+MISFIT: Final = "the readings do not fit it where it was and how it moved"
 
 
 @dataclass(eq=False)
@@ -46,6 +47,7 @@ class _Tool:
         last: its last updates: time, NIS, readings, which markers and sensors (M, S).
         exposures: the last exposures of a strobed tool that is lost.
         fresh: exposures since it was last looked for in vain.
+        fits: whether its last exposures fitted it; of one that lights all markers, that alone.
         status: of a lost tool.
         reason: why it is lost.
     """
@@ -57,6 +59,7 @@ class _Tool:
     last: deque[tuple[float, int, NDArray[np.bool_]]] = field(default_factory=deque)
     exposures: deque[Exposure] = field(default_factory=deque)
     fresh: int = 0
+    fits: deque[bool] = field(default_factory=deque)
     status: PoseStatus = PoseStatus.UNKNOWN
     reason: str = "no exposure could have shown it yet"
 
@@ -75,6 +78,7 @@ class _Tool:
         self.state = None
         self.last.clear()
         self.exposures.clear()
+        self.fits.clear()
         self.fresh = 0
         self.status, self.reason = status, reason
 
@@ -192,12 +196,8 @@ class ToolTracker:
         self._time_ns = time_ns
         seen = FramePeaks.of(position_px, sigma_px, peak_flags)
         looks = self._follow(time_ns, marker, seen)
-        taken = [look for look in looks.values() if look is not None]
-        self._find(time_ns, marker, seen, taken, points)
-        return tuple(
-            self._report(tool, looks.get(index), time_ns, sequence)
-            for index, tool in enumerate(self._tools)
-        )
+        self._find(time_ns, marker, seen, looks, points)
+        return tuple(self._report(tool, time_ns, sequence) for tool in self._tools)
 
     def _follow(self, time_ns: int, marker: int | None, seen: FramePeaks) -> dict[int, Look]:
         """Predict and update the tools that are tracked; drop those not seen for too long."""
@@ -214,9 +214,12 @@ class ToolTracker:
         self._again(looks, before, time_ns, seen)
         for index, look in looks.items():
             tool = self._tools[index]
+            self._judge(tool, look, marker, seen)
             tool.state = look.state
             if look.readings:
                 self._count(tool, look, time_ns)
+            if tool.fits.count(False) >= len(tool.body):
+                tool.lose(PoseStatus.INVALID, MISFIT)
             elif 1e-9 * (time_ns - tool.seen_ns) > self.settings.coast_s:
                 self._drop(tool, look)
         return looks
@@ -248,6 +251,20 @@ class ToolTracker:
             if trial.readings > looks[index].readings:
                 looks[index] = trial
 
+    def _judge(self, tool: _Tool, look: Look, marker: int | None, seen: FramePeaks) -> None:
+        """Note whether what an exposure showed is what it must have shown."""
+        if len(look.lit) == 0:
+            return
+        if marker is None:
+            tool.fits.clear()
+        elif look.readings < WEAK_SHARE * seen.usable.any(axis=1).sum():
+            # The marker alone was lit, and most of what was seen is not where it must be: what
+            # little fits does so by chance.
+            look.reject()
+        tool.fits.append(not look.misfit)
+        while len(tool.fits) > CYCLES * len(tool.body):
+            tool.fits.popleft()
+
     def _is_weak(self, tool: _Tool, look: Look) -> bool:
         if len(look.lit) == 0:
             return False
@@ -268,39 +285,46 @@ class ToolTracker:
         """Give a tool up that was predicted for too long, and say where it went."""
         coast = f"nothing was seen of it for {1e3 * self.settings.coast_s:.3g} ms"
         if look.misfit:
-            tool.lose(PoseStatus.INVALID, "the readings where it was expected do not fit it")
+            tool.lose(PoseStatus.INVALID, MISFIT)
             return
-        if self.pixels is not None:
-            places = look.state.places(tool.frame)
-            value = self.model.expected(places)[0]
-            field = (value >= -0.5) & (value <= np.array(self.pixels) - 0.5)
-            if field.sum() < self.settings.fit.least_readings:
-                tool.lose(
-                    PoseStatus.OUT_OF_VIEW,
-                    f"it left the sensors' fields: {int(field.sum())} of its "
-                    f"{field.size} readings would be on the pixels where it was heading; {coast}",
-                )
-                return
-        tool.lose(PoseStatus.MISSING, coast)
+        left = self._left_view(tool, look.state)
+        if left is not None:
+            tool.lose(PoseStatus.OUT_OF_VIEW, f"{left}; {coast}")
+        else:
+            tool.lose(PoseStatus.MISSING, coast)
+
+    def _left_view(self, tool: _Tool, state: PoseState) -> str | None:
+        """Return that too few of a tool's readings would be on the pixels, if so."""
+        if self.pixels is None:
+            return None
+        value = self.model.expected(state.places(tool.frame))[0]
+        here = (value >= -0.5) & (value <= np.array(self.pixels) - 0.5)
+        if here.sum() >= self.settings.fit.least_readings:
+            return None
+        return (
+            f"it left the sensors' fields: {int(here.sum())} of its {here.size} readings would be "
+            "on the pixels where it was heading"
+        )
 
     def _find(
         self,
         time_ns: int,
         marker: int | None,
         seen: FramePeaks,
-        taken: list[Look],
+        looks: dict[int, Look],
         points: PointBatch | None,
     ) -> None:
-        """Look for the tools that are lost."""
-        lost = [tool for tool in self._tools if tool.state is None]
+        """Look for the tools that are lost, or were not seen where they were expected."""
         together = []
-        for tool in lost:
+        taken = []
+        for index, tool in enumerate(self._tools):
+            look = looks.get(index)
             lit = tool.lit(marker)
-            if len(lit) == 0:
-                continue
-            if tool.body.strobe_markers is None or marker is None:
+            if marker is None and (tool.state is None or look is None or not look.readings):
                 together.append(tool)
-            else:
+            elif tool.state is not None and look is not None:
+                taken.append(look)
+            elif len(lit):
                 self._expose(tool, time_ns, int(lit[0]), seen)
         if together:
             self._identify(together, time_ns, seen, taken, points)
@@ -333,6 +357,7 @@ class ToolTracker:
             return
         tool.state, tool.seen_ns = found.state, time_ns
         tool.exposures.clear()
+        tool.fits.clear()
         tool.last.clear()
         sensors = np.zeros((len(tool.body), self.model.sensors), dtype=np.bool_)
         for one in shown:
@@ -359,21 +384,23 @@ class ToolTracker:
             self.settings,
         )
         for tool, one in zip(lost, found, strict=True):
+            if one.state is None and tool.state is not None:
+                continue
             if one.state is None:
                 nothing = one.seen == 0 and tool.status is PoseStatus.OUT_OF_VIEW
                 if not nothing:
                     tool.status, tool.reason = one.status, one.reason
                 continue
             tool.state, tool.seen_ns = one.state, time_ns
+            tool.fits.clear()
             tool.last.clear()
             tool.last.append((one.nis, int(one.sensors.sum()), one.sensors))
 
-    def _report(self, tool: _Tool, look: Look | None, time_ns: int, sequence: int) -> ToolPose:
+    def _report(self, tool: _Tool, time_ns: int, sequence: int) -> ToolPose:
         if tool.state is None:
             return without_pose(tool.body, tool.status, tool.reason, time_ns, sequence)
-        if look is not None and look.misfit and not look.readings:
-            reason = "the readings where it was expected do not fit it"
-            return without_pose(tool.body, PoseStatus.INVALID, reason, time_ns, sequence)
+        if not all(list(tool.fits)[-len(tool.body) :]):
+            return without_pose(tool.body, PoseStatus.INVALID, MISFIT, time_ns, sequence)
         support = tool.support()
         most = max(support.readings)
         limit = chi2_limit(most, self.settings.fit.inconsistent_probability) / most
@@ -385,4 +412,9 @@ class ToolTracker:
             )
             return without_pose(tool.body, PoseStatus.INVALID, reason, time_ns, sequence)
         outside = outside_volume(self.model, tool.body, tool.state, support, self.settings)
-        return report(tool.body, tool.state, support, sequence, outside, self.settings)
+        pose = report(tool.body, tool.state, support, sequence, outside, self.settings)
+        if pose.status is PoseStatus.MISSING:
+            left = self._left_view(tool, tool.state)
+            if left is not None:
+                return without_pose(tool.body, PoseStatus.OUT_OF_VIEW, left, time_ns, sequence)
+        return pose

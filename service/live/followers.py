@@ -68,9 +68,16 @@ class MakeFollowers(Protocol):
         ...
 
     def tools(
-        self, active: ActiveCalibration, tracked: Tracked, tools: Sequence[RigidBody]
+        self,
+        active: ActiveCalibration,
+        tracked: Tracked,
+        tools: Sequence[RigidBody],
+        before: ToolFollower | None,
     ) -> ToolFollower:
-        """Return what follows these tools; raises LumilineError when one cannot be followed."""
+        """Return what follows these tools; raises LumilineError when one cannot be followed.
+
+        It goes on with what ``before``, of the same calibration, knows of the same tools.
+        """
         ...
 
 
@@ -93,7 +100,11 @@ class OwnFollowers:
         )
 
     def tools(
-        self, active: ActiveCalibration, tracked: Tracked, tools: Sequence[RigidBody]
+        self,
+        active: ActiveCalibration,
+        tracked: Tracked,
+        tools: Sequence[RigidBody],
+        before: ToolFollower | None,
     ) -> ToolFollower:
         """Return what follows these tools; raises LumilineError when one cannot be followed."""
         from compute.pose.settings import ToolTrackerSettings
@@ -101,7 +112,7 @@ class OwnFollowers:
 
         covariance, table = uncertainty(active)
         models = active.calibration.models
-        return ToolTracker(
+        made = ToolTracker(
             CameraStack.of(models),
             tools,
             ToolTrackerSettings() if tracked.tool_tracker is None else tracked.tool_tracker,
@@ -109,6 +120,9 @@ class OwnFollowers:
             table,
             tuple(model.pixels for model in models),
         )
+        if isinstance(before, ToolTracker):
+            made.keep(before)
+        return made
 
 
 def uncertainty(active: ActiveCalibration) -> "tuple[Array | None, CorrectionTable | None]":

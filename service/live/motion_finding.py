@@ -65,6 +65,8 @@ class MotionFinding:
         self._groups: list[_Group] = []
         self._fresh_starts = 0
         self._last_ns: int | None = None
+        self._first_number = 0  # added to the markers' numbers, which are never used again
+        self._highest_number = 0
 
     @property
     def wanted(self) -> bool:
@@ -72,14 +74,34 @@ class MotionFinding:
         return not self._tracked.nothing
 
     def set_tracked(self, tracked: Tracked) -> None:
-        """Follow other things from the next frame on; what was followed begins anew."""
-        self._tracked = tracked
-        self._begin()
+        """Follow other things from the next frame on; what is followed already goes on."""
+        before, self._tracked = self._tracked, tracked
+        active = self._following
+        if active is None:
+            return
+        if not tracked.tracks:
+            self._markers = None
+        elif self._markers is None or tracked.tracker != before.tracker:
+            self._begin_markers(active)
+        known = self._groups[0].follower if len(self._groups) == 1 else None
+        same = tracked.tool_tracker == before.tool_tracker
+        self._groups = self._grouped(active, tracked.tools, known if same else None)
 
     def set_calibration(self, active: ActiveCalibration | None) -> None:
-        """Follow with another calibration, from where things were where that is possible."""
+        """Follow with another calibration; tracks and tools are found anew."""
         self._active = active
-        self._begin()
+        self._markers, self._groups = None, []
+        active = self._following
+        if active is None:
+            return
+        if self._tracked.tracks:
+            self._begin_markers(active)
+        self._groups = self._grouped(active, self._tracked.tools, None)
+
+    @property
+    def _following(self) -> ActiveCalibration | None:
+        """The calibration, where there is one and lines are read."""
+        return self._active if self._reads else None
 
     def find(
         self,
@@ -114,41 +136,37 @@ class MotionFinding:
             poses.append(self._follow_tools(frame, *readings, own))
         return Motion.of(tracks, poses, self._sensors)
 
-    def _begin(self) -> None:
-        """Make what follows, or nothing where nothing can be followed."""
+    def _begin_markers(self, active: ActiveCalibration) -> None:
+        """Follow markers anew; their numbers go on where those before ended."""
         self._fresh_starts = 0
-        self._last_ns = None
-        self._markers, self._groups = None, []
-        active, tracked = self._active, self._tracked
-        if active is None or not self._reads:
-            return
-        if tracked.tracks:
-            self._markers = self._made_markers(active)
-        self._groups = self._grouped(active, tracked.tools)
+        self._markers = self._made_markers(active)
 
     def _made_markers(self, active: ActiveCalibration) -> MarkerFollower | None:
+        self._first_number = self._highest_number
         try:
             return self._make.markers(active, self._tracked)
         except Exception:  # noqa: BLE001 - logged
             self._log("its markers cannot be tracked")
             return None
 
-    def _grouped(self, active: ActiveCalibration, tools: Sequence[RigidBody]) -> list[_Group]:
-        """Return all tools in one group, without those that cannot be followed."""
+    def _grouped(
+        self,
+        active: ActiveCalibration,
+        tools: Sequence[RigidBody],
+        before: ToolFollower | None,
+    ) -> list[_Group]:
+        """Return all tools in one group; where that cannot be, each in its own."""
         if not tools:
             return []
         try:
-            return [_Group(tools, self._make.tools(active, self._tracked, tools), "")]
+            return [_Group(tools, self._make.tools(active, self._tracked, tools, before), "")]
         except Exception:  # noqa: BLE001 - logged
             self._log("its tools cannot be tracked together; each is by itself")
-            return self._one_by_one(active, tools)
-
-    def _one_by_one(self, active: ActiveCalibration, tools: Sequence[RigidBody]) -> list[_Group]:
-        return [self._alone(active, tool) for tool in tools]
+            return [self._alone(active, tool) for tool in tools]
 
     def _alone(self, active: ActiveCalibration, tool: RigidBody) -> _Group:
         try:
-            return _Group([tool], self._make.tools(active, self._tracked, [tool]), "")
+            return _Group([tool], self._make.tools(active, self._tracked, [tool], None), "")
         except Exception as error:  # noqa: BLE001 - becomes the tool's status
             self._log(f"its tool {tool.name} cannot be tracked")
             return _Group([tool], None, f"the tool cannot be tracked: {_words(error)}")
@@ -174,7 +192,7 @@ class MotionFinding:
         # The device's clock: the host's has the jitter of the way to it.
         time_ns = frame.exposure_device_ns
         try:
-            return self._markers.step(time_ns, position_px, sigma_px, flags, frame.marker)
+            found = self._markers.step(time_ns, position_px, sigma_px, flags, frame.marker)
         except Exception:  # noqa: BLE001 - logged
             self._fresh_starts += 1
             again = self._fresh_starts <= self.FRESH_STARTS
@@ -182,6 +200,12 @@ class MotionFinding:
             assert self._active is not None
             self._markers = self._made_markers(self._active) if again else None
             return None
+        if not len(found):
+            return None
+        if self._first_number:
+            found = replace(found, identity=found.identity + self._first_number)
+        self._highest_number = max(self._highest_number, int(found.identity.max()))
+        return found
 
     def _follow_tools(
         self,
@@ -225,7 +249,7 @@ class MotionFinding:
         self._log(f"tracking of {', '.join(tool.name for tool in group.tools)} failed")
         assert self._active is not None
         if len(group.tools) > 1:
-            return self._one_by_one(self._active, group.tools)
+            return [self._alone(self._active, tool) for tool in group.tools]
         return [_Group(group.tools, None, reason)]
 
     def _unknown(self, frame: LineFrame) -> tuple[ToolPose, ...]:

@@ -82,9 +82,13 @@ def tool_batch(
     lines = np.zeros((4, 8), np.uint16)
     exposures = tuple(
         LineFrame(
-            device, n, n * 1_000_000, n * 1_000_000,
-            markers[n % len(markers)] if markers else None, lines,
-        )  # fmt: skip
+            device,
+            n,
+            n * 1_000_000,
+            n * 1_000_000,
+            markers[n % len(markers)] if markers else None,
+            lines,
+        )
         for n in range(frames)
     )
     places = np.empty((0, 3))

@@ -1,0 +1,142 @@
+"""The newest pose over REST: in any frame, and with the reason where there is none."""
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from compute.camera.rotation import rotation_matrix
+from compute.pose.tool_pose import PoseStatus, ToolPose
+from service.live.pose_board import BoardEntry
+from service.live.session import DeviceStatus
+from tests.service.recorded_live import RecordedLive
+from tests.service.tools.batches import pose
+from tests.service.tools.test_tools_api import PATIENT, POINTER, code, made
+
+TURN = rotation_matrix(np.array([0.3, -0.4, 0.5]))
+AT = np.array([100.0, -50.0, 1500.0])
+
+
+def put(live: RecordedLive, *poses: ToolPose, age_s: float = 0.0, rate_hz: float = 100.0) -> None:
+    now = time.time_ns() - int(age_s * 1e9)
+    poses = tuple(replace(one, exposure_ns=now) for one in poses)
+    entry = BoardEntry("sim", 7, now, {one.tool: one for one in poses}, "sim-nominal", rate_hz)
+    live.poses.put(entry)
+
+
+def asked(client: Any, **query: str) -> Any:
+    answer = client.get("/api/v1/tools/pointer/pose", params=query)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+@pytest.fixture
+def tools(sqlite_client: Any) -> Any:
+    assert made(sqlite_client, PATIENT).status_code == 201
+    assert made(sqlite_client, POINTER, reference="patient").status_code == 201
+    return sqlite_client
+
+
+def test_a_pose_in_the_trackers_frame(tools: Any, live: RecordedLive):
+    put(live, pose("pointer", 7, TURN, AT))
+    found = asked(tools, frame="tracker")
+    assert (found["status"], found["reason"]) == ("OK", None)
+    assert (found["tool"], found["device"], found["frame"]) == ("pointer", "sim", "tracker")
+    assert (found["sequence"], found["calibration"]) == (7, "sim-nominal")
+    assert found["age_s"] >= 0.0
+    np.testing.assert_allclose(found["translation_mm"], AT)
+    np.testing.assert_allclose(found["rotation"], TURN, atol=1e-12)
+    matrix = np.array(found["matrix"])
+    np.testing.assert_allclose(matrix[:3, :3], TURN, atol=1e-12)
+    np.testing.assert_allclose(matrix[:, 3], [*AT, 1.0])
+    w, *xyz = found["quaternion_wxyz"]
+    angle = np.linalg.norm([0.3, -0.4, 0.5])
+    assert w == pytest.approx(np.cos(angle / 2))
+    np.testing.assert_allclose(xyz, np.sin(angle / 2) / angle * np.array([0.3, -0.4, 0.5]))
+    np.testing.assert_allclose(found["tip_mm"], TURN @ [-150, 0, 0] + AT)
+    assert np.array(found["covariance"]).shape == (6, 6)
+
+
+def test_by_default_relative_to_its_reference(tools: Any, live: RecordedLive):
+    put(live, pose("pointer", 7, TURN, AT), pose("patient", 7, TURN, AT - TURN @ [10.0, 0.0, 0.0]))
+    found = asked(tools)
+    assert found["frame"] == "patient"
+    np.testing.assert_allclose(found["rotation"], np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(found["translation_mm"], [10.0, 0.0, 0.0], atol=1e-9)
+    lost = ToolPose("patient", PoseStatus.MISSING, "1 of 4 markers was seen", 0, 7)
+    put(live, pose("pointer", 7, TURN, AT), lost)
+    found = asked(tools)
+    assert found["status"] == "MISSING"
+    assert found["reason"] == 'its reference "patient": 1 of 4 markers was seen'
+    assert found["matrix"] is found["translation_mm"] is found["covariance"] is None
+    assert asked(tools, frame="tracker")["status"] == "OK"
+
+
+def test_in_the_frame_of_an_image(tools: Any, live: RecordedLive):
+    """The image lies 500 mm beside the patient's reference, turned by 90 degrees about Z."""
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    image = np.array([[0, 0, 0], [100, 0, 0], [0, 100, 0], [0, 0, 100]], float)
+    measured = image @ turn.T + [500.0, 0.0, 0.0]
+    pairs = [
+        {"name": str(n), "frame_mm": one.tolist(), "measured_mm": other.tolist()}
+        for n, (one, other) in enumerate(zip(image, measured, strict=True))
+    ]
+    request = {
+        "id": "ct", "device": "sim", "reference": "patient", "fiducials": pairs,
+        "measured_sigma_mm": 0.01,
+    }  # fmt: skip
+    answer = tools.post("/api/v1/registrations", json=request)
+    assert answer.status_code == 201, answer.text
+    # The tip is at the image's (10, 20, 30), wherever the patient is.
+    at = TURN @ (turn @ [10.0, 20.0, 30.0] + [500.0, 0.0, 0.0]) + AT
+    pointer = pose("pointer", 7, TURN, at - TURN @ [-150.0, 0.0, 0.0])
+    put(live, pointer, pose("patient", 7, TURN, AT))
+    found = asked(tools, frame="ct")
+    assert (found["frame"], found["status"]) == ("ct", "OK")
+    np.testing.assert_allclose(found["tip_mm"], [10.0, 20.0, 30.0], atol=1e-6)
+    refused = tools.delete("/api/v1/tools/patient")
+    assert code(refused) == (409, "tool-in-use")
+    assert tools.delete("/api/v1/registrations/ct").status_code == 204
+    gone = tools.get("/api/v1/tools/pointer/pose", params={"frame": "ct"})
+    assert code(gone) == (404, "unknown-tool")
+
+
+def test_a_stale_pose_is_none(tools: Any, live: RecordedLive):
+    put(live, pose("pointer", 7, TURN, AT), age_s=3600.0)
+    found = asked(tools, frame="tracker")
+    assert found["status"] == "MISSING"
+    assert found["reason"] == "its last frame is 3600.0 s old"
+    assert found["translation_mm"] is None
+    assert found["age_s"] >= 3600.0
+    # Of a device with a frame every 1000 s it is the newest.
+    put(live, pose("pointer", 7, TURN, AT), age_s=3600.0, rate_hz=0.001)
+    assert asked(tools, frame="tracker")["status"] == "OK"
+
+
+def test_without_frames_the_reason_is_the_devices(tools: Any, live: RecordedLive):
+    live.states["sim"] = DeviceStatus("stopped")
+    found = asked(tools, frame="tracker")
+    assert (found["status"], found["reason"]) == ("UNKNOWN", 'device "sim" is stopped')
+    assert found["exposure_ns"] is found["age_s"] is found["sequence"] is None
+    live.states["sim"] = DeviceStatus("disconnected", "its cable is out")
+    assert (
+        asked(tools, frame="tracker")["reason"] == 'device "sim" is disconnected: its cable is out'
+    )
+    live.states["sim"] = DeviceStatus("running")
+    assert "has not sent a frame" in asked(tools, frame="tracker")["reason"]
+    put(live, pose("patient", 7, TURN, AT))
+    assert asked(tools, frame="tracker")["reason"] == "the device does not track it yet"
+    assert asked(tools)["status"] == "UNKNOWN"
+
+
+def test_a_frame_that_there_is_not(tools: Any):
+    for frame, expected in (
+        ("nothing", (404, "unknown-tool")),
+        ("pointer", (422, "invalid-parameter")),
+        ("No Slug", (422, "invalid-request")),
+    ):
+        answer = tools.get("/api/v1/tools/pointer/pose", params={"frame": frame})
+        assert code(answer) == expected
+    assert code(tools.get("/api/v1/tools/nothing/pose")) == (404, "unknown-tool")

@@ -136,7 +136,8 @@ class TriangleMesh:
         """Return the nearest places on the triangles, exactly, and the directions off them."""
         points = np.asarray(points_mm, np.float64)
         few = min(_CANDIDATES, len(self._corners))
-        away, found = self._tree.query(points, np.arange(1, few + 1))
+        query = self._tree.query(points, np.arange(1, few + 1))
+        away, found = np.asarray(query[0], np.float64), np.asarray(query[1], np.intp)
         places = nearest_on_triangles(points[:, None], self._corners[found])
         distance = np.linalg.norm(places - points[:, None], axis=2)
         best = distance.argmin(axis=1)

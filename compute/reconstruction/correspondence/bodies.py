@@ -81,10 +81,8 @@ def body_matches(
         if size < 3 or matches:
             break
         for subset in combinations(range(count), size):
-            tried = 0
-            for rows in near.sets(apart[np.ix_(subset, subset)]):
-                tried += 1
-                if tried > MOST_BRANCHES:
+            for tried, rows in enumerate(near.sets(apart[np.ix_(subset, subset)])):
+                if tried >= MOST_BRANCHES:
                     cut += 1
                     break
                 chosen = kept[list(rows)]
@@ -153,9 +151,7 @@ def _match(
 ) -> BodyMatch | None:
     """Fit candidates as a rigid body; None where they are none."""
     covariance = found.covariance_mm2[chosen]
-    chi2, information = _rigid_fit(
-        markers_mm[list(subset)], found.position_mm[chosen], covariance
-    )
+    chi2, information = _rigid_fit(markers_mm[list(subset)], found.position_mm[chosen], covariance)
     degrees = 3 * len(subset) - 6
     if not chi2 <= chi2_limit(degrees, FALSE_REJECTION):
         return None

@@ -100,7 +100,7 @@ def solved(solve: Solve, peaks: FramePeaks, choice: Choice) -> tuple[Candidates,
     degrees = points.used.sum(axis=1) - 3
     chi2 = np.where(np.isfinite(points.chi2), points.chi2, np.inf)
     limits = np.array([_limit(freedom) for freedom in range(len(peaks) - 2)])
-    good = np.flatnonzero(chi2 <= limits[np.maximum(degrees, 0)])
+    good = np.flatnonzero((chi2 <= limits[np.maximum(degrees, 0)]) & np.isfinite(chi2))
     covariance = points.covariance_mm2[good]
     used = points.used[good]
     spread = np.log(np.where(used, sigma[good], 1.0)).sum(axis=1)

@@ -20,7 +20,9 @@ def covering_triples(sensors: int, seen: int) -> tuple[tuple[int, int, int], ...
     open_choices = {frozenset(choice) for choice in combinations(range(sensors), seen)}
     taken = []
     while open_choices:
-        best = max(triples, key=lambda triple: sum(choice.issuperset(triple) for choice in open_choices))
+        best = max(
+            triples, key=lambda triple: sum(choice.issuperset(triple) for choice in open_choices)
+        )
         taken.append(best)
         open_choices = {choice for choice in open_choices if not choice.issuperset(best)}
     return tuple(taken)

@@ -1,4 +1,4 @@
-"""Grouping of peaks to markers: candidates, the likeliest set of them, and what is left in doubt."""
+"""Grouping of peaks to markers: candidates, the likeliest set of them, and what is in doubt."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -134,5 +134,3 @@ def _result(pool: Pool, peaks: FramePeaks) -> Correspondence:
         np.array([group.body_marker for group in groups]),
         pool.cut,
     )
-
-

@@ -4,14 +4,16 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from math import exp, inf
+from math import exp
 from typing import Final
+
+from compute.reconstruction.correspondence.programme import Column, Programme
 
 _SWEEPS: Final = 6
 _PROGRAMME: Final = 40  # columns from which on a linear programme tightens the bound
 _HOPELESS: Final = 1e-9
-
-Column = tuple[int, ...]
+_EQUAL: Final = 1e-6
+_FIRST_BUDGET: Final = 4.0
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,10 @@ def pack(
     (the dual of the linear programme): what a set loses against the bound is the sum of its
     columns' margins and of the prices of what it leaves unused. Columns whose margin alone is
     larger than the window and the best set's loss are in no set of interest; without them, most
-    clusters fall apart again. The rest is enumerated, depth first: exact, as long as there are
-    fewer than ``most`` branches.
+    clusters fall apart again. The rest is enumerated, depth first: exact, but for sets outside the
+    window, as long as there are at most ``most`` branches. If it takes more to weigh what is near
+    the best set, the linear programme without each of its columns bounds what those sets weigh. If
+    it takes more to find the best set, columns are taken by their scores and none is sure.
 
     Args:
         columns: the resources (peaks) that each uses; none twice.
@@ -64,24 +68,42 @@ def pack(
             continue
         prices = _prices(columns, scores, cluster, room)
         if len(cluster) >= _PROGRAMME:
-            prices = _tighter(columns, scores, cluster, room, prices)
-        first = _Search(columns, scores, cluster, prices, room, 0.0, most)
-        first.run()
-        if first.best == inf:
-            first.best = sum(prices[r] * room.get(r, 1) for r in prices)
-        reach = window + first.best
+            prices = Programme(columns, scores, cluster, room).prices() or prices
+        greedy = _greedy(columns, scores, cluster, room)
+        bound = sum(price * room.get(resource, 1) for resource, price in prices.items())
+        reach = window + bound - sum(scores[index] for index in greedy)
         margins = _margins(columns, scores, cluster, prices)
-        near = [index for index in cluster if margins[index] <= reach]
+        near = [index for index in cluster if margins[index] <= reach + _HOPELESS]
         for part in _clusters(columns, near):
-            search = _Search(columns, scores, part, prices, room, window, most)
-            search.run()
-            best, wrong = search.marginals()
-            if search.cut or first.cut:
+            search = _Search(columns, prices, margins, room, most)
+            whole, complete = search.all_near(part, window)
+            if whole is None:
                 cut += 1
-                wrong = [1.0] * len(best)
-            chosen.update(zip(best, wrong, strict=True))
+                inside = set(part)
+                chosen.update((index, 1.0) for index in greedy if index in inside)
+            elif complete:
+                chosen.update((index, max(1.0 - whole.chance[index], 0.0)) for index in whole.best)
+            else:
+                chosen.update(Programme(columns, scores, part, room).doubts(whole.best))
     order = tuple(sorted(chosen))
     return Packing(order, tuple(chosen[index] for index in order), cut)
+
+
+def _greedy(
+    columns: Sequence[Column],
+    scores: Sequence[float],
+    cluster: Sequence[int],
+    room: Mapping[int, int],
+) -> list[int]:
+    """Return columns by falling score, as long as there is room for them."""
+    used: dict[int, int] = defaultdict(int)
+    taken = []
+    for index in sorted(cluster, key=lambda index: (-scores[index], index)):
+        if all(used[r] < room.get(r, 1) for r in columns[index]):
+            taken.append(index)
+            for r in columns[index]:
+                used[r] += 1
+    return taken
 
 
 def _clusters(columns: Sequence[Column], use: Sequence[int]) -> list[list[int]]:
@@ -113,8 +135,7 @@ def _margins(
     prices: Mapping[int, float],
 ) -> dict[int, float]:
     return {
-        index: max(sum(prices[r] for r in columns[index]) - scores[index], 0.0)
-        for index in cluster
+        index: max(sum(prices[r] for r in columns[index]) - scores[index], 0.0) for index in cluster
     }
 
 
@@ -151,138 +172,185 @@ def _prices(
     return prices
 
 
-def _tighter(
-    columns: Sequence[Column],
-    scores: Sequence[float],
-    cluster: Sequence[int],
-    room: Mapping[int, int],
-    prices: dict[int, float],
-) -> dict[int, float]:
-    """Return the prices of the linear programme's dual; the ones given, if it has none."""
-    # Loaded where it is needed: SciPy's optimisers take a while, and small frames never do.
-    import numpy as np
-    from scipy.optimize import linprog
-    from scipy.sparse import csr_matrix
+@dataclass(frozen=True)
+class _Weighed:
+    """The sets of a part: sum of their weights, the smallest loss, its columns, their chances."""
 
-    resources = sorted(prices)
-    row = {resource: index for index, resource in enumerate(resources)}
-    rows = [row[r] for index in cluster for r in columns[index]]
-    cols = [at for at, index in enumerate(cluster) for _ in columns[index]]
-    matrix = csr_matrix(
-        (np.ones(len(rows)), (rows, cols)), shape=(len(resources), len(cluster))
-    )
-    limits = [float(room.get(r, 1)) for r in resources]
-    found = linprog(
-        [-scores[index] for index in cluster], A_ub=matrix, b_ub=limits, method="highs-ds"
-    )
-    if found.status != 0:
-        return prices
-    tight = dict(zip(resources, np.maximum(-found.ineqlin.marginals, 0.0).tolist(), strict=True))
-    # Rounding may leave a column uncovered by a trifle; a bound has to be one.
-    for index in cluster:
-        missing = scores[index] - sum(tight[r] for r in columns[index])
-        if missing > 0.0:
-            tight[columns[index][0]] += missing
-    return tight
+    weight: float
+    loss: float
+    best: tuple[int, ...]
+    chance: dict[int, float]
 
 
 class _Search:
-    """All sets of a cluster whose loss is within the window of the smallest."""
+    """All sets of a cluster whose loss is within a budget, part by part as it falls apart.
+
+    A resource is decided at a time: left as it is, or used by one of its columns (or two, where
+    it has room). What is left falls into parts that do not matter to each other, so that their
+    weights multiply and no set has to be written down. Resources are bits of whole numbers.
+    """
 
     def __init__(
         self,
         columns: Sequence[Column],
-        scores: Sequence[float],
-        cluster: Sequence[int],
         prices: Mapping[int, float],
+        margins: Mapping[int, float],
         room: Mapping[int, int],
-        window: float,
         most: int,
     ) -> None:
-        self.columns, self.window, self.most = columns, window, most
-        self.margins = _margins(columns, scores, cluster, prices)
-        self.scores, self.room, self.prices = scores, room, prices
-        self.using: dict[int, list[int]] = defaultdict(list)
-        for index in sorted(cluster, key=lambda index: (self.margins[index], index)):
-            for resource in columns[index]:
-                self.using[resource].append(index)
-        # First what is dear to leave and has few takers: wrong branches end early.
-        self.order = sorted(
-            self.using, key=lambda r: (-prices[r] / len(self.using[r]), r)
-        )
-        self.best = inf
-        self.sets: list[tuple[float, tuple[int, ...]]] = []
+        bit = {resource: 1 << at for at, resource in enumerate(sorted(prices))}
+        self.mask = {index: sum(bit[r] for r in columns[index]) for index in margins}
+        self.price = {bit[r]: price for r, price in prices.items()}
+        self.double = sum(bit[r] for r in prices if room.get(r, 1) > 1)
+        self.margins, self.most = margins, most
+        self.known: dict[tuple[tuple[int, ...], int], tuple[float, _Weighed | None]] = {}
         self.nodes = 0
         self.cut = False
 
-    def run(self) -> None:
-        self._grow(0, 0.0, (), {})
+    def all_near(self, cluster: Sequence[int], window: float) -> tuple[_Weighed | None, bool]:
+        """Return the sets near the best, and whether they are all that are within the window.
 
-    def _grow(
-        self, depth: int, loss: float, chosen: tuple[int, ...], used: dict[int, int]
-    ) -> None:
-        if loss > self.best + self.window + _HOPELESS or self.cut:
-            return
-        while depth < len(self.order) and used.get(self.order[depth], 0) >= self._room(depth):
-            depth += 1
-        if depth == len(self.order):
-            self.best = min(self.best, loss)
-            self.sets.append((loss, chosen))
-            return
+        None if there are too many branches even to find the best.
+        """
+        budget = _FIRST_BUDGET
+        whole = self._branch(tuple(cluster), 0, budget)
+        while whole is None and not self.cut:
+            budget += _FIRST_BUDGET
+            whole = self._branch(tuple(cluster), 0, budget)
+        if whole is None or budget >= whole.loss + window:
+            return whole, True
+        # As many branches again: the best is known, what comes near it may be bounded.
+        self.nodes = 0
+        near = self._branch(tuple(cluster), 0, whole.loss + window)
+        return (whole, False) if near is None else (near, True)
+
+    def _branch(self, cluster: tuple[int, ...], once: int, budget: float) -> _Weighed | None:
+        """Weigh the sets of a part; ``once`` are the double resources that are used once."""
+        covered = 0
+        for index in cluster:
+            covered |= self.mask[index]
+        key = (cluster, once & covered)
+        known = self.known.get(key)
+        if known is not None and known[0] >= budget:
+            return known[1]
         self.nodes += 1
         if self.nodes > self.most:
             self.cut = True
-            return
-        resource = self.order[depth]
-        free = self._room(depth) - used.get(resource, 0)
-        takers = [
-            index
-            for index in self.using[resource]
-            if index not in chosen and self._together((index,), used)
-        ]
-        options: list[tuple[float, tuple[int, ...]]] = [(free * self.prices[resource], ())]
-        for count in range(1, min(free, len(takers)) + 1):
-            left = (free - count) * self.prices[resource]
-            for taken in combinations(takers, count):
-                if count > 1 and not self._together(taken, used):
-                    continue
-                options.append((left + sum(self.margins[index] for index in taken), taken))
-        options.sort()
+            return None
+        resource, options = self._options(cluster, covered, once, budget)
+        found: list[_Weighed] = []
         for extra, taken in options:
-            if loss + extra > self.best + self.window + _HOPELESS:
-                break
-            after = dict(used)
-            for index in taken:
-                for r in self.columns[index]:
-                    after[r] = after.get(r, 0) + 1
-            # Decided: full, whatever it has room for.
-            after[resource] = self._room(depth)
-            self._grow(depth + 1, loss + extra, (*chosen, *taken), after)
+            one = self._after(cluster, covered, once, resource, extra, taken, budget)
+            if self.cut:
+                return None
+            if one is not None:
+                found.append(one)
+        result = _summed(found)
+        self.known[key] = (budget, result)
+        return result
 
-    def _room(self, depth: int) -> int:
-        return self.room.get(self.order[depth], 1)
+    def _options(
+        self, cluster: tuple[int, ...], covered: int, once: int, budget: float
+    ) -> tuple[int, list[tuple[float, tuple[int, ...]]]]:
+        """Return the resource with the fewest ways to go, and those with what each loses."""
+        takers: dict[int, list[int]] = {}
+        left = covered
+        while left:
+            bit = left & -left
+            left ^= bit
+            takers[bit] = []
+        for index in cluster:
+            mask = self.mask[index]
+            while mask:
+                bit = mask & -mask
+                mask ^= bit
+                takers[bit].append(index)
 
-    def _together(self, taken: tuple[int, ...], used: Mapping[int, int]) -> bool:
-        count: dict[int, int] = defaultdict(int)
+        def ways(bit: int) -> tuple[int, float, int]:
+            price = self.price[bit]
+            return len(takers[bit]) + (price <= budget), -price, bit
+
+        resource = min(takers, key=ways)
+        price, users = self.price[resource], takers[resource]
+        free = 2 if resource & self.double & ~once else 1
+        options: list[tuple[float, tuple[int, ...]]] = [(free * price, ())]
+        options += [((free - 1) * price + self.margins[index], (index,)) for index in users]
+        if free > 1:
+            for one, other in combinations(users, 2):
+                # Together only where every resource that both want has room for two.
+                both = self.mask[one] & self.mask[other]
+                if not both & ~self.double and not both & once:
+                    options.append((self.margins[one] + self.margins[other], (one, other)))
+        options.sort()
+        return resource, [option for option in options if option[0] <= budget]
+
+    def _after(
+        self,
+        cluster: tuple[int, ...],
+        covered: int,
+        once: int,
+        resource: int,
+        loss: float,
+        taken: tuple[int, ...],
+        budget: float,
+    ) -> _Weighed | None:
+        """Weigh what is left when a resource has been decided."""
+        # Decided: full, whatever it has room for.
+        full = resource
         for index in taken:
-            for r in self.columns[index]:
-                count[r] += 1
-        return all(used.get(r, 0) + n <= self.room.get(r, 1) for r, n in count.items())
-
-    def marginals(self) -> tuple[list[int], list[float]]:
-        """Return the best set's columns and the chance that each is not in the true one."""
-        if not self.sets:
-            return [], []
-        # Of sets that are equal to rounding, the first in order: the same on every machine.
-        _, best = min(self.sets, key=lambda one: (round(one[0] - self.best, 6), sorted(one[1])))
-        total, without = 0.0, dict.fromkeys(best, 0.0)
-        for loss, chosen in self.sets:
-            if loss > self.best + self.window + _HOPELESS:
+            mask = self.mask[index]
+            full |= mask & (once | ~self.double)
+            once |= mask & self.double
+        parts: list[tuple[int, list[int]]] = []
+        still = 0
+        for index in cluster:
+            mask = self.mask[index]
+            if mask & full or self.margins[index] > budget - loss:
                 continue
-            weight = exp(self.best - loss)
-            total += weight
-            for index in best:
-                if index not in chosen:
-                    without[index] += weight
-        kept = sorted(best)
-        return kept, [without[index] / total for index in kept]
+            still |= mask
+            joined, members = mask, [index]
+            apart = []
+            for part in parts:
+                if part[0] & mask:
+                    joined |= part[0]
+                    members = part[1] + members
+                else:
+                    apart.append(part)
+            parts = [*apart, (joined, members)]
+        unused = covered & ~still & ~full
+        while unused:
+            bit = unused & -unused
+            unused ^= bit
+            loss += self.price[bit] * (2 if bit & self.double & ~once else 1)
+        if loss > budget:
+            return None
+        weight, best, chance = exp(-loss), taken, dict.fromkeys(taken, 1.0)
+        for _, members in parts:
+            some = self._branch(tuple(sorted(members)), once, budget - loss)
+            if some is None:
+                return None
+            weight *= some.weight
+            loss += some.loss
+            best += some.best
+            chance.update(some.chance)
+        return _Weighed(weight, loss, best, chance)
+
+
+def _summed(found: Sequence[_Weighed]) -> _Weighed | None:
+    """Return alternatives as one."""
+    if not found:
+        return None
+    weight = sum(one.weight for one in found)
+    if weight <= 0.0:
+        return None
+    # Of sets that are equal to rounding, the first in order: the same on every machine.
+    least = min(one.loss for one in found)
+    best = min(
+        (one for one in found if one.loss <= least + _EQUAL), key=lambda one: sorted(one.best)
+    )
+    chance: dict[int, float] = defaultdict(float)
+    for one in found:
+        share = one.weight / weight
+        for index, value in one.chance.items():
+            chance[index] += share * value
+    return _Weighed(weight, least, best.best, dict(chance))

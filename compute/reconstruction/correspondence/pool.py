@@ -33,7 +33,7 @@ MOST_PLAIN: Final = 20_000
 """Combinations that are tried where nothing predicts readings: 11 markers on four sensors."""
 _UNSEEN: Final = 0.25
 """Unexplained peaks of a sensor that are expected beside those that are there."""
-_FREEZE: Final = 0.1
+_FREEZE: Final = 0.5
 """Share of the wrong rate below which a group is taken for good, before all is looked at."""
 _LOG_ROOT_TWO_PI: Final = 0.5 * log(2.0 * pi)
 
@@ -175,9 +175,10 @@ class Pool:
                 )
                 self.points += work + len(choice)
                 self.cut += cut
+                before = len(self.found)
                 if len(choice):
                     self._join(solved(self.solve, self.peaks, choice)[0])
-                if seeing > 4:
+                if seeing > 4 and len(self.found) > before:
                     self._decide(_FREEZE * self.settings.wrong_rate)
 
     def _join(self, found: Candidates) -> None:
@@ -236,15 +237,16 @@ class Pool:
                     left[resource // room] -= 1.0
         unexplained = np.log(np.maximum(left, 0.0) + _UNSEEN)
         markers = max(len(packing.chosen) + len(self.groups), 1)
-        self.cut += packing.cut
         gone: set[int] = set()
         for index, wrong in zip(packing.chosen, packing.wrong, strict=True):
             doubt = wrong + self._by_chance(index, columns[index], unexplained, markers)
             if doubt > sure:
                 continue
-            ambiguous = doubt > settings.wrong_rate or (sure == inf and self.cut > 0)
+            ambiguous = doubt > settings.wrong_rate or self.cut > 0
             self._make(index, ambiguous)
             gone.update(columns[index])
+        if sure == inf:
+            self.cut += packing.cut
         if sure < inf and gone:
             for resource in gone:
                 if resource < len(self.peaks) * room:
@@ -306,9 +308,7 @@ class Pool:
 def _all_choices(counts: tuple[int, ...], least: int) -> Choice:
     """Return every choice of at least so many peaks, as indices, shape (C, S); do not change it."""
     seeing = sum(count > 0 for count in counts)
-    axes = [
-        np.arange(-1 if count == 0 or seeing > least else 0, max(count, 0)) for count in counts
-    ]
+    axes = [np.arange(-1 if count == 0 or seeing > least else 0, max(count, 0)) for count in counts]
     choice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(counts))
     kept: Choice = choice[(choice >= 0).sum(axis=1) >= least]
     kept.setflags(write=False)

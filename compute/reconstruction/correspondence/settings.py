@@ -24,19 +24,20 @@ class MatchSettings:
             reading of either [px].
         wrong_rate: largest chance of being wrong with which a group counts as unambiguous.
         most_points: combinations that are reconstructed for a frame, at most.
-        most_hypotheses: sets of markers that are weighed for a cluster of peaks, at most.
+        most_hypotheses: branches of the enumeration of sets of markers, for each cluster of peaks
+            that are linked; beyond, doubt is bounded by linear programmes.
 
     Raises:
         InvalidParameter: a value out of its range.
     """
 
     detection: float = 0.95
-    false_per_px: float = 1e-4
+    false_per_px: float = 1e-3
     markers_per_mm3: float = 1e-7
     merged_px: float = 2.0
     wrong_rate: float = 1e-3
     most_points: int = 200_000
-    most_hypotheses: int = 4_000
+    most_hypotheses: int = 1_000
 
     def __post_init__(self) -> None:
         for name in ("detection", "wrong_rate"):
@@ -69,4 +70,4 @@ class MatchSettings:
     @property
     def window(self) -> float:
         """Log odds beyond which other sets of markers are not weighed."""
-        return 5.0 - log(self.wrong_rate)
+        return 3.0 - log(self.wrong_rate)

@@ -142,9 +142,7 @@ def extended(
         count = found.count[rows, sensor]
         ahead = ahead - (count > 0)
         # Without this sensor's peak: by having none, or by leaving it out where enough are left.
-        without = (count == 0) | (
-            (left_out == 0) & ((choice >= 0).sum(axis=1) + ahead >= least)
-        )
+        without = (count == 0) | ((left_out == 0) & ((choice >= 0).sum(axis=1) + ahead >= least))
         options = count + without
         total = int(options.sum())
         if total > most:

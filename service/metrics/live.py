@@ -1,11 +1,13 @@
 """Devices and their streams, read from the live side when Prometheus asks."""
 
+import time
 from collections.abc import Iterator
 from typing import Final, get_args
 
 from prometheus_client import Metric
 from prometheus_client.registry import Collector
 
+from compute.pose.tool_pose import PoseStatus
 from service.live.latency import BOUNDS_S
 from service.live.manager import LiveManager
 from service.live.session import DeviceState, DeviceStatus
@@ -51,7 +53,34 @@ class LiveCollector(Collector):
             "How long the compute thread is at what it has in hand; 0 when it waits.",
             self._live.busy_s,
         )
+        yield from self._tools()
         yield from self._streams()
+
+    def _tools(self) -> Iterator[Metric]:
+        devices = self._live.pose_counts()
+        yield counter(
+            "tool_frames",
+            "Frames by what the pose of a tool was worth in them: only OK is one to use.",
+            (
+                ((device, tool, status.value), counts.frames.get(status, 0))
+                for device, tools in devices.items()
+                for tool, counts in tools.items()
+                for status in PoseStatus
+            ),
+            ("device", "tool", "status"),
+        )
+        now_ns = time.time_ns()
+        yield gauge(
+            "tool_pose_age_seconds",
+            "Since the exposure of the newest frame in which a tool's pose was OK.",
+            (
+                ((device, tool), max(0.0, (now_ns - counts.newest_ns) * 1e-9))
+                for device, tools in devices.items()
+                for tool, counts in tools.items()
+                if counts.newest_ns is not None
+            ),
+            ("device", "tool"),
+        )
 
     def _streams(self) -> Iterator[Metric]:
         hub = self._live.hub

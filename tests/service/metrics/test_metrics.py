@@ -1,6 +1,7 @@
 """What Prometheus reads: the format, the names and units, and that figures are the true ones."""
 
 import re
+import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,11 @@ import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as open_metrics
 from prometheus_client.parser import text_string_to_metric_families as plain
 
+from compute.pose.tool_pose import PoseStatus
 from hardware.link import LinkCounters, LinkState
 from service.database.models import RunRow
 from service.live.latency import BOUNDS_S, Latency
+from service.live.pose_counts import ToolCounts
 from service.live.session import DeviceStatus
 from service.logs.record import RequestRecord
 from service.recordings.written import Written
@@ -57,6 +60,9 @@ def busy(live: RecordedLive, sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
     for seconds in (0.0004, 0.0011, 0.0012, 99.0, -1.0):
         latency.count(seconds)
     monkeypatch.setattr(live, "latencies", lambda: {"bar": latency.counts()})
+    seen = {PoseStatus.OK: 70, PoseStatus.MISSING: 20}
+    tools = {"probe": ToolCounts(seen, time.time_ns()), "lost": ToolCounts({}, None)}
+    monkeypatch.setattr(live, "pose_counts", lambda: {"bar": tools})
     app = sqlite_client.app
     written = {"bar": Written(open=1, frames=80, dropped=4, size_bytes=999, failed=2)}
     monkeypatch.setattr(app.state.recordings, "written", lambda: written)
@@ -125,6 +131,12 @@ def test_figures_are_those_of_the_live_side(busy: Any):
         assert value(found, f"lumiline_{name}", device="bar") == wanted, name
     assert value(found, "lumiline_device_state", device="bar", state="running") == 1
     assert value(found, "lumiline_device_state", device="bar", state="failed") == 0
+    tool = {"device": "bar", "tool": "probe"}
+    for status, wanted in (("OK", 70), ("MISSING", 20), ("INVALID", 0)):
+        assert value(found, "lumiline_tool_frames_total", **tool, status=status) == wanted
+    assert 0.0 <= value(found, "lumiline_tool_pose_age_seconds", **tool) < 3600.0
+    with pytest.raises(AssertionError):  # a tool that was never seen is of no age
+        value(found, "lumiline_tool_pose_age_seconds", device="bar", tool="lost")
     assert value(found, "lumiline_database_up") == 1
     assert value(found, "lumiline_recordings_free_bytes") > 0
     assert value(found, "process_resident_memory_bytes") > 0

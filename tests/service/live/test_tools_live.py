@@ -1,0 +1,210 @@
+"""Moving tools through the live path: simulated lines to poses, which agree with the truth."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from compute.calibration.result import Calibration
+from compute.camera.rotation import rotation_vector
+from compute.pose.rigid_body import RigidBody
+from compute.pose.tool_pose import ToolPose
+from compute.tracking.track_batch import TrackState
+from hardware.simulated.driver import SimulatedDriver
+from hardware.simulated.scenes import MovingTool, MovingTools
+from hardware.simulated.settings import SimulationSettings
+from service.database.seed import nominal_calibration
+from service.live.batch import FrameBatch
+from service.live.in_force import InForce
+from service.live.manager import LiveManager
+from service.live.motion import Motion
+from service.live.pose_board import BoardEntry
+from service.live.processor import DeviceProcessor
+from service.live.tracked import NOTHING_TRACKED, Tracked
+
+POINTER = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (20.0, 15.0, 40.0))
+PATIENT = ((0.0, 0.0, 0.0), (110.0, 0.0, 0.0), (0.0, 70.0, 0.0), (45.0, 50.0, 30.0))
+TIP = (-150.0, 0.0, 0.0)
+SCENE = MovingTools(
+    (
+        MovingTool(POINTER, centre_mm=(-80.0, 0.0, 1480.0)),
+        MovingTool(
+            PATIENT, centre_mm=(120.0, -40.0, 1560.0), swing_mm=(60.0, 60.0, 60.0), phase=0.3
+        ),
+    )
+)
+NAMES = ("pointer", "patient")
+Illumination = Literal["strobed", "simultaneous"]
+
+
+def simulation(illumination: Illumination, duration_s: float | None) -> SimulationSettings:
+    return SimulationSettings(
+        scene=SCENE, illumination=illumination, duration_s=duration_s, realtime=False
+    )
+
+
+def tools(illumination: Illumination) -> tuple[RigidBody, ...]:
+    return tuple(
+        RigidBody(
+            name,
+            np.array(SCENE.tools[index].markers_mm),
+            SCENE.numbers(index) if illumination == "strobed" else None,
+            TIP,
+        )
+        for index, name in enumerate(NAMES)
+    )
+
+
+def exact() -> Calibration:
+    """The simulator's own cameras, which err by nothing but the peaks' noise."""
+    found = nominal_calibration()
+    return replace(found, sensors=tuple(replace(one, sigma_px=1e-3) for one in found.sensors))
+
+
+def processed(illumination: Illumination, seconds: float) -> list[FrameBatch]:
+    driver = SimulatedDriver("sim", simulation(illumination, seconds))
+    driver.open()
+    processor = DeviceProcessor("sim", driver.description, "cpu")
+    processor.set_tracked(Tracked(True, tools(illumination)))
+    processor.set_calibration("nominal", exact())
+    frames = list(driver.frames())
+    return [processor.process(frames[first : first + 16]) for first in range(0, len(frames), 16)]
+
+
+def motion(batch: FrameBatch) -> Motion:
+    assert batch.motion is not None
+    return batch.motion
+
+
+def nees(pose: ToolPose, tool: int, time_s: float) -> tuple[float, float]:
+    """Return the squared error of the pose over its covariance, and of the tip over its own."""
+    rotation, origin = SCENE.pose(tool, time_s)
+    assert pose.rotation is not None
+    assert pose.translation_mm is not None
+    assert pose.covariance is not None
+    assert pose.tip_covariance_mm2 is not None
+    turn = rotation_vector(pose.rotation @ rotation.T)
+    off = np.concatenate([turn, pose.translation_mm - origin])
+    tip = pose.tip_mm - (rotation @ np.array(TIP) + origin)
+    return (
+        float(off @ np.linalg.solve(pose.covariance, off)),
+        float(tip @ np.linalg.solve(pose.tip_covariance_mm2, tip)),
+    )
+
+
+@pytest.mark.parametrize("illumination", ["strobed", "simultaneous"])
+def test_poses_agree_with_the_truth_within_their_covariance(illumination: Illumination):
+    squares: list[tuple[float, float]] = []
+    good = dict.fromkeys(NAMES, 0)
+    frames = 0
+    for batch in processed(illumination, 0.2):
+        for index, frame in enumerate(batch.frames):
+            frames += 1
+            poses = motion(batch).poses_of(index)
+            assert [pose.tool for pose in poses] == list(NAMES)
+            for tool, pose in enumerate(poses):
+                assert (pose.sequence, pose.exposure_ns) == (frame.sequence, frame.exposure_host_ns)
+                assert (pose.reason is None) == pose.valid
+                if pose.valid:
+                    good[pose.tool] += 1
+                    squares.append(nees(pose, tool, frame.exposure_device_ns * 1e-9))
+    # Strobed ones are found when each marker was seen, after two cycles of eight at most.
+    assert frames == 200
+    assert min(good.values()) >= frames - 2 * SCENE.markers
+    of_pose, of_tip = np.array(squares).T
+    assert of_pose.mean() <= 6.0 * 1.5
+    assert of_tip.mean() <= 3.0 * 1.5
+    # Where lines of two markers cross on a sensor, peaks say that they are better than they are.
+    beyond = of_pose > chi2.isf(1e-5, 6)
+    assert beyond.mean() <= (0.0 if illumination == "strobed" else 0.02)
+
+
+def test_markers_that_are_lit_together_are_tracked():
+    batch = processed("simultaneous", 0.1)[-1]
+    newest = len(batch.frames) - 1
+    found = motion(batch)
+    own = found.track_owner == newest
+    known = own & (found.tracks.state == int(TrackState.CONFIRMED))
+    points = SCENE.points(batch.frames[newest].exposure_device_ns * 1e-9)
+    apart = np.linalg.norm(found.tracks.position_mm[known][:, None] - points, axis=2)
+    assert sorted(apart.argmin(axis=1).tolist()) == list(range(SCENE.markers))
+    assert apart.min(axis=1).max() < 1.0
+
+
+def test_a_device_that_follows_nothing_makes_no_motion():
+    driver = SimulatedDriver("sim", simulation("strobed", 0.02))
+    driver.open()
+    processor = DeviceProcessor("sim", driver.description, "cpu")
+    processor.set_calibration("nominal", exact())
+    frames = list(driver.frames())
+    assert processor.process(frames[:10]).motion is None
+    processor.set_tracked(Tracked(True))
+    assert processor.process(frames[10:]).motion is not None
+    processor.set_tracked(NOTHING_TRACKED)
+    assert processor.process(frames[:1]).motion is None
+
+
+@pytest.fixture
+def live() -> Iterator[LiveManager]:
+    manager = LiveManager("cpu")
+    yield manager
+    manager.close()
+
+
+def wait_for(condition: Callable[[], object], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come true"
+        time.sleep(0.005)
+
+
+def entry(live: LiveManager) -> BoardEntry | None:
+    return live.poses.newest().get("sim")
+
+
+def test_the_board_has_the_poses_of_a_running_device_and_of_no_other(live: LiveManager):
+    live.set_tracked("sim", Tracked(False, tools("strobed")))
+    driver = SimulatedDriver("sim", simulation("strobed", None))
+    live.start_device("sim", driver, InForce("nominal", exact()))
+
+    def valid() -> bool:
+        there = entry(live)
+        return there is not None and all(pose.valid for pose in there.poses.values())
+
+    wait_for(valid)
+    there = entry(live)
+    assert there is not None
+    assert list(there.poses) == list(NAMES)
+    assert (there.calibration_id, there.frame_rate_hz) == ("nominal", 1000.0)
+    assert {pose.sequence for pose in there.poses.values()} == {there.sequence}
+    counts = live.pose_counts()["sim"]
+    assert counts["pointer"].frames
+    assert counts["pointer"].newest_ns is not None
+    # Without its reference, while it runs; with neither there is nothing to put up.
+    live.set_tracked("sim", Tracked(False, tools("strobed")[:1]))
+    wait_for(lambda: (now := entry(live)) is not None and list(now.poses) == ["pointer"])
+    assert list(live.pose_counts()["sim"]) == ["pointer"]
+    live.set_tracked("sim", NOTHING_TRACKED)
+    assert entry(live) is None
+    live.set_tracked("sim", Tracked(False, tools("strobed")))
+    wait_for(valid)
+    live.set_calibration("sim", InForce())
+    wait_for(lambda: (now := entry(live)) is not None and now.calibration_id is None)
+    without = entry(live)
+    assert without is not None
+    assert without.poses["pointer"].reason == "the device has no active calibration"
+    live.stop_device("sim")
+    assert entry(live) is None
+
+
+def test_a_recording_that_ends_leaves_no_pose_behind(live: LiveManager):
+    live.set_tracked("sim", Tracked(False, tools("strobed")))
+    driver = SimulatedDriver("sim", simulation("strobed", 0.05))
+    live.start_device("sim", driver, InForce("nominal", exact()))
+    wait_for(lambda: live.status("sim").frames_processed == 50)
+    wait_for(lambda: entry(live) is None)
+    assert sum(live.pose_counts()["sim"]["pointer"].frames.values()) > 0

@@ -1,17 +1,19 @@
 """Joint hypotheses: which of a sensor's peaks belongs to which of the tracks that contend for them.
 
-Exact enumeration of a cluster's hypotheses as long as there are few; beyond, the most likely
-partial ones are carried on, track by track, and the weight of what is given up is bounded.
+All of a cluster's hypotheses that matter as long as there are few; beyond, the most likely partial
+ones are carried on, track by track, and the weight of what is given up is bounded.
 """
 
 from dataclasses import dataclass
-from math import exp, log, pi, sqrt
+from math import exp, log, pi, prod, sqrt
 
 from compute.tracking.settings import TrackerSettings
 
 _LOG_2 = log(2.0)
 _LEAST_MERGED = 1e-4
 """Chance below which two tracks are not taken as one peak."""
+_NEGLIGIBLE = 1e-6
+"""Partial hypotheses this much less likely than the likeliest are not followed."""
 _WEIGHT_VARIANCE = 1.0 / 12.0
 """Of the share of one of two markers in their common peak, which nothing is known of."""
 
@@ -136,14 +138,14 @@ def claims(
                         weight, (*partial.options, option), partial.taken | 1 << option.peak, read
                     )
                 )
-        if len(grown) > settings.most_hypotheses:
-            grown.sort(key=lambda partial: -partial.weight)
-            ahead = 1.0
-            for rest in most[track + 1 :]:
-                ahead *= rest
-            given_up += ahead * sum(p.weight for p in grown[settings.most_hypotheses :])
-            grown = grown[: settings.most_hypotheses]
-        partials = grown
+        least = _NEGLIGIBLE * max(partial.weight for partial in grown)
+        partials = [partial for partial in grown if partial.weight >= least]
+        if len(partials) > settings.most_hypotheses:
+            partials.sort(key=lambda partial: -partial.weight)
+            del partials[settings.most_hypotheses :]
+        if len(partials) < len(grown):
+            lost = sum(p.weight for p in grown) - sum(p.weight for p in partials)
+            given_up += max(lost, 0.0) * prod(most[track + 1 :])
     kept: dict[tuple[int, tuple[tuple[int, int], ...]], _Partial] = {}
     for partial in partials:
         used = tuple(sorted((option.peak, len(option.tracks)) for option in partial.options))

@@ -21,11 +21,18 @@ WEAK_EXPOSURES = 5
 """A track that so many more exposures did not vouch for than did may be at a ghost."""
 VOUCHING_SENSORS = 4
 """Three planes meet anywhere: the fourth says that they do where a marker is."""
+VOUCHED_HITS = 2
+"""Exposures in which so many sensors must have seen a new track."""
+PATIENCE = 5
+"""A track that has been seen this many times as often as it need be, and is none yet, ends."""
 _MOTION = 6
 
 
 def confirmable(tracks: Tracks, settings: TrackerSettings) -> NDArray[np.intp]:
     """Return the rows of tentative tracks that are markers: seen so often, and so well.
+
+    Three planes meet at ghosts too, and go on doing so: what no fourth sensor sees is none, where
+    there is a fourth sensor and more than one marker.
 
     The evidence is a sequential test of a marker against false peaks (A. Wald, Sequential
     Analysis, 1947).
@@ -33,6 +40,7 @@ def confirmable(tracks: Tracks, settings: TrackerSettings) -> NDArray[np.intp]:
     enough = log((1.0 - settings.false_confirmation) / settings.false_confirmation)
     good = ~tracks.confirmed & (tracks.hits >= settings.confirm_hits)
     good &= tracks.evidence >= enough
+    good &= tracks.vouched >= VOUCHED_HITS
     return np.flatnonzero(good)
 
 
@@ -141,4 +149,6 @@ def _common(one: Array, two: Array, bias: Array) -> Array:
 def ended(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[np.bool_]:
     """Return which tracks end: not confirmed in time, or not seen for too long."""
     unseen = time_ns - tracks.seen_ns > round(settings.coast_s * 1e9)
-    return unseen | (~tracks.confirmed & (tracks.misses > settings.confirm_misses))
+    vain = tracks.misses > settings.confirm_misses
+    vain |= tracks.hits >= PATIENCE * settings.confirm_hits
+    return unseen | (~tracks.confirmed & vain)

@@ -116,7 +116,7 @@ class Newcomers:
         rows, columns = match_points(self._motion, tracks.states.rows(open_), points)
         rows = open_[rows]
         if len(rows):
-            self._update(tracks, rows, points, columns, seen, peaks, time_ns)
+            self._update(tracks, rows, points, columns, seen, peaks, marker, time_ns)
             if marker is not None:
                 tracks.marker[rows] = marker
         if marker is not None:
@@ -133,6 +133,7 @@ class Newcomers:
         columns: NDArray[np.intp],
         seen: Seen,
         peaks: FramePeaks,
+        marker: int | None,
         time_ns: int,
     ) -> None:
         """Update tracks by the readings of their points."""
@@ -155,6 +156,11 @@ class Newcomers:
         seen.peaks[rows] = np.where(fresh, chosen, seen.peaks[rows])
         seen.nis[rows] += update.nis
         tracks.hits[rows] += 1
+        count = (chosen >= 0).sum(axis=1)
+        # A marker that is lit alone, or alone in view, has no ghosts.
+        alone = marker is not None or int(peaks.usable.sum(axis=1).max()) == 1
+        few = update.in_view < VOUCHING_SENSORS
+        tracks.vouched[rows] += (count >= VOUCHING_SENSORS) | few | alone
         tracks.evidence[rows] += update.evidence
         tracks.seen_ns[rows] = time_ns
         confirmed, doubt = tracks.confirmed[rows], points.ambiguous[columns] & fresh.any(axis=1)
@@ -187,6 +193,7 @@ class Newcomers:
             points.ambiguous[rows].copy(),
             np.full(count, time_ns, dtype=np.int64),
             np.full(count, time_ns, dtype=np.int64),
+            np.zeros(count, dtype=np.int32),
             np.zeros(count, dtype=np.int32),
             np.zeros(count, dtype=np.int32),
             np.zeros(count, dtype=np.int32),

@@ -50,11 +50,13 @@ class PointUpdate:
         states: of T tracks.
         nis: shape (T,).
         evidence: log likelihood ratio of the readings to false peaks, missed ones with it, (T,).
+        in_view: how many sensors each point is in the view of, shape (T,).
     """
 
     states: States
     nis: Array
     evidence: Array
+    in_view: NDArray[np.intp]
 
 
 def update_by_points(
@@ -85,4 +87,5 @@ def update_by_points(
     evidence = top + np.log(share) + used.sum(axis=1) * gain
     evidence += missed * np.log(1.0 - settings.detection)
     weighed(after, log)
-    return PointUpdate(after, (after.probability * nis).sum(axis=1), evidence)
+    nis = (after.probability * nis).sum(axis=1)
+    return PointUpdate(after, nis, evidence, predicted.in_view.sum(axis=1))

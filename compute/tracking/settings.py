@@ -57,7 +57,7 @@ class TrackerSettings:
     confirm_misses: int = 2
     false_confirmation: float = 1e-6
     coast_s: float = 1.0
-    start_every_s: float = 0.01
+    start_every_s: float = 0.1
     most_hypotheses: int = 256
 
     def __post_init__(self) -> None:

@@ -24,6 +24,7 @@ class Tracks:
         time_ns: of the states, int64, shape (T,).
         seen_ns: when it was last seen beyond doubt, int64, shape (T,).
         hits: exposures that saw an unconfirmed track after its first, int32, shape (T,).
+        vouched: of these, how many saw it by as many sensors as vouch for a place, int32, (T,).
         misses: exposures that did not, int32, shape (T,).
         weak: how often, lately, too few sensors saw a confirmed one to vouch for it, int32, shape
             (T,).
@@ -40,6 +41,7 @@ class Tracks:
     time_ns: NDArray[np.int64]
     seen_ns: NDArray[np.int64]
     hits: NDArray[np.int32]
+    vouched: NDArray[np.int32]
     misses: NDArray[np.int32]
     weak: NDArray[np.int32]
     evidence: Array
@@ -57,6 +59,7 @@ class Tracks:
             np.empty(0, np.bool_),
             np.empty(0, np.int64),
             np.empty(0, np.int64),
+            np.empty(0, np.int32),
             np.empty(0, np.int32),
             np.empty(0, np.int32),
             np.empty(0, np.int32),

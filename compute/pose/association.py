@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.pose.curvature import bent, is_bent
 from compute.pose.marker_frame import MarkerFrame
 from compute.pose.pose_filter import (
     Innovations,
@@ -141,9 +142,10 @@ def associate(
     if not free.any():
         return
     gate = chi2_limit(1, gate_probability)
+    sigma = float(np.sqrt(seen.variance_px2[free].min()))
     active = [look for look in looks if len(look.lit)]
     for turn in range(ROUNDS if active else 0):
-        told = _told(model, active)
+        told = _told(model, active, sigma)
         offers = [_offers(*pair, seen, free, gate) for pair in zip(active, told, strict=True)]
         if turn == 0:
             for look, offer in zip(active, offers, strict=True):
@@ -170,13 +172,14 @@ def associate(
             return
 
 
-def _told(model: ReadingModel, looks: list[Look]) -> list[Innovations]:
+def _told(model: ReadingModel, looks: list[Look], sigma_px: float) -> list[Innovations]:
     """Return what is expected of the lit markers of all tools, in one call of the cameras."""
     arms = [look.frame.markers_mm[look.lit] @ look.state.rotation.T for look in looks]
     places = np.concatenate(
         [arm + look.state.centroid_mm for arm, look in zip(arms, looks, strict=True)]
     )
     whole = model.full(places)
+    focal = float(model.cameras.principal_distance_px.min())
     found = []
     first = 0
     for arm, look in zip(arms, looks, strict=True):
@@ -184,7 +187,10 @@ def _told(model: ReadingModel, looks: list[Look]) -> list[Innovations]:
         first += len(arm)
         look.inside = part.inside
         common = common_slopes(part, look.lit, look.state.common.shape[1])
-        found.append(innovations(look.state, arm, part, common))
+        told = innovations(look.state, arm, part, common)
+        if is_bent(look.state, look.frame, told, focal, sigma_px):
+            told = bent(model, look.frame, look.lit, look.state, told)
+        found.append(told)
     return found
 
 

@@ -207,8 +207,12 @@ class ToolTracker:
         for index, tool in enumerate(self._tools):
             if tool.state is None:
                 continue
-            before[index] = tool.state
             state = predict(tool.state, time_ns, motion)
+            if 1e-9 * (time_ns - tool.seen_ns) > self.settings.coast_s:
+                # Not a frame came for so long, or none that showed it: it is found anew.
+                self._drop(tool, state)
+                continue
+            before[index] = tool.state
             looks[index] = Look(tool.frame, tool.lit(marker), state)
         associate(self.model, list(looks.values()), seen, self.settings.gate_probability)
         self._again(looks, before, time_ns, seen)
@@ -220,8 +224,6 @@ class ToolTracker:
                 self._count(tool, look, time_ns)
             if tool.fits.count(False) >= len(tool.body):
                 tool.lose(PoseStatus.INVALID, MISFIT)
-            elif 1e-9 * (time_ns - tool.seen_ns) > self.settings.coast_s:
-                self._drop(tool, look)
         return looks
 
     def _again(
@@ -281,13 +283,13 @@ class ToolTracker:
             tool.last.popleft()
         tool.seen_ns = time_ns
 
-    def _drop(self, tool: _Tool, look: Look) -> None:
+    def _drop(self, tool: _Tool, state: PoseState) -> None:
         """Give a tool up that was predicted for too long, and say where it went."""
         coast = f"nothing was seen of it for {1e3 * self.settings.coast_s:.3g} ms"
-        if look.misfit:
+        if tool.fits and not tool.fits[-1]:
             tool.lose(PoseStatus.INVALID, MISFIT)
             return
-        left = self._left_view(tool, look.state)
+        left = self._left_view(tool, state)
         if left is not None:
             tool.lose(PoseStatus.OUT_OF_VIEW, f"{left}; {coast}")
         else:

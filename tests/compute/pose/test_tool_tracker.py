@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from compute.camera.rotation import rotation_vector
+from compute.camera.rotation import rotation_matrix, rotation_vector
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
@@ -145,6 +145,43 @@ def test_a_fast_strobed_tool_has_a_pose_at_every_frame() -> None:
         abs=80.0,
     )
     assert pose.angular_velocity_rad_s == pytest.approx(true.turn_rate_rad_s, abs=1.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_frames_are_lost_and_no_wrong_pose_is_ok(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tool = pointer(strobed=True)
+    tracker = ToolTracker(CAMERAS, [tool], pixels=PIXELS_OF_ALL)
+    first = body(tool, seed)
+    axis, place = rng.standard_normal((2, 3))
+    frame = ok = 0
+    while frame < 15_000:
+        if rng.random() < 0.04:
+            frame += int(rng.integers(1, 400))
+        # Swings of 100 mm and 0.5 rad, of 3 and 4 rad/s: up to 1 m/s^2 and 8 rad/s^2.
+        turn = 0.5 * np.sin(4e-3 * frame) * axis / np.linalg.norm(axis)
+        true = Body(
+            tool,
+            rotation_matrix(turn) @ first.rotation,
+            MIDDLE_MM + 100.0 * np.sin(3e-3 * frame) * place / np.linalg.norm(place),
+        )
+        marker = frame % 4
+        reading = CAMERAS.project(true.markers_mm)[marker] + SIGMA_PX * rng.standard_normal(4)
+        (pose,) = tracker.step(
+            1_000_000 * frame,
+            frame,
+            reading[:, None],
+            np.full((4, 1), SIGMA_PX),
+            np.zeros((4, 1), dtype=np.int32),
+            marker,
+        )
+        if pose.valid:
+            ok += 1
+            off = float(np.linalg.norm(pose.tip_mm - true.tip_world_mm))
+            stated = float(np.sqrt(np.trace(pose.tip_covariance_mm2)))
+            assert off < 6.0 * stated, (frame, off, stated)
+        frame += 1
+    assert ok > 500
 
 
 def test_not_looked_for_is_unknown_then_missing_says_how_many_were_seen() -> None:

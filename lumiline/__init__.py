@@ -1,0 +1,1 @@
+"""Lumiline for programs that use it: the client, which needs nothing of the server."""

@@ -1,0 +1,21 @@
+"""A typed client of a Lumiline server: REST resources, and streams as iterators."""
+
+from lumiline.client.async_client import AsyncClient
+from lumiline.client.client import Client
+from lumiline.client.errors import (
+    ClientError,
+    NotReached,
+    ServerProblem,
+    StreamEnded,
+    UnreadableMessage,
+)
+
+__all__ = [
+    "AsyncClient",
+    "Client",
+    "ClientError",
+    "NotReached",
+    "ServerProblem",
+    "StreamEnded",
+    "UnreadableMessage",
+]

@@ -1,0 +1,304 @@
+"""AsyncClient: a server's resources and streams, with asyncio."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import httpx
+
+from lumiline.client import calls
+from lumiline.client import documents as d
+from lumiline.client.async_stream import AsyncStream
+from lumiline.client.calls import PAGE, Call, Readings, Vector3
+from lumiline.client.errors import NotReached, UnreadableMessage, problem_of
+from lumiline.client.server import KeyBy, Server
+from lumiline.client.stream_state import Content, Mode, StreamState, StreamWish
+
+T = TypeVar("T")
+
+
+class AsyncClient:
+    """A connection to a server, with asyncio; a context manager that closes it.
+
+    ``ServerProblem`` is raised where the server refuses, with its reason, ``NotReached`` where it
+    does not answer.
+    """
+
+    def __init__(
+        self,
+        url: str = "http://127.0.0.1:8000",
+        key: str | None = None,
+        *,
+        key_by: KeyBy = "header",
+        timeout_s: float = 30.0,
+    ) -> None:
+        """Make a client; nothing is sent yet.
+
+        Args:
+            url: of the server.
+            key: an API key, or a token; None: none is needed.
+            key_by: how a stream carries the key: ``header``, or ``subprotocol`` as browsers do.
+            timeout_s: how long an answer is waited for [s]; calibrations from live poses take
+                their own time besides.
+        """
+        self._server = Server(url, key, key_by)
+        self._timeout_s = timeout_s
+        self._http = httpx.AsyncClient(
+            base_url=self._server.url, headers=self._server.headers, timeout=timeout_s
+        )
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Close the connections; streams have their own."""
+        await self._http.aclose()
+
+    async def request(
+        self,
+        method: str,
+        path: str,
+        *,
+        query: Mapping[str, Any] | None = None,
+        body: Any = None,
+        timeout_s: float | None = None,
+    ) -> Any:
+        """Return the JSON that the server answers to any request of its interface.
+
+        Raises:
+            ServerProblem: it refused.
+            NotReached: it did not answer.
+            UnreadableMessage: what it answered is no JSON.
+        """
+        try:
+            answer = await self._http.request(
+                method,
+                path,
+                params=None if query is None else dict(query),
+                json=body,
+                timeout=self._timeout_s if timeout_s is None else timeout_s,
+            )
+        except httpx.TransportError as error:
+            raise NotReached(f"{method} {path}: {error or type(error).__name__}") from error
+        if not answer.is_success:
+            retry_after = answer.headers.get("Retry-After")
+            raise problem_of(answer.status_code, answer.content, retry_after)
+        if not answer.content:
+            return None
+        try:
+            return answer.json()
+        except ValueError as error:
+            raise UnreadableMessage(f"{method} {path} did not answer JSON") from error
+
+    async def _one(self, call: Call[T], longer_s: float = 0.0) -> T:
+        answer = await self.request(
+            call.method,
+            call.path,
+            query=call.parameters,
+            body=call.body,
+            timeout_s=self._timeout_s + longer_s,
+        )
+        return call.read(answer)
+
+    async def _all(self, call: Call[T]) -> list[T]:
+        found: list[T] = []
+        while True:
+            query = {**call.parameters, "limit": PAGE, "offset": len(found)}
+            items, total = call.items(await self.request("GET", call.path, query=query))
+            found += items
+            if not items or len(found) >= total:
+                return found
+
+    async def devices(self) -> list[d.Device]:
+        """All devices."""
+        return await self._all(calls.devices())
+
+    async def device(self, device_id: str) -> d.Device:
+        """One device."""
+        return await self._one(calls.device(device_id))
+
+    async def device_status(self, device_id: str) -> d.DeviceStatus:
+        """What a device is doing."""
+        return await self._one(calls.device_status(device_id))
+
+    async def start_device(self, device_id: str) -> d.DeviceStatus:
+        """Start a device."""
+        return (await self._one(calls.start_device(device_id))).status
+
+    async def stop_device(self, device_id: str) -> d.DeviceStatus:
+        """Stop a device."""
+        return (await self._one(calls.stop_device(device_id))).status
+
+    async def calibrations(
+        self, device_id: str | None = None, state: str | None = None
+    ) -> list[d.Calibration]:
+        """Calibrations, of a device, in a state, newest first."""
+        return await self._all(calls.calibrations(device_id, state))
+
+    async def calibration(self, calibration_id: str) -> d.Calibration:
+        """One calibration."""
+        return await self._one(calls.calibration(calibration_id))
+
+    async def activate(self, calibration_id: str, expected: str | None = None) -> d.Calibration:
+        """Make a calibration the active one; only if ``expected`` is active, where it is given."""
+        return await self._one(calls.activate(calibration_id, expected))
+
+    async def roll_back(self, device_id: str, expected: str | None = None) -> d.Device:
+        """Go back to the calibration and table that were active before."""
+        return await self._one(calls.roll_back(device_id, expected))
+
+    async def tools(self, device_id: str | None = None) -> list[d.Tool]:
+        """Tools, of a device."""
+        return await self._all(calls.tools(device_id))
+
+    async def tool(self, tool_id: str) -> d.Tool:
+        """One tool."""
+        return await self._one(calls.tool(tool_id))
+
+    async def create_tool(
+        self, tool_id: str, device_id: str, markers_mm: Sequence[Vector3], **members: Any
+    ) -> d.Tool:
+        """Make a tool of known geometry; ``members`` as in the body of POST /api/v1/tools."""
+        return await self._one(calls.create_tool(tool_id, device_id, markers_mm, members))
+
+    async def delete_tool(self, tool_id: str) -> None:
+        """Delete a tool."""
+        await self.request("DELETE", calls.tool(tool_id).path)
+
+    async def tool_pose(self, tool_id: str, frame: str | None = None) -> d.Pose:
+        """The newest pose of a tool, in its reference's frame or another."""
+        return await self._one(calls.tool_pose(tool_id, frame))
+
+    async def calibrate_pivot(
+        self, tool_id: str, seconds: float = 10.0, *, apply: bool = True
+    ) -> d.ToolCalibration:
+        """Find a tool's tip, from its poses of the next seconds about a fixed point."""
+        call = calls.calibrate_tool(tool_id, "pivot", seconds, apply=apply)
+        return await self._one(call, seconds)
+
+    async def calibrate_spin(
+        self, tool_id: str, seconds: float = 10.0, *, apply: bool = True
+    ) -> d.ToolCalibration:
+        """Find a tool's axis, from its poses of the next seconds about it."""
+        call = calls.calibrate_tool(tool_id, "spin", seconds, apply=apply)
+        return await self._one(call, seconds)
+
+    async def registrations(self, device_id: str | None = None) -> list[d.Registration]:
+        """Registrations, of a device, newest first."""
+        return await self._all(calls.registrations(device_id))
+
+    async def registration(self, registration_id: str) -> d.Registration:
+        """One registration."""
+        return await self._one(calls.registration(registration_id))
+
+    async def register(
+        self,
+        registration_id: str,
+        device_id: str,
+        pairs: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+        targets: Mapping[str, Sequence[float]] | None = None,
+        **members: Any,
+    ) -> d.Registration:
+        """Find where a frame lies.
+
+        Args:
+            registration_id: the frame's name.
+            device_id: the device.
+            pairs: by name: a point's place in the frame, and where it was measured [mm].
+            targets: by name: places in the frame at which the error is asked for [mm].
+            members: others of the body of POST /api/v1/registrations.
+        """
+        return await self._one(
+            calls.register(registration_id, device_id, pairs, targets or {}, members)
+        )
+
+    async def reconstruct(
+        self, device_id: str, points: Mapping[str, Readings], calibration_id: str | None = None
+    ) -> d.Reconstruction:
+        """Compute points from readings, by name and sensor."""
+        return await self._one(calls.reconstruct(device_id, points, calibration_id))
+
+    async def reconstructions(self, device_id: str | None = None) -> list[d.Answer]:
+        """Reconstructions without their points, newest first."""
+        return await self._all(calls.reconstructions(device_id))
+
+    async def recordings(self, device_id: str | None = None) -> list[d.Recording]:
+        """Recordings, of a device, the newest first."""
+        return await self._all(calls.recordings(device_id))
+
+    async def recording(self, name: str) -> d.Recording:
+        """One recording."""
+        return await self._one(calls.recording(name))
+
+    async def start_recording(
+        self, device_id: str, name: str | None = None, seconds: float | None = None
+    ) -> d.Recording:
+        """Record a running device from its next frame on."""
+        return await self._one(calls.start_recording(device_id, name, seconds))
+
+    async def stop_recording(self, name: str) -> d.Recording:
+        """End a recording."""
+        return await self._one(calls.stop_recording(name))
+
+    async def download_recording(self, name: str, path: Path) -> Path:
+        """Write a recording that is complete to a file, which is there only when it is whole.
+
+        Raises:
+            ServerProblem: there is no such recording, or it is still written.
+            NotReached: the connection was lost before the end.
+        """
+        part = path.with_name(f"{path.name}.part")
+        try:
+            async with self._http.stream("GET", calls.recording_file(name)) as answer:
+                if not answer.is_success:
+                    raise problem_of(answer.status_code, await answer.aread())
+                with part.open("wb") as file:
+                    async for piece in answer.aiter_bytes():
+                        file.write(piece)
+            part.replace(path)
+        except httpx.TransportError as error:
+            raise NotReached(f"recording {name}: {error or type(error).__name__}") from error
+        finally:
+            part.unlink(missing_ok=True)
+        return path
+
+    def stream(
+        self,
+        device_id: str,
+        content: Sequence[Content] = ("points",),
+        *,
+        mode: Mode = "live",
+        rate_hz: float | None = None,
+        bundle_ms: float | None = None,
+        resume: tuple[str, int] | None = None,
+        reconnect_s: float = 30.0,
+    ) -> AsyncStream:
+        """Return what a device measures, as it comes.
+
+        Args:
+            device_id: the device.
+            content: what frames hold: ``points``, ``peaks``, ``tracks``, ``tools``; ``status``:
+                no frames.
+            mode: ``live``: what is new; ``lossless``: every message, also over lost connections.
+            rate_hz: at most so many frames a second.
+            bundle_ms: frames of so many ms sent together.
+            resume: with ``lossless``: the stream's id, of ``hello``, and the number of the last
+                message that the program has, to go on after it.
+            reconnect_s: how long a lost connection is tried again [s].
+        """
+        if resume is not None and mode != "lossless":
+            raise ValueError("only a lossless stream goes on where another ended")
+        wish = StreamWish(device_id, tuple(content), mode, rate_hz, bundle_ms)
+        stream, last = resume or (None, None)
+        return AsyncStream(
+            StreamState(self._server, wish, reconnect_s, stream, last), self._timeout_s
+        )

@@ -1,0 +1,193 @@
+"""What the server answers, typed; members that a newer server adds are kept as attributes."""
+
+from datetime import datetime
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+Vector3 = tuple[float, float, float]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+Row6 = tuple[float, float, float, float, float, float]
+Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
+
+
+class Answer(BaseModel):
+    """Base of what the server answers."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+
+class Sensor(Answer):
+    """A line sensor."""
+
+    name: str
+    pixels: int
+    pitch_um: float
+
+
+class Device(Answer):
+    """A device."""
+
+    id: str
+    title: str
+    source: dict[str, Any]
+    sensors: tuple[Sensor, ...]
+    autostart: bool
+    active_calibration_id: str | None
+    active_table_id: str | None
+
+
+class DeviceStatus(Answer):
+    """What a device is doing."""
+
+    state: str
+    reason: str | None = None
+    calibration_id: str | None = None
+    table_id: str | None = None
+    frames: int = 0
+    frames_lost_device: int = 0
+    frames_dropped_ring: int = 0
+    frames_processed: int = 0
+    subscribers: int = 0
+
+
+class StatusAnswer(Answer):
+    """A device's state under its id."""
+
+    device: str
+    status: DeviceStatus
+
+
+class Calibration(Answer):
+    """A calibration without its numbers; ``Client.request`` gets the whole document."""
+
+    id: str
+    device: str
+    state: str
+    provenance: str
+    method: str
+    note: str
+    content_hash: str
+
+
+class Estimate(Answer):
+    """A reconstructed point; no position where ``flags`` say why not."""
+
+    name: str
+    position_mm: Vector3 | None
+    covariance_mm2: Matrix3 | None
+    residual_sigma: float | None
+    sensors: tuple[str, ...]
+    flags: tuple[str, ...]
+
+
+class Reconstruction(Answer):
+    """Points computed from readings that were posted."""
+
+    id: str
+    device: str
+    calibration_id: str
+    table: str | None
+    estimates: tuple[Estimate, ...]
+
+
+class Tip(Answer):
+    """Where a tool's working point is, in its coordinates."""
+
+    position_mm: Vector3 | None
+    covariance_mm2: Matrix3 | None = None
+    axis: Vector3 | None = None
+
+
+class Tool(Answer):
+    """A tool."""
+
+    id: str
+    device: str
+    title: str
+    markers_mm: tuple[Vector3, ...]
+    strobe_markers: tuple[int, ...] | None
+    tip: Tip
+    reference: str | None
+
+
+class Pose(Answer):
+    """The newest pose of a tool, or why there is none; only a pose that is OK is one to use."""
+
+    tool: str
+    device: str
+    frame: str
+    status: str
+    reason: str | None
+    exposure_ns: int | None
+    sequence: int | None
+    age_s: float | None
+    translation_mm: Vector3 | None
+    rotation: Matrix3 | None
+    quaternion_wxyz: tuple[float, float, float, float] | None
+    covariance: Matrix6 | None
+    tip_mm: Vector3 | None
+    tip_covariance_mm2: Matrix3 | None
+    residual_sigma: float | None
+    markers_used: int
+    readings_used: int
+
+
+class ToolCalibration(Answer):
+    """What a pivot or spin calibration found."""
+
+    id: str
+    tool: str
+    kind: str
+    applied: bool
+    poses: int
+    outlying: int
+    tip_mm: Vector3 | None
+    axis: Vector3 | None
+    point_mm: Vector3 | None
+    rms_mm: float
+
+
+class FiducialError(Answer):
+    """How a fiducial fits."""
+
+    name: str
+    residual_mm: Vector3
+    error_mm: float
+
+
+class TargetError(Answer):
+    """What to expect at a target."""
+
+    name: str
+    error_mm: float
+    covariance_mm2: Matrix3
+
+
+class Registration(Answer):
+    """A named frame, found from paired points."""
+
+    id: str
+    device: str
+    reference: str | None
+    matrix: tuple[tuple[float, float, float, float], ...]
+    fre_mm: float
+    fle_mm: float
+    residual_sigma: float | None
+    fiducials: tuple[FiducialError, ...]
+    targets: tuple[TargetError, ...]
+    warnings: tuple[str, ...]
+
+
+class Recording(Answer):
+    """A recording in the server's folder."""
+
+    name: str
+    device: str | None
+    state: str
+    reason: str | None
+    contents: tuple[str, ...]
+    frames: int | None
+    duration_s: float | None
+    size_bytes: int
+    started_at: datetime | None

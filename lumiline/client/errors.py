@@ -1,0 +1,81 @@
+"""What can go wrong between a program and a server."""
+
+import json
+from typing import Any
+
+
+class ClientError(Exception):
+    """Base of every error of the client."""
+
+
+class NotReached(ClientError):
+    """The server did not answer, or the connection to it was lost."""
+
+
+class UnreadableMessage(ClientError):
+    """The server sent what is no message of a stream, or no document of its interface."""
+
+
+class StreamEnded(ClientError):
+    """The server ended a stream for good.
+
+    Args:
+        code: of the websocket's close: 1008 when the key was revoked or has expired.
+        reason: in words.
+    """
+
+    def __init__(self, code: int, reason: str) -> None:
+        super().__init__(f"the server ended the stream: {reason or 'no reason given'} ({code})")
+        self.code = code
+        self.reason = reason
+
+
+class ServerProblem(ClientError):
+    """The server refused a request, and said why (a problem document, RFC 9457).
+
+    Args:
+        status: of HTTP.
+        code: stable name of the problem, such as ``unknown-device``; the path /problems/CODE of
+            the server says what it means. Empty where what answered is no Lumiline server.
+        detail: what was wrong, with the value, and what would be right.
+        errors: every place of a request that does not fit, as the document lists them.
+        context: the values by name.
+        retry_after_s: how long to wait before asking again [s]; None: not said.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        code: str,
+        detail: str,
+        errors: list[dict[str, Any]] | None = None,
+        context: dict[str, Any] | None = None,
+        retry_after_s: float | None = None,
+    ) -> None:
+        super().__init__(f"{status} {code}: {detail}")
+        self.status = status
+        self.code = code
+        self.detail = detail
+        self.errors = errors or []
+        self.context = context or {}
+        self.retry_after_s = retry_after_s
+
+
+def problem_of(status: int, body: bytes, retry_after: str | None = None) -> ServerProblem:
+    """Return the problem that an answer tells of, whatever is in it."""
+    try:
+        document = json.loads(body)
+    except ValueError:
+        document = None
+    if not isinstance(document, dict):
+        told = body[:200].decode("utf-8", "replace").strip()
+        document = {"detail": told or "no reason given"}
+    kind, errors, context = (document.get(name) for name in ("type", "errors", "context"))
+    return ServerProblem(
+        status,
+        kind.rsplit("/", 1)[-1] if isinstance(kind, str) else "",
+        str(document.get("detail") or document.get("title") or "no reason given"),
+        errors if isinstance(errors, list) else None,
+        context if isinstance(context, dict) else None,
+        float(retry_after) if retry_after is not None and retry_after.isdigit() else None,
+    )

@@ -1,0 +1,215 @@
+"""What a stream asks for, what it has, and whether it goes on: the same for both clients."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+from urllib.parse import urlencode
+
+import msgpack
+from websockets.exceptions import (
+    ConnectionClosed,
+    InvalidHandshake,
+    InvalidMessage,
+    InvalidStatus,
+)
+
+from lumiline.client.errors import (
+    NotReached,
+    StreamEnded,
+    UnreadableMessage,
+    problem_of,
+)
+from lumiline.client.messages import Frame, Hello, Message, Missed, Other, Status, messages_of
+from lumiline.client.server import Server
+
+Content = Literal["points", "peaks", "tracks", "tools", "status"]
+Mode = Literal["live", "lossless"]
+
+POLICY_CLOSE: Final = 1008
+_WAITS_S: Final = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+_MAY_PASS: Final = frozenset({429, 500, 502, 503, 504})
+MOST_BYTES: Final = 2**26
+"""Largest message that is taken: a bundle of 512 frames with all content is below a tenth."""
+
+
+@dataclass(frozen=True)
+class StreamWish:
+    """What a stream is to send.
+
+    Args:
+        device: its id.
+        content: what frames hold; ``("status",)``: no frames.
+        mode: ``live``: what is new; ``lossless``: every message in order, also over a lost
+            connection, as long as the server still has them.
+        rate_hz: at most so many frames a second; None: every frame.
+        bundle_ms: the frames of so many ms in one message of the connection, which costs both
+            sides far less at thousands of frames a second; None: each by itself.
+        encoding: ``msgpack``, or ``json``.
+    """
+
+    device: str
+    content: tuple[Content, ...] = ("points",)
+    mode: Mode = "live"
+    rate_hz: float | None = None
+    bundle_ms: float | None = None
+    encoding: Literal["msgpack", "json"] = "msgpack"
+
+    def query(self, stream: str | None, after: int | None) -> str:
+        """Return the query of a connection; a lossless one goes on after a message."""
+        values: dict[str, Any] = {
+            "device": self.device,
+            "content": ",".join(self.content),
+            "encoding": self.encoding,
+            "mode": self.mode,
+            "rate_hz": self.rate_hz,
+            "bundle_ms": self.bundle_ms,
+        }
+        if self.mode == "lossless" and stream is not None and after is not None:
+            values |= {"stream": stream, "after": after}
+        return urlencode({name: value for name, value in values.items() if value is not None})
+
+
+@dataclass
+class StreamState:
+    """How far a stream has come, over all of its connections.
+
+    Args:
+        server: where it comes from.
+        wish: what it is to send.
+        reconnect_s: how long a lost connection is tried again [s]; 0: not at all.
+        stream: id of the server's numbered messages, from ``resume``; None: from now on.
+        last: number of the last message that was received.
+        had: number of the last message that the program has taken.
+        hello: the greeting of the newest connection.
+        reconnections: how often the connection was lost and made again.
+        deleted: whether the device was, which ends the stream.
+    """
+
+    server: Server
+    wish: StreamWish
+    reconnect_s: float = 30.0
+    stream: str | None = None
+    last: int | None = None
+    had: int | None = None
+    hello: Hello | None = None
+    reconnections: int = 0
+    deleted: bool = False
+    _lost_at_s: float | None = field(default=None, repr=False)
+    _tries: int = field(default=0, repr=False)
+
+    def taken(self, message: Message) -> Message:
+        """Return a message that the program takes now, and count it."""
+        if isinstance(message, Frame | Status):
+            self.had = message.n
+        elif isinstance(message, Missed):
+            self.had = message.first + message.messages - 1
+        return message
+
+    @property
+    def url(self) -> str:
+        """Address of the next connection."""
+        return f"{self.server.stream_url}?{self.wish.query(self.stream, self.last)}"
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """How the websocket is opened, for both of the library's clients."""
+        return {
+            "additional_headers": self.server.stream_headers,
+            "subprotocols": self.server.stream_subprotocols,
+            "compression": None,
+            "max_size": MOST_BYTES,
+            "close_timeout": 2.0,
+        }
+
+    def take(self, payload: bytes | str) -> list[Message]:
+        """Return the messages of a payload that the program has not got yet."""
+        found = []
+        for message in messages_of(_decoded(payload)):
+            if isinstance(message, Hello):
+                self._greeted(message)
+            elif isinstance(message, Frame | Status):
+                # After a lost connection the server may repeat; a program gets everything once.
+                if self.last is not None and message.n <= self.last:
+                    continue
+                self.last = message.n
+                if isinstance(message, Status):
+                    self.deleted = message.state == "deleted"
+            elif isinstance(message, Missed):
+                self.last = message.first + message.messages - 1
+            elif isinstance(message, Other):
+                self.last = _number(message.members, self.last)
+            found.append(message)
+        return found
+
+    def _greeted(self, hello: Hello) -> None:
+        if self._lost_at_s is not None:
+            self.reconnections += 1
+        self._lost_at_s, self._tries = None, 0
+        if hello.stream != self.stream or not hello.resumed:
+            self.last = hello.next - 1
+        self.stream, self.hello = hello.stream, hello
+
+    def wait_after(self, error: Exception, now_s: float) -> float | None:
+        """Return how long to wait before the next connection [s]; None: the stream has ended.
+
+        Args:
+            error: what ended the connection, or kept it from being made.
+            now_s: of a clock that does not go back [s].
+
+        Raises:
+            StreamEnded: the key was revoked or has expired.
+            ServerProblem: the server refused, and would again.
+            NotReached: it was tried for long enough.
+        """
+        if self.deleted:
+            return None
+        closed = error.rcvd if isinstance(error, ConnectionClosed) else None
+        if closed is not None and closed.code == POLICY_CLOSE:
+            raise StreamEnded(closed.code, closed.reason) from error
+        told = _refused(error)
+        if told is not None and (told.status not in _MAY_PASS or self._first):
+            raise told from error
+        begun = now_s if self._lost_at_s is None else self._lost_at_s
+        first, self._lost_at_s = self._first, begun
+        if first or now_s - begun >= self.reconnect_s:
+            raise NotReached(
+                f"the stream of {self.server.url} "
+                f"{'could not be opened' if first else 'was lost'}: {error or type(error).__name__}"
+            ) from error
+        wait = _WAITS_S[min(self._tries, len(_WAITS_S) - 1)]
+        self._tries += 1
+        return min(wait, max(begun + self.reconnect_s - now_s, 0.0))
+
+    @property
+    def _first(self) -> bool:
+        """Whether no connection was made yet: what fails then is told at once."""
+        return self.hello is None
+
+
+FAILURES: Final = (OSError, ConnectionClosed, InvalidHandshake, InvalidMessage, EOFError)
+"""What the websocket library raises when a connection is lost or is not made."""
+
+
+def _refused(error: Exception) -> Any:
+    if not isinstance(error, InvalidStatus):
+        return None
+    response = error.response
+    return problem_of(
+        response.status_code, bytes(response.body or b""), response.headers.get("Retry-After")
+    )
+
+
+def _number(members: Mapping[str, Any], last: int | None) -> int | None:
+    number = members.get("n")
+    return number if isinstance(number, int) else last
+
+
+def _decoded(payload: bytes | str) -> object:
+    try:
+        found: object = (
+            json.loads(payload) if isinstance(payload, str) else msgpack.unpackb(payload)
+        )
+    except (ValueError, msgpack.UnpackException) as error:
+        raise UnreadableMessage(f"a message of the stream cannot be decoded: {error}") from error
+    return found

@@ -87,7 +87,7 @@ class OpenIGTLinkServer:
             family=socket.AF_UNSPEC,
             backlog=_BACKLOG,
         )
-        await self._ask_for_tools()
+        await self.refresh()
         self._end = self._board.listen(self._told)
         self._watcher = loop.create_task(self._watch())
         host, port = self.address
@@ -170,7 +170,7 @@ class OpenIGTLinkServer:
         if unknown - self._asked_for:
             self._asked_for |= unknown
             self._wake.set()
-        snapshot = Snapshot(entry, self._named(device), time.monotonic())
+        snapshot = Snapshot(entry, self.named(device), time.monotonic())
         self._newest = snapshot
         for client in list(self._clients):
             client.offer(snapshot)
@@ -185,7 +185,8 @@ class OpenIGTLinkServer:
         stopped = not self._newest.fresh and device not in self._board.newest()
         return None if stopped else device
 
-    def _named(self, device_id: str) -> Naming:
+    def named(self, device_id: str) -> Naming:
+        """Return the names of a device's tools."""
         found = self._naming.get(device_id)
         if found is None:
             of_device = [tool for tool in self._tools if tool.device_id == device_id]
@@ -202,14 +203,14 @@ class OpenIGTLinkServer:
                 await asyncio.wait_for(self._wake.wait(), _LOOK_S)
             if self._wake.is_set() or time.monotonic() - asked > _TOOLS_S:
                 self._wake.clear()
-                await self._ask_for_tools()
+                await self.refresh()
                 asked = time.monotonic()
             if self._newest is not None and not self._newest.fresh:
                 age_s = time.monotonic() - self._newest.arrived_s
                 for client in list(self._clients):
                     client.tell_stale(self._newest.entry.device_id, age_s)
 
-    async def _ask_for_tools(self) -> None:
+    async def refresh(self) -> None:
         """Take the application's tools; while it cannot tell, those that are known stay."""
         try:
             found = tuple(await self._host.tools())

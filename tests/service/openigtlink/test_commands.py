@@ -1,6 +1,7 @@
 """Commands: what is done, what is refused and why, and XML that means harm."""
 
 import asyncio
+from contextlib import suppress
 
 import pytest
 from hypothesis import given
@@ -42,12 +43,8 @@ def test_xml_that_is_none_of_a_command(text: str):
 
 @given(st.text(max_size=200))
 def test_any_text_is_a_command_or_refused(text):
-    try:
-        asked = read_asked("Version", text)
-    except CommandRefused as error:
-        assert len(error.detail) < 1000
-    else:
-        assert asked.name == "Version"
+    with suppress(CommandRefused):
+        assert read_asked("Version", text).name == "Version"
 
 
 @given(st.text(max_size=60), st.text(max_size=60), st.booleans())
@@ -55,10 +52,7 @@ def test_replies_are_xml_whatever_is_in_them(name, text, done):
     from defusedxml.ElementTree import fromstring
 
     reply = Reply(done=done, message=text)
-    texts = [write_reply(None, reply)] + [write_reply(name, reply)]
-    for one in texts:
-        if any(c in one for c in "\ufffe\uffff") or any(0xD800 <= ord(c) < 0xE000 for c in one):
-            continue  # no characters of XML
+    for one in (write_reply(None, reply), write_reply(name, reply)):
         found = fromstring(one)
         assert found.tag == "CommandReply"
         assert found.attrib["Status"] == ("SUCCESS" if done else "FAIL")

@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -130,10 +130,8 @@ class Peer:
 
     async def close(self) -> None:
         self.writer.close()
-        try:
+        with suppress(OSError):
             await self.writer.wait_closed()
-        except OSError:
-            pass
 
 
 @dataclass
@@ -171,7 +169,7 @@ async def until(holds: Callable[[], bool]) -> None:
 async def serving(host: FakeHost | None = None, **settings: Any) -> AsyncIterator[Served]:
     host = FakeHost() if host is None else host
     board = PoseBoard()
-    server = OpenIGTLinkServer(board, host, ServerSettings(port=0, rate_hz=1e4, **settings))
+    server = OpenIGTLinkServer(board, host, ServerSettings(port=0, rate_hz=1e9, **settings))
     await server.start()
     served = Served(server, board, host)
     try:

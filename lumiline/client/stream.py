@@ -3,6 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Iterator
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
 
@@ -24,6 +25,7 @@ class Stream:
         self._state = state
         self._timeout_s = open_timeout_s
         self._socket: ClientConnection | None = None
+        self._open = ExitStack()
         self._waiting: deque[Message] = deque()
         self._closed = False
 
@@ -79,9 +81,8 @@ class Stream:
         self._drop()
 
     def _drop(self) -> None:
-        socket, self._socket = self._socket, None
-        if socket is not None:
-            socket.close()
+        self._socket = None
+        self._open.close()
 
     def _fill(self) -> bool:
         """Wait until there is a message; False: there will be none."""
@@ -90,9 +91,9 @@ class Stream:
                 return False
             try:
                 if self._socket is None:
-                    self._socket = connect(
-                        self._state.url, open_timeout=self._timeout_s, **self._state.options
-                    )
+                    url, options = self._state.url, self._state.options
+                    connection = connect(url, open_timeout=self._timeout_s, **options)
+                    self._socket = self._open.enter_context(connection)
                 self._waiting.extend(self._state.take(self._socket.recv()))
             except FAILURES as error:
                 self._drop()

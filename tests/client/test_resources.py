@@ -1,0 +1,179 @@
+"""Resources of a real server, through both clients."""
+
+import asyncio
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from compute.camera.stack import CameraStack
+from hardware.simulated.bar import sensor_bar
+from lumiline.client import AsyncClient, Client, NotReached, ServerProblem, UnreadableMessage
+from lumiline.client.server import Server
+
+MARKERS = [(0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (40.0, 30.0, 50.0)]
+
+Ask = Callable[..., Any]
+
+
+@pytest.fixture(params=["sync", "async"])
+def ask(request: pytest.FixtureRequest, server: str) -> Ask:
+    """Ask the server by the one client or the other."""
+
+    def waiting(name: str, *args: Any, **named: Any) -> Any:
+        with Client(server) as client:
+            return getattr(client, name)(*args, **named)
+
+    def together(name: str, *args: Any, **named: Any) -> Any:
+        async def run() -> Any:
+            async with AsyncClient(server) as client:
+                return await getattr(client, name)(*args, **named)
+
+        return asyncio.run(run())
+
+    return waiting if request.param == "sync" else together
+
+
+def test_devices_and_calibrations(ask: Ask) -> None:
+    device = ask("device", "sim")
+    assert [one.id for one in ask("devices")] == ["sim"]
+    assert (device.id, device.active_calibration_id) == ("sim", "sim-nominal")
+    assert len(device.sensors) == 4
+    assert device.created_at, "members that the client does not name are kept"
+    assert ask("device_status", "sim").calibration_id == "sim-nominal"
+    found = ask("calibrations", "sim", "active")
+    assert [one.id for one in found] == ["sim-nominal"]
+    assert ask("calibration", "sim-nominal").content_hash == found[0].content_hash
+    assert ask("activate", "sim-nominal", expected="sim-nominal").state == "active"
+
+
+def test_a_refusal_has_its_code_and_its_reason(ask: Ask) -> None:
+    with pytest.raises(ServerProblem) as caught:
+        ask("device", "nobody")
+    assert (caught.value.status, caught.value.code) == (404, "unknown-device")
+    assert "nobody" in caught.value.detail
+    assert "nobody" in str(caught.value)
+    with pytest.raises(ServerProblem) as caught:
+        ask("request", "POST", "/api/v1/reconstructions", body={"device": "sim", "points": []})
+    assert caught.value.code == "invalid-request"
+    assert caught.value.errors[0]["location"] == ["body", "points"]
+    with pytest.raises(ServerProblem, match="409 "):
+        ask("roll_back", "sim", expected="another")
+
+
+def test_points_from_readings(ask: Ask) -> None:
+    models = [sensor.model for sensor in sensor_bar()]
+    place = np.array([[30.0, -20.0, 1500.0]])
+    readings = CameraStack.of(models).project(place)[0]
+    given = {
+        model.name: (float(value), 0.05) for model, value in zip(models, readings, strict=True)
+    }
+    found = ask("reconstruct", "sim", {"a": given, "b": {models[0].name: 1000.0}})
+    first, second = found.estimates
+    assert first.position_mm == pytest.approx(tuple(place[0]), abs=0.01)
+    assert len(first.covariance_mm2) == 3
+    assert second.position_mm is None
+    assert "too-few-sensors" in second.flags
+
+
+def test_a_list_of_many_pages_is_read_whole(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lumiline.client.client.PAGE", 2)
+    monkeypatch.setattr("lumiline.client.async_client.PAGE", 2)
+    for _ in range(5):
+        ask("reconstruct", "sim", {"a": {sensor_bar()[0].model.name: 1000.0}})
+    found = ask("reconstructions", "sim")
+    assert len(found) >= 5
+    assert len({one.id for one in found}) == len(found)
+
+
+def test_a_tool_from_its_making_to_its_end(ask: Ask) -> None:
+    made = ask("create_tool", "probe", "sim", MARKERS, tip_mm=[0.0, 0.0, 150.0])
+    try:
+        assert made.markers_mm == tuple(MARKERS)
+        assert made.tip.position_mm == (0.0, 0.0, 150.0)
+        assert [one.id for one in ask("tools", "sim")] == ["probe"]
+        assert ask("tool", "probe") == made
+        pose = ask("tool_pose", "probe")
+        # The rotating bar has no such tool: there is a reason, and no pose.
+        assert (pose.tool, pose.frame) == ("probe", "tracker")
+        assert pose.status != "OK"
+        assert pose.reason
+        assert pose.rotation is None
+    finally:
+        ask("delete_tool", "probe")
+    assert ask("tools", "sim") == []
+
+
+def test_a_registration_tells_its_errors(ask: Ask) -> None:
+    places = np.array([[0, 0, 0], [100, 0, 0], [0, 80, 0], [30, 20, 60.0]])
+    turned = places @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]).T + [5, 6, 700]
+    pairs = {str(one): (a, b) for one, (a, b) in enumerate(zip(places, turned, strict=True))}
+    found = ask(
+        "register", "ct", "sim", pairs, {"tumour": (30.0, 30.0, 30.0)}, measured_sigma_mm=0.3
+    )
+    try:
+        assert np.allclose(np.array(found.matrix)[:3, 3], [5, 6, 700], atol=1e-6)
+        assert found.fre_mm < 1e-6
+        assert 0.1 < found.targets[0].error_mm < 0.6
+        assert ask("registration", "ct").id == "ct"
+        assert [one.id for one in ask("registrations")] == ["ct"]
+    finally:
+        ask("request", "DELETE", "/api/v1/registrations/ct")
+
+
+def test_a_recording_from_its_begin_to_a_file(ask: Ask, tmp_path: Path) -> None:
+    begun = ask("start_recording", "sim", seconds=30.0)
+    with pytest.raises(ServerProblem, match="recording-in-progress"):
+        ask("download_recording", begun.name, tmp_path / "early.h5")
+    ended = ask("stop_recording", begun.name)
+    assert begun.name in [one.name for one in ask("recordings", "sim")]
+    assert (ended.name, ended.state) == (begun.name, "complete")
+    file = ask("download_recording", begun.name, tmp_path / "bench.h5")
+    assert file.stat().st_size == ask("recording", begun.name).size_bytes
+    assert file.read_bytes()[:8] == b"\x89HDF\r\n\x1a\n"
+    # Neither of a refused download nor of a complete one is a part left.
+    assert [one.name for one in tmp_path.iterdir()] == ["bench.h5"]
+    ask("request", "DELETE", f"/api/v1/recordings/{begun.name}")
+
+
+def test_stop_and_start(ask: Ask) -> None:
+    assert ask("stop_device", "sim").state == "stopped"
+    assert ask("start_device", "sim").state in {"starting", "running"}
+
+
+def test_what_is_no_lumiline_document_is_told(ask: Ask) -> None:
+    with pytest.raises(UnreadableMessage, match="JSON"):
+        ask("request", "GET", "/metrics")
+
+
+def test_a_server_that_is_not_there() -> None:
+    with Client("http://127.0.0.1:9", timeout_s=5.0) as client, pytest.raises(NotReached):
+        client.devices()
+
+
+@pytest.mark.parametrize("url", ["localhost:8000", "ftp://a", "http://", "http://u:p@host", "http://a?b"])  # fmt: skip
+def test_an_address_that_is_none(url: str) -> None:
+    with pytest.raises(ValueError, match="server"):
+        Client(url)
+
+
+def test_a_key_is_shown_nowhere() -> None:
+    server = Server("http://a/lumi/", "lumi_secret", "subprotocol")
+    assert "lumi_secret" not in repr(server)
+    assert server.stream_url == "ws://a/lumi/api/v1/stream"
+    assert server.stream_subprotocols == ["lumiline.v1", "lumiline.bearer.lumi_secret"]
+    assert server.stream_headers == {}
+
+
+def test_both_clients_have_the_same_methods() -> None:
+    def methods(kind: type[Any]) -> dict[str, list[str]]:
+        return {
+            name: [str(one) for one in inspect.signature(member).parameters.values()]
+            for name, member in inspect.getmembers(kind, inspect.isfunction)
+            if not name.startswith("_")
+        }
+
+    assert methods(Client) == methods(AsyncClient)

@@ -260,20 +260,16 @@ def robust_update(
     The reading that the misfit blames most, by ``(S^-1 r)^2 / (S^-1)_ii``, is left out until the
     rest fit; None where that takes more than a quarter of them (but one of four).
     """
+    found = update(state, told, residual_px, sigma_px)
+    if found.nis <= chi2_limit(len(residual_px), probability):
+        return found
     index = np.arange(len(residual_px))
-    spare = len(index) // 4
-    while True:
+    for _ in range(len(index) // 4):
         whole = told.covariance[np.ix_(index, index)] + np.diag(sigma_px[index] ** 2)
         inverse = np.linalg.inv(whole)
-        weighted = inverse @ residual_px[index]
-        nis = float(residual_px[index] @ weighted)
-        if nis <= chi2_limit(len(index), probability):
-            break
-        if spare == 0:
-            return None
-        spare -= 1
-        index = np.delete(index, np.argmax(weighted**2 / inverse.diagonal()))
-    if len(index) < len(residual_px):
-        told = told.of(index)
-    found = update(state, told, residual_px[index], sigma_px[index])
-    return replace(found, kept=index)
+        blame = (inverse @ residual_px[index]) ** 2 / inverse.diagonal()
+        index = np.delete(index, np.argmax(blame))
+        found = update(state, told.of(index), residual_px[index], sigma_px[index])
+        if found.nis <= chi2_limit(len(index), probability):
+            return replace(found, kept=index)
+    return None

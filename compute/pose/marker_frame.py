@@ -7,9 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.pose.rigid_body import RigidBody
-from compute.pose.transform import cross_matrix
+from compute.pose.small import one_cross
 
 Array = NDArray[np.float64]
+
+_SAME = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +52,15 @@ class MarkerFrame:
         """Return d (turn, origin) / d (turn, centroid), shape (6, 6)."""
         slopes = np.eye(6)
         # A turn w moves the origin, which is at -R c from the centroid, by w x (-R c).
-        slopes[3:, :3] = cross_matrix(rotation @ self.centroid_mm)
+        slopes[3:, :3] = one_cross(rotation @ self.centroid_mm)
         return slopes
 
     def tip_slopes(self, rotation: Array) -> Array:
         """Return d tip / d (turn, centroid), shape (3, 6)."""
-        return np.hstack([-cross_matrix(rotation @ self.tip_mm), np.eye(3)])
+        slopes = np.empty((3, 6))
+        slopes[:, :3] = -one_cross(rotation @ self.tip_mm)
+        slopes[:, 3:] = _SAME
+        return slopes
 
 
 @lru_cache(maxsize=256)

@@ -11,22 +11,26 @@ state's correlation with the common errors is carried along, and they are never 
 correction table leaves open is one more common error for each marker and sensor.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
-from compute.camera.rotation import rotation_matrix
 from compute.pose.marker_frame import MarkerFrame
 from compute.pose.pose_equations import turn_slopes
 from compute.pose.reading_model import ExpectedReadings
 from compute.pose.settings import MotionSettings
-from compute.pose.transform import cross_matrix
+from compute.pose.small import one_rotation
 
 Array = NDArray[np.float64]
 
 STATES = 12
 TURN, PLACE, SPEED, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+_FREE = np.eye(STATES)
+_TURN_BY_RATE = (np.arange(3), np.arange(9, 12))
+_PLACE_BY_SPEED = (np.arange(3, 6), np.arange(6, 9))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,30 +100,37 @@ def predict(
     step = 1e-9 * (time_ns - state.time_ns)
     if step == 0.0:
         return state
-    turned = rotation_matrix(state.turn_rate_rad_s * step)
-    slopes = np.eye(STATES)
+    turned = one_rotation(state.turn_rate_rad_s * step)
+    slopes = _FREE.copy()
     slopes[TURN, TURN] = turned
-    slopes[0, 9] = slopes[1, 10] = slopes[2, 11] = step
-    slopes[3, 6] = slopes[4, 7] = slopes[5, 8] = step
+    slopes[_TURN_BY_RATE] = slopes[_PLACE_BY_SPEED] = step
     covariance = slopes @ state.covariance @ slopes.T
-    diagonal = np.arange(3)
-    for first, second, size in (
-        (3, 6, motion.acceleration_mm_s2),
-        (0, 9, motion.turn_acceleration_rad_s2),
+    covariance += _process_noise(motion, manoeuvre, step)
+    return PoseState(
+        time_ns,
+        turned @ state.rotation,
+        state.centroid_mm + state.velocity_mm_s * step,
+        state.velocity_mm_s,
+        state.turn_rate_rad_s,
+        covariance,
+        slopes @ state.common if state.common.shape[1] else state.common,
+    )
+
+
+@lru_cache(maxsize=1024)
+def _process_noise(motion: MotionSettings, manoeuvre: float, step_s: float) -> Array:
+    """Return the covariance that a time adds, shape (12, 12); not to be written to."""
+    noise = np.zeros((STATES, STATES))
+    same = np.eye(3)
+    for pose, rate, size in (
+        (PLACE, SPEED, motion.acceleration_mm_s2),
+        (TURN, RATE, motion.turn_acceleration_rad_s2),
     ):
         density = 2.0 * (size * manoeuvre) ** 2 * motion.steady_s
-        covariance[first + diagonal, first + diagonal] += density * step**3 / 3.0
-        covariance[first + diagonal, second + diagonal] += density * step**2 / 2.0
-        covariance[second + diagonal, first + diagonal] += density * step**2 / 2.0
-        covariance[second + diagonal, second + diagonal] += density * step
-    return replace(
-        state,
-        time_ns=time_ns,
-        rotation=turned @ state.rotation,
-        centroid_mm=state.centroid_mm + state.velocity_mm_s * step,
-        covariance=covariance,
-        common=slopes @ state.common,
-    )
+        noise[pose, pose] = density * step_s**3 / 3.0 * same
+        noise[pose, rate] = noise[rate, pose] = density * step_s**2 / 2.0 * same
+        noise[rate, rate] = density * step_s * same
+    return noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,30 +205,41 @@ class Update:
 
 def update(state: PoseState, told: Innovations, residual_px: Array, sigma_px: Array) -> Update:
     """Take in n readings; ``residual_px`` is what they are less what was expected, (n,) [px]."""
-    whole = told.covariance + np.diag(sigma_px**2)
-    root = np.linalg.cholesky(whole)
+    count = len(residual_px)
+    whole = told.covariance.copy()
+    whole.flat[:: count + 1] += sigma_px**2
+    errors = state.common.shape[1]
     # One triangular solve for all: the residual, the gains and the common errors.
-    right = np.column_stack(
-        [residual_px, told.spread.T, told.slopes @ state.common[:6] + told.common]
+    right = np.empty((count, 1 + STATES + errors), order="F")
+    right[:, 0] = residual_px
+    right[:, 1 : 1 + STATES] = told.spread.T
+    if errors:
+        right[:, 1 + STATES :] = told.slopes @ state.common[:6] + told.common
+    root, failed = dpotrf(whole, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError("the readings' covariance is not positive definite")
+    solved, _ = dtrtrs(root, right, lower=1, overwrite_b=1)
+    residual, gain = solved[:, 0], solved[:, 1 : 1 + STATES]
+    step = residual @ gain
+    # Symmetric to the bit: it is a matrix times itself.
+    after = PoseState(
+        state.time_ns,
+        one_rotation(step[TURN]) @ state.rotation,
+        state.centroid_mm + step[PLACE],
+        state.velocity_mm_s + step[SPEED],
+        state.turn_rate_rad_s + step[RATE],
+        state.covariance - gain.T @ gain,
+        state.common - gain.T @ solved[:, 1 + STATES :] if errors else state.common,
     )
-    solved = np.linalg.solve(root, right)
-    residual, gain, common = solved[:, 0], solved[:, 1 : 1 + STATES], solved[:, 1 + STATES :]
-    step = gain.T @ residual
-    covariance = state.covariance - gain.T @ gain
-    after = replace(
-        state,
-        rotation=rotation_matrix(step[TURN]) @ state.rotation,
-        centroid_mm=state.centroid_mm + step[PLACE],
-        velocity_mm_s=state.velocity_mm_s + step[SPEED],
-        turn_rate_rad_s=state.turn_rate_rad_s + step[RATE],
-        covariance=0.5 * (covariance + covariance.T),
-        common=state.common - gain.T @ common,
-    )
-    return Update(after, float(residual @ residual), np.arange(len(residual_px)))
+    return Update(after, float(residual @ residual), np.arange(count))
 
 
 def origin_velocity(state: PoseState, frame: MarkerFrame) -> Array:
     """Return the velocity of the tool's origin, shape (3,) [mm/s]."""
     arm = state.rotation @ frame.centroid_mm
-    found: Array = state.velocity_mm_s - cross_matrix(state.turn_rate_rad_s) @ arm
+    wx, wy, wz = state.turn_rate_rad_s.tolist()
+    x, y, z = arm.tolist()
+    found: Array = state.velocity_mm_s - np.array(
+        [wy * z - wz * y, wz * x - wx * z, wx * y - wy * x]
+    )
     return found

@@ -65,13 +65,16 @@ def report(
     """
     frame = MarkerFrame.of(tool)
     here = state.covariance[:6, :6]
-    radius = np.array([frame.radius_mm] * 3 + [1.0] * 3)
-    scaled = here * (radius[:, None] * radius)
-    values = np.linalg.eigvalsh(scaled)
-    if not values[-1] <= (settings.fit.most_sd_share * frame.radius_mm) ** 2:
-        judged = observability(np.linalg.inv(scaled), frame, support.sensors, settings.fit)
-        reason = judged.reason or "the pose is not told by what was seen"
-        return without_pose(tool, PoseStatus.MISSING, reason, state.time_ns, sequence)
+    most = (settings.fit.most_sd_share * frame.radius_mm) ** 2
+    diagonal = here.diagonal()
+    # No motion is less certain than all together: that is checked first, it costs next to nothing.
+    if not frame.radius_mm**2 * diagonal[:3].sum() + diagonal[3:].sum() <= most:
+        radius = np.array([frame.radius_mm] * 3 + [1.0] * 3)
+        scaled = here * (radius[:, None] * radius)
+        if not np.linalg.eigvalsh(scaled)[-1] <= most:
+            judged = observability(np.linalg.inv(scaled), frame, support.sensors, settings.fit)
+            reason = judged.reason or "the pose is not told by what was seen"
+            return without_pose(tool, PoseStatus.MISSING, reason, state.time_ns, sequence)
     origin, tip = frame.origin_slopes(state.rotation), frame.tip_slopes(state.rotation)
     tip_covariance = tip @ here @ tip.T
     tip_sd = float(np.sqrt(np.trace(tip_covariance)))

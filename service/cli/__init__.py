@@ -267,6 +267,35 @@ def replay(
         run_replay(recording, calibration, table, output)
 
 
+@app.command("export")
+def export_motion(
+    source: Annotated[
+        Path, typer.Argument(help="A recording (HDF5), or a stream's JSON messages (.jsonl).")
+    ],
+    to: Annotated[Path, typer.Option("--to", help="File: .c3d, .trc, .csv, .parquet or .igs.mha.")],
+    tools: Annotated[
+        Path | None, typer.Option(help="Tools as JSON, as GET /api/v1/tools sends them.")
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Calibration as JSON, from `calibrate`; left out: the recorded ones."),
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option(help="Correction table (HDF5) of that calibration.")
+    ] = None,
+    predicted: Annotated[
+        bool, typer.Option("--predicted", help="C3D, TRC: no gaps where tracks are predicted.")
+    ] = False,
+    points: Annotated[
+        bool, typer.Option("--points", help="C3D, TRC: strobed markers' points, not tracks.")
+    ] = False,
+) -> None:
+    """Write points, tracks and tool poses for other programs: C3D, TRC, CSV, Parquet, PLUS."""
+    from service.cli.export import ExportOptions, run
+
+    run(source, to, ExportOptions(tools, calibration, table, predicted, points))
+
+
 @app.command("simulate-serial")
 def simulate_serial(
     listen: Annotated[str | None, typer.Option(help="HOST:PORT to be reached at.")] = None,

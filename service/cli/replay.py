@@ -6,17 +6,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TextIO
 
 import typer
 from pydantic import ValidationError
 
-from compute.errors import InvalidParameter, InvalidRecording, LumilineError
-from service.cli.calibration_file import read_calibration
+from compute.errors import InvalidRecording, LumilineError
+from service.cli.in_force_files import read_in_force
 from service.cli.output import console, fail, print_json, progress
-
-if TYPE_CHECKING:
-    from service.live.in_force import InForce
 
 
 def run_replay(
@@ -38,7 +35,7 @@ def run_replay(
 
     try:
         with RecordingReader(path) as reader, _output(output) as target:
-            given = _given(calibration, table)
+            given = read_in_force(calibration, table)
             if given is None and reader.info.state.in_force == 0:
                 raise InvalidRecording(
                     f"{path.name} holds no calibration; give one with --calibration"
@@ -93,29 +90,6 @@ def run_check(path: Path, batch_frames: int, *, as_json: bool) -> None:
             )
     if not found.same:
         raise typer.Exit(1)
-
-
-def _given(calibration: Path | None, table: Path | None) -> "InForce | None":
-    """Return the calibration and table of these files; None: none are given."""
-    from service.correction_tables.hdf5 import read_table
-    from service.live.in_force import InForce
-
-    if calibration is None:
-        if table is not None:
-            raise InvalidParameter(
-                "--table needs the table's calibration: give it with --calibration"
-            )
-        return None
-    known = read_calibration(calibration)
-    corrections = None if table is None else read_table(table.read_bytes()).table
-    if corrections is not None and corrections.calibration_hash != known.content_hash:
-        raise InvalidParameter(
-            f"the table {table} was made for the calibration with the hash "
-            f"{corrections.calibration_hash}; {calibration} has {known.content_hash}"
-        )
-    return InForce(
-        str(calibration), known.calibration, None if table is None else str(table), corrections
-    )
 
 
 @contextmanager

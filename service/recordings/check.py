@@ -77,21 +77,34 @@ def processed(
     """
     if not reader.info.lines:
         raise InvalidRecording("the recording holds results only; it has no lines to process")
-    if given is not None:
-        _use(processor, given)
-        rows = np.zeros(reader.info.frames, np.int32)
-    elif reader.info.version > 1:
-        rows = reader.column("in_force")
-    else:
-        rows = np.full(reader.info.frames, -1, np.int32)
-    changes = np.flatnonzero(np.diff(rows, prepend=rows[:1] - 1)).tolist()
-    ends = [*changes[1:], reader.info.frames]
     waiting = _Frames(reader)
-    for first, end in zip(changes, ends, strict=True):
-        if given is None:
-            _use(processor, recorded_in_force(reader, int(rows[first])))
+    for first, end, found in in_force_runs(reader, given):
+        use(processor, found)
         for start in range(first, end, batch_frames):
             yield processor.process(waiting.take(min(batch_frames, end - start)))
+
+
+def in_force_runs(
+    reader: RecordingReader, given: InForce | None = None
+) -> Iterator[tuple[int, int, InForce]]:
+    """Yield the runs of frames with the same in force: first, end, and what it was.
+
+    Args:
+        reader: the recording.
+        given: what takes its place; None: nothing does.
+
+    Raises:
+        InvalidRecording, InvalidTableFile: what is there is none, or was changed.
+    """
+    frames = reader.info.frames
+    if given is not None or reader.info.version == 1:
+        if frames:
+            yield 0, frames, NOTHING if given is None else given
+        return
+    rows = reader.column("in_force")
+    changes = np.flatnonzero(np.diff(rows, prepend=rows[:1] - 1)).tolist()
+    for first, end in zip(changes, [*changes[1:], frames], strict=True):
+        yield first, end, recorded_in_force(reader, int(rows[first]))
 
 
 def compare(
@@ -136,7 +149,8 @@ def compare(
     return Comparison(frames, peaks, points, peaks_differ, points_differ, first_difference, changed)
 
 
-def _use(processor: DeviceProcessor, found: InForce) -> None:
+def use(processor: DeviceProcessor, found: InForce) -> None:
+    """Have a processor reconstruct with this from its next batch on."""
     processor.set_calibration(found.calibration_id, found.calibration, found.table_id, found.table)
 
 

@@ -84,7 +84,8 @@ class ProbabilisticTracker:
     In each scan:
 
     - Each track has an interval in which its target may be ([6.7], [6.8]) and each pair of
-      tracks a probability to exchange their targets [6.9], both from the scans before.
+      tracks a probability to exchange their targets [6.9], both from the scans before. After
+      scans without a point the interval goes on from the last one, over all the time since.
     - Where a young track comes on the same track as an older one, it ends: "false" targets have
       a high probability of exchanging tracks and a low one of keeping theirs, "which would
       ultimately result in their termination".
@@ -142,10 +143,11 @@ class ProbabilisticTracker:
         given = self.settings
         recent = np.array(track.position_px[-given.interval.scans - 1 :])
         velocity = velocity_estimate(recent, given.interval_s, given.interval)
-        last = float(recent[-1])
+        last = track.position_px[-1 - track.missed]
+        since_s = (1 + track.missed) * given.interval_s
         return _Expected(
-            last + velocity.mean_px_s * given.interval_s,
-            position_interval(last, velocity, given.interval_s, given.interval),
+            last + velocity.mean_px_s * since_s,
+            position_interval(last, velocity, since_s, given.interval),
         )
 
     def _young(self, number: int) -> bool:

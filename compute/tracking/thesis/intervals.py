@@ -8,11 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
+from compute.tracking.thesis.window import QuadraticWindow
 
 Array = NDArray[np.float64]
 
 Form = Literal["ahead", "about"]
-"""Which interval; ``PositionInterval.of`` says what each is."""
+"""Which interval; ``position_interval`` says what each is."""
+
+Velocity = Literal["mean", "curve"]
+"""What a target's velocity is; ``velocity_estimate`` says what each is."""
 
 
 _TELLING: Final = 3
@@ -40,7 +44,7 @@ class VelocityEstimate:
     """The mean velocity of a target over its last scans, and how it varies.
 
     Args:
-        mean_px_s: v_j.
+        mean_px_s: v_j, or what goes for it.
         deviation_px_s: sigma_vj.
     """
 
@@ -59,6 +63,7 @@ class IntervalSettings:
             "taken between each two scans", and not of how many; here as many as the window of
             section 6.1.3 has.
         form: which interval.
+        velocity: what a target's velocity is.
         least_half_width_px: an interval is not narrower: the text has no noise of the readings,
             and a still target's deviation of velocity would leave it no room.
 
@@ -69,6 +74,7 @@ class IntervalSettings:
     most_velocity_px_s: float
     scans: int = 6
     form: Form = "ahead"
+    velocity: Velocity = "mean"
     least_half_width_px: float = 1.0
 
     def __post_init__(self) -> None:
@@ -80,16 +86,24 @@ class IntervalSettings:
                 )
         if self.scans < 1:
             raise InvalidParameter(f"scans is {self.scans}; it must be 1 or more", scans=self.scans)
-        if self.form not in get_args(Form):
-            raise InvalidParameter(
-                f"form is {self.form!r}; it must be one of {get_args(Form)}", form=self.form
-            )
+        for name, choices in (("form", get_args(Form)), ("velocity", get_args(Velocity))):
+            value = getattr(self, name)
+            if value not in choices:
+                raise InvalidParameter(
+                    f"{name} is {value!r}; it must be one of {choices}", **{name: value}
+                )
 
 
 def velocity_estimate(
     position_px: Array, interval_s: float, settings: IntervalSettings
 ) -> VelocityEstimate:
-    """Return mean and standard deviation of the velocities between the last scans.
+    """Return velocity and standard deviation of the velocities between the last scans.
+
+    - "mean": the mean of these velocities, as section 6.2.2 has it. A target that accelerates
+      evenly by a is (n + 1)/2 a ahead of the mean of n, and two deviations are hardly more
+      (n = 6: 3.5 and 3.7): any noise puts it outside.
+    - "curve": the velocity in which the quadratic window of as many scans goes on; section 2.5
+      has the dynamic model "update the information of the tracks" by that curve.
 
     Fewer than three velocities tell no deviation, and none no mean: then v_max stands in, half of
     it for a deviation, of which two are taken. (The deviation of two velocities of a target that
@@ -101,12 +115,16 @@ def velocity_estimate(
         settings: of the intervals.
     """
     most = settings.most_velocity_px_s
-    velocity = np.diff(position_px[-settings.scans - 1 :]) / interval_s
+    last = position_px[-settings.scans - 1 :]
+    velocity = np.diff(last) / interval_s
     if not len(velocity):
         return VelocityEstimate(0.0, most / 2.0)
-    mean = float(np.clip(velocity.mean(), -most, most))
+    mean = float(velocity.mean())
+    if settings.velocity == "curve" and len(velocity) >= _TELLING:
+        ahead = QuadraticWindow(len(last)).fit(last).next_position
+        mean = (ahead - float(last[-1])) / interval_s
     deviation = float(velocity.std(ddof=1)) if len(velocity) >= _TELLING else most / 2.0
-    return VelocityEstimate(mean, min(deviation, most / 2.0))
+    return VelocityEstimate(min(max(mean, -most), most), min(deviation, most / 2.0))
 
 
 def position_interval(
@@ -121,9 +139,9 @@ def position_interval(
       holds the first, and where the target has come from besides.
 
     Args:
-        position_px: X_j, the present position.
+        position_px: X_j, the last position.
         velocity: of the target.
-        interval_s: the sampling period [s].
+        interval_s: time since [s]: the sampling period, if the target was seen in the last scan.
         settings: of the intervals.
     """
     spread = 2.0 * velocity.deviation_px_s * interval_s

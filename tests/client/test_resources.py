@@ -154,7 +154,9 @@ def test_a_server_that_is_not_there() -> None:
         client.devices()
 
 
-@pytest.mark.parametrize("url", ["localhost:8000", "ftp://a", "http://", "http://u:p@host", "http://a?b"])  # fmt: skip
+@pytest.mark.parametrize(
+    "url", ["localhost:8000", "ftp://a", "http://", "http://u:p@host", "http://a?b"]
+)
 def test_an_address_that_is_none(url: str) -> None:
     with pytest.raises(ValueError, match="server"):
         Client(url)

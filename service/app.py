@@ -51,7 +51,7 @@ types. Every example below works as it stands on a new server, which has the sim
 `sim`, but for those of the correction tables `sim-map` and `sim-map-spare`: post the mapping run
 first, with that `result_id`; those of the key `examplekey00`: the server chooses a key's id; and
 those of the recording `earlier.h5`: record one of that name; and those that look at a tool or
-calibrate one (`captured`, `pivot-calibrations`, `spin-calibrations`): show the device the tool
+calibrate one (`tool-captures`, `pivot-calibrations`, `spin-calibrations`): show the device the tool
 first, as docs/tools.md says.
 """
 

@@ -10,7 +10,7 @@ from hardware.driver import PeakMethod
 from hardware.genicam.pixels import PixelFormat
 from hardware.simulated.bounds import check_bounds
 
-_NAME = r"^\S(.{0,62}\S)?$"
+_NAME = r"^[^\s\u0085](.{0,62}[^\s\u0085])?$"
 _FEATURE = r"^[A-Za-z_][A-Za-z0-9_]{0,99}$"
 
 

@@ -25,7 +25,7 @@ _BITS_OF_BYTE: Final = 10  # start, 8 data, stop
 class Tcd1304Board:
     """One board: the sensor's name, and where its serial port is."""
 
-    name: Annotated[str, StringConstraints(pattern=r"^\S(.{0,62}\S)?$")]
+    name: Annotated[str, StringConstraints(pattern=r"^[^\s\u0085](.{0,62}[^\s\u0085])?$")]
     port: Annotated[str, StringConstraints(max_length=200, pattern=URL_PATTERN)]
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")

@@ -1,4 +1,4 @@
-"""REST resource /api/v1/tools."""
+"""REST resources /api/v1/tools and /api/v1/tool-captures."""
 
 from collections.abc import Sequence
 from typing import Annotated, Final, Literal
@@ -59,7 +59,7 @@ from service.tools.schema import (
     ToolChange,
 )
 
-router = APIRouter(prefix="/api/v1/tools", tags=["tools"], route_class=JsonRoute)
+router = APIRouter(prefix="/api/v1", tags=["tools"], route_class=JsonRoute)
 
 NewToolBody = Annotated[NewTool, FromJson(), Body(openapi_examples=NEW_TOOLS)]
 CapturedBody = Annotated[NewCapturedTool, FromJson(), Body(openapi_examples=CAPTURED_TOOLS)]
@@ -75,7 +75,7 @@ SpunPath = Annotated[
 ]
 
 
-@router.get("", operation_id="list-tools", summary="List tools")
+@router.get("/tools", operation_id="list-tools", summary="List tools")
 def list_tools(database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None) -> Page[Tool]:
     """Tools by id."""
     with database.read() as session:
@@ -83,7 +83,7 @@ def list_tools(database: DatabaseDep, paging: PagingDep, device: DeviceFilter = 
 
 
 @router.post(
-    "",
+    "/tools",
     operation_id="create-tool",
     summary="Create a tool of known geometry",
     status_code=HTTP_201_CREATED,
@@ -108,7 +108,7 @@ def create_tool(request: NewToolBody, operation: OperationDep, response: Respons
 
 
 @router.post(
-    "/captured",
+    "/tool-captures",
     operation_id="capture-tool",
     summary="Define a tool by showing it",
     status_code=HTTP_201_CREATED,
@@ -173,7 +173,7 @@ def _add(
 
 
 @router.get(
-    "/{tool_id}",
+    "/tools/{tool_id}",
     operation_id="get-tool",
     summary="Read a tool",
     responses=problems(UnknownTool),
@@ -185,7 +185,7 @@ def get_tool(tool_id: ToolPath, database: DatabaseDep) -> Tool:
 
 
 @router.patch(
-    "/{tool_id}",
+    "/tools/{tool_id}",
     operation_id="change-tool",
     summary="Change a tool's title, tip, limits or reference",
     responses=problems(UnknownTool, InvalidParameter),
@@ -200,7 +200,7 @@ def change_tool(
 
 
 @router.delete(
-    "/{tool_id}",
+    "/tools/{tool_id}",
     operation_id="delete-tool",
     summary="Delete a tool",
     status_code=HTTP_204_NO_CONTENT,
@@ -213,7 +213,7 @@ def delete_tool(tool_id: ToolPath, database: DatabaseDep, operation: OperationDe
 
 
 @router.get(
-    "/{tool_id}/pose",
+    "/tools/{tool_id}/pose",
     operation_id="get-tool-pose",
     summary="Where a tool is now",
     responses=problems(UnknownTool, InvalidParameter),
@@ -253,7 +253,7 @@ _PROBLEMS_OF_CALIBRATION: Final[Sequence[type[LumilineError]]] = (
 
 
 @router.post(
-    "/{tool_id}/pivot-calibrations",
+    "/tools/{tool_id}/pivot-calibrations",
     operation_id="calibrate-pivot",
     summary="Find a tool's tip by pivoting it",
     status_code=HTTP_201_CREATED,
@@ -275,7 +275,7 @@ def calibrate_pivot(
 
 
 @router.post(
-    "/{tool_id}/spin-calibrations",
+    "/tools/{tool_id}/spin-calibrations",
     operation_id="calibrate-spin",
     summary="Find a tool's long axis by spinning it",
     status_code=HTTP_201_CREATED,
@@ -313,7 +313,7 @@ def _calibrated(
 
 
 @router.get(
-    "/{tool_id}/calibrations",
+    "/tools/{tool_id}/calibrations",
     operation_id="list-tool-calibrations",
     summary="Pivot and spin calibrations of a tool",
     responses=problems(UnknownTool),

@@ -45,7 +45,7 @@ def placed() -> dict[int, np.ndarray]:
 
 def test_a_tool_is_what_it_shows(sqlite_client: Any, running: RecordedLive):
     running.batches = [tool_batch([pivoting("none", 400)], placed())]
-    answer = sqlite_client.post("/api/v1/tools/captured", json=ASKED | {"seconds": 0.05})
+    answer = sqlite_client.post("/api/v1/tool-captures", json=ASKED | {"seconds": 0.05})
     assert answer.status_code == 201, answer.text
     tool = answer.json()
     markers = np.array(tool["markers_mm"])
@@ -89,7 +89,7 @@ def test_a_capture_that_cannot_be_says_why(
     shown = {marker: placed()[number] for marker, number in points.items()}
     running.batches = [tool_batch([pivoting("none", 60)], shown or None)]
     request = ASKED | {"seconds": 0.05} | changes
-    answer = sqlite_client.post("/api/v1/tools/captured", json=request)
+    answer = sqlite_client.post("/api/v1/tool-captures", json=request)
     assert code(answer) == problem, answer.text
     assert words in answer.json()["detail"]
 
@@ -98,7 +98,7 @@ def test_a_tool_that_moves_is_not_captured(sqlite_client: Any, running: Recorded
     batch = tool_batch([pivoting("none", 400)], placed())
     batch.points.position_mm[:, 0] += np.linspace(0.0, 5.0, 400)
     running.batches = [batch]
-    answer = sqlite_client.post("/api/v1/tools/captured", json=ASKED | {"seconds": 0.05})
+    answer = sqlite_client.post("/api/v1/tool-captures", json=ASKED | {"seconds": 0.05})
     assert code(answer) == (422, "not-still")
 
 
@@ -247,11 +247,11 @@ def test_a_calibration_switched_meanwhile_spoils_it(
 def test_nothing_is_measured_of_a_device_that_does_not_run(sqlite_client: Any):
     assert made(sqlite_client, POINTER).status_code == 201
     for path, body in (
-        ("pointer/pivot-calibrations", {}),
-        ("pointer/spin-calibrations", {}),
-        ("captured", ASKED | {"strobe_markers": [7, 8, 9]}),
+        ("tools/pointer/pivot-calibrations", {}),
+        ("tools/pointer/spin-calibrations", {}),
+        ("tool-captures", ASKED | {"strobe_markers": [7, 8, 9]}),
     ):
-        answer = sqlite_client.post(f"/api/v1/tools/{path}", json=body)
+        answer = sqlite_client.post(f"/api/v1/{path}", json=body)
         assert code(answer) == (409, "device-not-running")
 
 

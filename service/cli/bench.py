@@ -13,6 +13,7 @@ from service.cli.spawn import running_service
 BENCHMARKS = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
     "load": "4 sensors x 2048 pixels at full rate, a recorder, 50 clients, some of them stalled",
+    "openigtlink": "ten tools at 200 Hz to pyigtl, while another client stalls and leaves",
     "navigation": "simulated optics to an OpenIGTLink client: latency, jitter and tip errors",
     "signal": "raw lines to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
@@ -44,6 +45,10 @@ def run(
         from service.cli import bench_load
 
         bench_load.run(rate_hz, seconds, as_json=as_json)
+    elif name == "openigtlink":
+        from service.cli import bench_openigtlink
+
+        bench_openigtlink.run(seconds, as_json=as_json)
     elif name == "navigation":
         from service.cli import bench_navigation
 

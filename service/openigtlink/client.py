@@ -25,6 +25,8 @@ _SOCKET_BYTES: Final = 64 * 1024
 """The same in the operating system: what lies there gets old."""
 _AT_ONCE: Final = 32
 """Messages of one client that are answered before it is somebody else's turn."""
+_BURST_S: Final = 0.1
+"""How much a client may be behind its rate and then catch up: arrivals are never quite even."""
 _CLOSING_S: Final = 1.0
 _OTHER: Final = "other"
 
@@ -191,9 +193,7 @@ class Client(asyncio.Protocol):
             return
         self._cancel("rate")
         snapshot, self._waiting = self._waiting, None
-        # One frame may come early, so that unsteady arrivals do not halve the rate.
-        interval = 1.0 / self._settings.rate_hz
-        self._next_s = max(self._next_s, now - interval) + interval
+        self._next_s = max(self._next_s, now - _BURST_S) + 1.0 / self._settings.rate_hz
         self._counters.frames_sent += 1
         self._counters.poses_withheld += sum(not pose.valid for pose in snapshot.poses)
         self._write(self.session.frame(snapshot, now, invalid=self._settings.send_invalid))

@@ -1,0 +1,213 @@
+"""`lumiline bench openigtlink`: ten tools to pyigtl while another client stalls and leaves."""
+
+import asyncio
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from threading import Thread
+from typing import Any, Final, Literal
+
+import numpy as np
+from rich.table import Table
+
+from compute.pose.tool_pose import PoseStatus, ToolPose
+from service.cli.output import console, fail, print_json, progress
+from service.live.pose_board import BoardEntry, PoseBoard
+from service.openigtlink.counters import Counters
+from service.openigtlink.host import Caller, Landmark, WireTool
+from service.openigtlink.server import OpenIGTLinkServer
+from service.openigtlink.settings import ServerSettings
+
+TITLE: Final = "ten tools at 200 Hz to pyigtl, while another client connects, stalls and leaves"
+TOOLS: Final = tuple(f"tool-{number}" for number in range(10))
+RATE_HZ: Final = 200.0
+_DEVICE: Final = "sim"
+_START_S: Final = 60.0
+_REST_S: Final = 1.0
+
+
+class _Tools:
+    """An application that has the tools and nothing else."""
+
+    async def tools(self) -> Sequence[WireTool]:
+        return [WireTool(tool, _DEVICE) for tool in TOOLS]
+
+    async def landmarks(self, device_id: str) -> Sequence[Landmark]:  # noqa: ARG002
+        return []
+
+    async def devices(self) -> Sequence[str]:
+        return [_DEVICE]
+
+    async def start_recording(self, device_id: str, name: str | None) -> str:
+        raise NotImplementedError
+
+    async def stop_recording(self, device_id: str) -> str:
+        raise NotImplementedError
+
+    async def audit(
+        self, caller: Caller, outcome: Literal["done", "refused"], detail: str | None
+    ) -> None:
+        raise NotImplementedError
+
+
+def run(seconds: float, *, as_json: bool) -> None:
+    """Measure, and print what was received of what was put up, and when."""
+    try:
+        found = measure(seconds, quiet=as_json)
+    except RuntimeError as error:
+        raise fail(str(error)) from error
+    if as_json:
+        print_json(found)
+    else:
+        _show(found)
+
+
+def measure(seconds: float, *, quiet: bool) -> dict[str, Any]:
+    """Return the figures of our server, and of a bare one beside it for a sixth of the time."""
+    with progress(TITLE, seconds, quiet=quiet) as done:
+        ours = asyncio.run(_ours(seconds, done))
+    bare_s = max(1.0, seconds / 6.0)
+    with progress("a bare server beside it", bare_s, quiet=quiet):
+        return ours | {"bare": _bare(bare_s)}
+
+
+async def _ours(seconds: float, done: Callable[[float], object]) -> dict[str, Any]:
+    board = PoseBoard()
+    server = OpenIGTLinkServer(board, _Tools(), ServerSettings(port=0))
+    await server.start()
+    loop = asyncio.get_running_loop()
+    try:
+        with _client(server.address[1]) as process:
+            await _until_connected(server, process)
+            feeder = Thread(target=_feed, args=(board, seconds, done))
+            feeder.start()
+            await loop.run_in_executor(None, feeder.join)
+            await asyncio.sleep(_REST_S)
+            received = await loop.run_in_executor(None, _ended, process)
+    finally:
+        await server.close()
+    frames = round(seconds * RATE_HZ)
+    return {
+        "seconds": seconds,
+        "rate_hz": RATE_HZ,
+        "frames_put_up": frames,
+        "messages_sent_up": frames * len(TOOLS),
+        "received": received,
+        "server": _counted(server.counters),
+    }
+
+
+def _feed(board: PoseBoard, seconds: float, done: Callable[[float], object]) -> None:
+    """Put frames up from a thread of its own, as the live pipeline does; exposed just now."""
+    begin = time.monotonic()
+    for number in range(round(seconds * RATE_HZ)):
+        wait = begin + number / RATE_HZ - time.monotonic()
+        if wait > 0.0:
+            time.sleep(wait)
+        now = time.time_ns()
+        place = np.array([float(number), 0.0, 1000.0])
+        poses = {
+            tool: ToolPose(
+                tool,
+                PoseStatus.OK,
+                None,
+                now,
+                number,
+                np.eye(3),
+                place,
+                residual_sigma=1.0,
+                markers_used=4,
+            )
+            for tool in TOOLS
+        }
+        board.put(BoardEntry(_DEVICE, number, now, poses, None, RATE_HZ))
+        if number % 20 == 0:
+            done(time.monotonic() - begin)
+
+
+def _bare(seconds: float) -> dict[str, Any]:
+    from benchmarks.own_process import running_peer
+
+    with running_peer("benchmarks.openigtlink_bare") as url:
+        port = int(url.rstrip("/").rpartition(":")[2])
+        with _client(port, "--alone") as process:
+            time.sleep(seconds + _REST_S)
+            return _ended(process)
+
+
+@contextmanager
+def _client(port: int, *options: str) -> Iterator["subprocess.Popen[str]"]:
+    process = subprocess.Popen(  # noqa: S603 - our own module
+        [sys.executable, "-m", "benchmarks.openigtlink_clients", str(port), *options],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+async def _until_connected(server: OpenIGTLinkServer, process: "subprocess.Popen[str]") -> None:
+    end = time.monotonic() + _START_S
+    while server.clients < 2:
+        if process.poll() is not None or time.monotonic() > end:
+            raise RuntimeError("the clients did not connect; see above")
+        await asyncio.sleep(0.01)
+
+
+def _ended(process: "subprocess.Popen[str]") -> dict[str, Any]:
+    output, _ = process.communicate()
+    if process.returncode != 0:
+        raise RuntimeError("the clients failed; see above")
+    found: dict[str, Any] = json.loads(output)
+    return found
+
+
+def _counted(counters: Counters) -> dict[str, Any]:
+    return asdict(counters)
+
+
+def _show(found: dict[str, Any]) -> None:
+    received, bare, server = found["received"], found["bare"], found["server"]
+    table = Table(title=TITLE, title_justify="left")
+    table.add_column("figure")
+    table.add_column("Lumiline", justify="right")
+    table.add_column("bare server, pyigtl alone", justify="right")
+    counts = received["messages"].values()
+    table.add_row("duration, s", f"{found['seconds']:g}")
+    table.add_row("frames put up", f"{found['frames_put_up']}")
+    table.add_row(
+        "messages received of each tool, least",
+        f"{min(counts, default=0)}",
+        f"{min(bare['messages'].values(), default=0)}",
+    )
+    table.add_row("the same, of all tools", f"{sum(counts)} of {found['messages_sent_up']}")
+    for label, name in (
+        ("missed between two received", "missed"),
+        ("out of order", "out_of_order"),
+        ("wrong checksums", "wrong_checksums"),
+    ):
+        table.add_row(label, f"{received[name]}", f"{bare[name]}")
+    table.add_row("largest gap, ms", f"{received['largest_gap_ms']:.1f}",
+                  f"{bare['largest_gap_ms']:.1f}")  # fmt: skip
+    for label, name in (("latency", "latency_ms"), ("jitter", "jitter_ms")):
+        for percentile, value in received[name].items():
+            table.add_row(
+                f"{label} {percentile}, ms", f"{value:.3f}", f"{bare[name][percentile]:.3f}"
+            )
+    table.add_row("the other client: times it stalled", f"{received['stalls']}")
+    table.add_row("frames replaced by newer ones", f"{server['frames_replaced']}")
+    table.add_row("connections ended", ", ".join(f"{n} {w}" for w, n in server["ended"].items()))
+    console.print(table)
+    console.print(
+        "latency: from the exposure, which is when the frame was put up, to the message in "
+        "pyigtl's hands; jitter: how much the time between two messages differs from that "
+        "between their exposures."
+    )

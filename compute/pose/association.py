@@ -86,22 +86,18 @@ class Look:
         lit: indices of the markers that this exposure lights, shape (m,).
         state: the tool, predicted to the exposure; updated by what is found.
         peaks: which peak of each sensor is which marker's, -1: none, shape (m, S).
-        in_gate: how many peaks each marker might have on each sensor, shape (m, S).
         nis: normalised innovation squared of what was found.
         readings: how many readings were found.
         misfit: readings that were where the tool was expected did not fit it.
-        inside: whether the table vouches for the marker's reading, shape (m, S).
     """
 
     frame: MarkerFrame
     lit: NDArray[np.intp]
     state: PoseState
     peaks: NDArray[np.intp] = field(init=False)
-    in_gate: NDArray[np.intp] = field(init=False)
     nis: float = 0.0
     readings: int = 0
     misfit: bool = False
-    inside: NDArray[np.bool_] = field(init=False)
 
     def __post_init__(self) -> None:
         self._predicted = self.state
@@ -137,38 +133,32 @@ def associate(
     for look in looks:
         shape = (len(look.lit), model.sensors)
         look.peaks = np.full(shape, -1, dtype=np.intp)
-        look.in_gate = np.zeros(shape, dtype=np.intp)
-        look.inside = np.ones(shape, dtype=np.bool_)
     if not free.any():
         return
     gate = chi2_limit(1, gate_probability)
     sigma = float(np.sqrt(seen.variance_px2[free].min()))
     active = [look for look in looks if len(look.lit)]
-    for turn in range(ROUNDS if active else 0):
+    for _ in range(ROUNDS if active else 0):
         told = _told(model, active, sigma)
         offers = [_offers(*pair, seen, free, gate) for pair in zip(active, told, strict=True)]
-        if turn == 0:
-            for look, offer in zip(active, offers, strict=True):
-                look.in_gate = np.isfinite(offer).sum(axis=2)
         # A tool that is hardly known any more offers for peaks all over: that does not keep one
         # from its peaks whose gates are narrow.
-        least = np.min([offer.min(axis=0) for offer in offers], axis=0)
-        claims = np.sum([(offer <= RIVAL * least).sum(axis=0) for offer in offers], axis=0)
-        claims[~np.isfinite(least)] = 0
-        found = False
+        every = offers[0] if len(offers) == 1 else np.concatenate(offers)
+        strong = RIVAL * every.min(axis=0)
+        wanted = (every <= strong) & (every < np.inf)
+        claims = wanted.sum(axis=0)
+        found, open_still = False, bool((claims > 1).any())
         for look, one, offer in zip(active, told, offers, strict=True):
-            known = np.isfinite(offer)
-            single = known & (offer <= RIVAL * least) & (claims == 1)
-            single &= known.sum(axis=2, keepdims=True) == 1
+            known = offer < np.inf
+            number = known.sum(axis=2, keepdims=True)
+            single = known & (offer <= strong) & (claims == 1) & (number == 1)
             row, sensor, peak = np.nonzero(single)
             if len(row) and not look.misfit:
                 found |= _take(look, one, seen, row, sensor, peak, gate_probability)
-                free[sensor, peak] = False
-        if (
-            not found
-            or not any((np.isfinite(offer).sum(axis=2) > 1).any() for offer in offers)
-            | (claims > 1).any()
-        ):
+                taken, where = np.nonzero(look.peaks >= 0)
+                free[where, look.peaks[taken, where]] = False
+            open_still |= bool((number > 1).any())
+        if not found or not open_still:
             return
 
 
@@ -185,7 +175,6 @@ def _told(model: ReadingModel, looks: list[Look], sigma_px: float) -> list[Innov
     for arm, look in zip(arms, looks, strict=True):
         part = whole.part(first, first + len(arm))
         first += len(arm)
-        look.inside = part.inside
         common = common_slopes(part, look.lit, look.state.common.shape[1])
         told = innovations(look.state, arm, part, common)
         if is_bent(look.state, look.frame, told, focal, sigma_px):

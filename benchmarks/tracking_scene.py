@@ -1,4 +1,4 @@
-"""A scene for trackers: markers that cross one another smoothly, and what line sensors see of them."""
+"""A scene for trackers: markers that cross one another smoothly, as line sensors see them."""
 
 from dataclasses import dataclass
 from math import cos, pi, sin
@@ -107,7 +107,9 @@ def _peaks(readings: Array, false_peaks: float, rng: np.random.Generator) -> Arr
     """Return the peaks that S sensors find of readings (N, S), shape (S, K)."""
     lines = []
     for line in readings.T:
-        seen = np.sort(line[(rng.random(len(line)) >= MISSED) & (np.abs(line - PIXELS / 2) < PIXELS / 2)])
+        seen = np.sort(
+            line[(rng.random(len(line)) >= MISSED) & (np.abs(line - PIXELS / 2) < PIXELS / 2)]
+        )
         merged: list[float] = []
         for value in seen.tolist():
             if merged and value - merged[-1] < MERGE_PX:

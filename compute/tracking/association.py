@@ -244,9 +244,7 @@ class _Work:
         ]
         found: list[list[Claim]] = [[] for _ in reading]
         rows = np.flatnonzero(self.contested[:, sensor])
-        contenders = [
-            Contender(float(a), float(b)) for a, b in zip(reading, variance, strict=True)
-        ]
+        contenders = [Contender(float(a), float(b)) for a, b in zip(reading, variance, strict=True)]
         for members, contended in clusters(contenders, peaks, self.settings):
             own, given_up = claims([contenders[m] for m in members], contended, self.settings)
             for member, each in zip(members, own, strict=True):
@@ -332,5 +330,3 @@ def _decisive(
     choice = np.where(decided, gated.argmax(axis=2), -1).astype(np.int32)
     contested = sought & ~decided & (gated.any(axis=2) | beside)
     return choice, contested
-
-

@@ -30,9 +30,7 @@ def clusters(
     end = -float("inf")
     widest = max((sqrt(variance) for _, _, variance in peaks), default=0.0)
     margin = settings.gate_sigma * widest
-    for member in sorted(
-        range(len(contenders)), key=lambda m: contenders[m].reading_px - reach(m)
-    ):
+    for member in sorted(range(len(contenders)), key=lambda m: contenders[m].reading_px - reach(m)):
         middle, half = contenders[member].reading_px, reach(member) + margin
         if not groups or middle - half > end + 2.0 * merge:
             groups.append([])

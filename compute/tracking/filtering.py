@@ -29,7 +29,9 @@ class Innovation:
     bias: Array
 
     @classmethod
-    def of(cls, used: NDArray[np.bool_], slope: Array, variance: Array, bias: Array) -> "Innovation":
+    def of(
+        cls, used: NDArray[np.bool_], slope: Array, variance: Array, bias: Array
+    ) -> "Innovation":
         """Mask what is not used."""
         return cls(
             used,
@@ -63,7 +65,9 @@ def joint_update(
     count = innovation.used.sum(axis=1)
     log = -0.5 * (nis + np.linalg.slogdet(total)[1] + _LOG_2PI * count[:, None])
     covariance = states.covariance - gain @ across.swapaxes(-1, -2)
-    with_bias = states.with_bias - gain @ (slope @ states.with_bias[..., :3, :] + innovation.bias[:, None])
+    with_bias = states.with_bias - gain @ (
+        slope @ states.with_bias[..., :3, :] + innovation.bias[:, None]
+    )
     return (
         States(
             states.mean + (gain @ difference[..., None])[..., 0],
@@ -107,9 +111,9 @@ def left_out_residuals(whole: Combined, innovation: Innovation, difference: Arra
     Returns:
         Shape (T, S); 0 where not used.
     """
-    total = innovation_covariance(
-        whole.covariance[:, None], whole.with_bias[:, None], innovation
-    )[:, 0]
+    total = innovation_covariance(whole.covariance[:, None], whole.with_bias[:, None], innovation)[
+        :, 0
+    ]
     inverse = np.linalg.inv(total)
     weighted = (inverse @ difference[..., None])[..., 0]
     diagonal = np.arange(difference.shape[1])

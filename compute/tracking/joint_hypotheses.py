@@ -13,7 +13,7 @@ _LOG_2 = log(2.0)
 _LEAST_MERGED = 1e-4
 """Chance below which two tracks are not taken as one peak."""
 _NEGLIGIBLE = 1e-6
-"""Partial hypotheses this much less likely than the likeliest are not followed."""
+"""Partial hypotheses that lead to nothing but such a part of the likeliest are not followed."""
 _WEIGHT_VARIANCE = 1.0 / 12.0
 """Of the share of one of two markers in their common peak, which nothing is known of."""
 
@@ -112,6 +112,7 @@ def claims(
     most = [max(missed + sum(option.weight for option in own), 1.0) for own in options]
     partials = [_Partial(1.0, (), 0, 0)]
     given_up = 0.0
+    least = _NEGLIGIBLE * _greedy(options, missed)
     for track, own in enumerate(options):
         grown: list[_Partial] = []
         for partial in partials:
@@ -138,14 +139,14 @@ def claims(
                         weight, (*partial.options, option), partial.taken | 1 << option.peak, read
                     )
                 )
-        least = _NEGLIGIBLE * max(partial.weight for partial in grown)
-        partials = [partial for partial in grown if partial.weight >= least]
+        ahead = prod(most[track + 1 :])
+        partials = [partial for partial in grown if partial.weight * ahead >= least]
         if len(partials) > settings.most_hypotheses:
             partials.sort(key=lambda partial: -partial.weight)
             del partials[settings.most_hypotheses :]
         if len(partials) < len(grown):
             lost = sum(p.weight for p in grown) - sum(p.weight for p in partials)
-            given_up += max(lost, 0.0) * prod(most[track + 1 :])
+            given_up += max(lost, 0.0) * ahead
     kept: dict[tuple[int, tuple[tuple[int, int], ...]], _Partial] = {}
     for partial in partials:
         used = tuple(sorted((option.peak, len(option.tracks)) for option in partial.options))
@@ -167,6 +168,22 @@ def claims(
         for track, own in enumerate(found)
     ]
     return made, given_up / total
+
+
+def _greedy(options: list[list[_Option]], missed: float) -> float:
+    """Return the weight of one good joint hypothesis: each track in turn has its best peak."""
+    weight, taken = 1.0, 0
+    for own in options:
+        free = [
+            option for option in own if len(option.tracks) == 1 and not taken >> option.peak & 1
+        ]
+        best = max(free, key=lambda option: option.weight, default=None)
+        if best is None or best.weight < missed:
+            weight *= missed
+        else:
+            weight *= best.weight
+            taken |= 1 << best.peak
+    return weight
 
 
 def _options(

@@ -49,7 +49,9 @@ class MotionModels:
         """Return transitions and noise covariances over T times [s], each (T, M, 9, 9)."""
         each = [_step(self, float(step)) for step in step_s]
         if not each:
-            return np.empty((0, len(self), STATES, STATES)), np.empty((0, len(self), STATES, STATES))
+            return np.empty((0, len(self), STATES, STATES)), np.empty(
+                (0, len(self), STATES, STATES)
+            )
         if all(one is each[0] for one in each):
             shape = (len(each), len(self), STATES, STATES)
             return np.broadcast_to(each[0][0], shape), np.broadcast_to(each[0][1], shape)

@@ -17,7 +17,7 @@ from compute.tracking.life_cycle import (
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.new_states import new_states
 from compute.tracking.point_matching import match_points, update_by_points
-from compute.tracking.reading_model import ReadingModel
+from compute.tracking.reading_model import Predicted, ReadingModel
 from compute.tracking.seen import Seen
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.states import combined
@@ -49,11 +49,15 @@ class Newcomers:
         self._model, self._motion, self._settings = model, motion, settings
         self._finder = finder
         self._next = 1
-        self._searched_ns: int | None = None
+        self._searched_ns: dict[int | None, int] = {}
+
+    def renew(self, model: ReadingModel, finder: PointFinder) -> None:
+        """Go on with other cameras."""
+        self._model, self._finder = model, finder
 
     def reset(self) -> None:
         """Forget when it was searched; numbers go on."""
-        self._searched_ns = None
+        self._searched_ns.clear()
 
     def find(
         self,
@@ -76,11 +80,11 @@ class Newcomers:
         """
         degrees = seen.degrees()[part]
         open_ = part[(degrees < 3) | ~tracks.confirmed[part]]
-        last = self._searched_ns
+        last = self._searched_ns.get(marker)
         due = last is None or time_ns - last >= round(self._settings.start_every_s * 1e9)
         new: tuple[Tracks, Seen] | None = None
         if due or len(open_):
-            self._searched_ns = time_ns
+            self._searched_ns[marker] = time_ns
             # What a weak track has may be another marker's; it may find it again itself.
             weak = tracks.confirmed & (tracks.weak >= WEAK_EXPOSURES)
             open_ = np.union1d(open_, part[weak[part]])
@@ -144,7 +148,6 @@ class Newcomers:
         fresh = (chosen >= 0) & (seen.peaks[rows] < 0)
         update = update_by_points(
             self._model,
-            self._motion,
             self._settings,
             tracks.states.rows(rows),
             tracks.bias[rows],
@@ -156,17 +159,35 @@ class Newcomers:
         seen.peaks[rows] = np.where(fresh, chosen, seen.peaks[rows])
         seen.nis[rows] += update.nis
         tracks.hits[rows] += 1
-        count = (chosen >= 0).sum(axis=1)
-        # A marker that is lit alone, or alone in view, has no ghosts.
-        alone = marker is not None or int(peaks.usable.sum(axis=1).max()) == 1
-        few = update.in_view < VOUCHING_SENSORS
-        tracks.vouched[rows] += (count >= VOUCHING_SENSORS) | few | alone
+        tracks.vouched[rows] += self._vouched(update.predicted, chosen, peaks, marker)
         tracks.evidence[rows] += update.evidence
         tracks.seen_ns[rows] = time_ns
         confirmed, doubt = tracks.confirmed[rows], points.ambiguous[columns] & fresh.any(axis=1)
         tracks.uncertain[rows] = np.where(
             confirmed, tracks.uncertain[rows] | doubt, tracks.uncertain[rows] & doubt
         )
+
+    def _vouched(
+        self,
+        predicted: Predicted,
+        chosen: NDArray[np.int32],
+        peaks: FramePeaks,
+        marker: int | None,
+    ) -> NDArray[np.bool_]:
+        """Return whether these points are no ghosts by what sensors see of them, shape (N,).
+
+        A peak that another track has says so, too, where it may be shared.
+        """
+        if marker is not None or int(peaks.usable.sum(axis=1).max()) == 1:
+            # A marker that is lit alone, or alone in view, has no ghosts.
+            return np.ones(len(chosen), dtype=np.bool_)
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(peaks.position_px - predicted.reading_px[..., None])
+            shared = ((apart <= self._settings.merge_px) & peaks.usable).any(axis=2)
+        count = ((chosen >= 0) | shared).sum(axis=1)
+        few = predicted.in_view.sum(axis=1) < VOUCHING_SENSORS
+        vouched: NDArray[np.bool_] = (count >= VOUCHING_SENSORS) | few
+        return vouched
 
     def _start(
         self,

@@ -10,7 +10,7 @@ from compute.reconstruction.points import chi2_limit
 from compute.tracking.filtering import Innovation, joint_update
 from compute.tracking.left_over import FoundPoints
 from compute.tracking.motion_model import MotionModels
-from compute.tracking.reading_model import ReadingModel
+from compute.tracking.reading_model import Predicted, ReadingModel
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.states import States, combined, weighed
 
@@ -50,18 +50,17 @@ class PointUpdate:
         states: of T tracks.
         nis: shape (T,).
         evidence: log likelihood ratio of the readings to false peaks, missed ones with it, (T,).
-        in_view: how many sensors each point is in the view of, shape (T,).
+        predicted: the readings of the points.
     """
 
     states: States
     nis: Array
     evidence: Array
-    in_view: NDArray[np.intp]
+    predicted: Predicted
 
 
 def update_by_points(
     model: ReadingModel,
-    motion: MotionModels,
     settings: TrackerSettings,
     states: States,
     bias: Array,
@@ -88,4 +87,4 @@ def update_by_points(
     evidence += missed * np.log(1.0 - settings.detection)
     weighed(after, log)
     nis = (after.probability * nis).sum(axis=1)
-    return PointUpdate(after, nis, evidence, predicted.in_view.sum(axis=1))
+    return PointUpdate(after, nis, evidence, predicted)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from compute.tracking.frame_peaks import REPORTED, FramePeaks
+from compute.tracking.life_cycle import WEAK_EXPOSURES
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.reading_model import ReadingModel
 from compute.tracking.seen import Seen
@@ -36,7 +37,8 @@ def batch_of(
     state = np.where(degrees > 0, TrackState.CONFIRMED, TrackState.COASTING)
     state = np.where(tracks.confirmed, state, TrackState.TENTATIVE)
     flags = np.where(seen.merged, TrackFlag.MERGED, 0)
-    flags |= np.where(tracks.uncertain | seen.doubtful, TrackFlag.AMBIGUOUS, 0)
+    doubt = tracks.uncertain | seen.doubtful | (tracks.weak >= WEAK_EXPOSURES)
+    flags |= np.where(doubt, TrackFlag.AMBIGUOUS, 0)
     flags |= np.where(degrees < 3, TrackFlag.FEW_SENSORS, 0)
     if peaks.flags.any():
         sensor = np.arange(len(model))

@@ -34,7 +34,7 @@ class TrackerSettings:
         false_confirmation: chance that is accepted for a track of false peaks to be confirmed.
         coast_s: how long a confirmed track is predicted without being seen, then it ends [s].
         start_every_s: least time between two searches for new markers in peaks that are left over,
-            while none is about to be confirmed or lost [s].
+            of each strobed marker, while none is about to be confirmed or lost [s].
         most_hypotheses: joint hypotheses of one cluster and sensor that are kept.
 
     Raises:
@@ -57,7 +57,7 @@ class TrackerSettings:
     confirm_misses: int = 2
     false_confirmation: float = 1e-6
     coast_s: float = 1.0
-    start_every_s: float = 0.1
+    start_every_s: float = 0.05
     most_hypotheses: int = 256
 
     def __post_init__(self) -> None:

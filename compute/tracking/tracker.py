@@ -57,21 +57,56 @@ class Tracker:
         corrections: CorrectionTable | None = None,
         pixels: tuple[int, ...] | None = None,
     ) -> None:
+        self.settings = settings
+        self.motion = MotionModels.of(settings)
+        self.model, finder = self._made(cameras, parameter_covariance, corrections, pixels)
+        self._pixels = pixels
+        self._newcomers = Newcomers(self.model, self.motion, settings, finder)
+        self._tracks = Tracks.empty(len(self.motion), len(self.model))
+        self._time_ns: int | None = None
+
+    def _made(
+        self,
+        cameras: CameraStack,
+        parameter_covariance: Array | None,
+        corrections: CorrectionTable | None,
+        pixels: tuple[int, ...] | None,
+    ) -> tuple[ReadingModel, PointFinder]:
         # Here and not above: Warp takes a second to load, and the types are used without it.
         from compute.reconstruction.solver import PointSolver
 
-        self.settings = settings
-        self.model = ReadingModel(cameras, parameter_covariance, corrections, pixels)
-        self.motion = MotionModels.of(settings)
+        model = ReadingModel(cameras, parameter_covariance, corrections, pixels)
         solver = PointSolver(cameras, parameter_covariance, corrections, "cpu", threads=1)
         finder = PointFinder(
             lambda readings, sigma: solver.solve(readings, np.where(sigma > 0.0, sigma, 1.0)),
             Predictor(cameras, parameter_covariance, corrections, pixels),
-            MatchSettings(settings.detection, settings.false_per_px),
+            MatchSettings(self.settings.detection, self.settings.false_per_px),
         )
-        self._newcomers = Newcomers(self.model, self.motion, settings, finder)
-        self._tracks = Tracks.empty(len(self.motion), len(self.model))
-        self._time_ns: int | None = None
+        return model, finder
+
+    def set_cameras(
+        self,
+        cameras: CameraStack,
+        parameter_covariance: Array | None = None,
+        corrections: CorrectionTable | None = None,
+    ) -> None:
+        """Go on with another calibration of the same sensors; tracks are kept.
+
+        What the old calibration's errors had made of the tracks stays in their covariances; their
+        covariance with the new one's errors begins at none.
+
+        Raises:
+            InvalidParameter: another number of sensors, or as of the constructor.
+        """
+        if len(cameras) != len(self.model):
+            raise InvalidParameter(
+                f"there are {len(cameras)} cameras; the tracker is for {len(self.model)}"
+            )
+        self.model, finder = self._made(cameras, parameter_covariance, corrections, self._pixels)
+        self._newcomers.renew(self.model, finder)
+        self._tracks.states.with_bias[:] = 0.0
+        self._tracks.bias[:] = 0.0
+        self._tracks.bias_mm[:] = np.inf
 
     def reset(self) -> None:
         """Forget all tracks; the next ones have new numbers."""
@@ -107,9 +142,7 @@ class Tracker:
             )
         if marker is not None and marker < 0:
             raise InvalidParameter(f"marker is {marker}; it must be 0 or more, or None")
-        peaks = FramePeaks.of(
-            position_px, sigma_px, peak_flags, len(self.model), self.settings
-        )
+        peaks = FramePeaks.of(position_px, sigma_px, peak_flags, len(self.model), self.settings)
         self._time_ns = time_ns
         tracks = self._tracks
         seen = Seen.nothing(len(tracks), len(self.model))

@@ -22,6 +22,7 @@ BENCHMARKS = {
     "rays": "exact rays through a lens, beside optiland",
     "decoder": "the serial protocol: bytes to exposures on one core; a million mutated messages",
     "clock": "a device's clock on the host's, from late arrivals, beside a decayed regression",
+    "tracking": "2 to 20 markers followed on readings, beside Stone Soup's JPDA",
     "simulation": "simulated frames of a profile's device on one core, beside ideal lenses",
 }
 
@@ -82,6 +83,10 @@ def run(
         from service.cli.bench_clock import run as clock
 
         clock(as_json=as_json)
+    elif name == "tracking":
+        from benchmarks import tracking
+
+        tracking.main(["--json"] if as_json else [])
     elif name == "simulation":
         from benchmarks import simulation
 

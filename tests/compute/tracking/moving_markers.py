@@ -1,11 +1,13 @@
-"""Moving markers and what sensors make of them, for tests of the tracker: a truth, and its peaks."""
+"""Moving markers and what sensors make of them, for tests of the tracker."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
+from compute.optics.placement import place_sensor
 
 Array = NDArray[np.float64]
 
@@ -24,15 +26,21 @@ class Sensing:
     merge_px: float = 0.0
 
 
-def smooth_paths(markers: int, times_s: Array, rng: np.random.Generator) -> Array:
-    """Sums of slow sines around the middle, shape (F, N, 3)."""
-    amplitude = rng.uniform(20.0, 60.0, (2, markers, 3))
-    frequency = rng.uniform(0.2, 0.8, (2, markers, 3))
-    phase = rng.uniform(0.0, 2.0 * np.pi, (2, markers, 3))
-    centre = MIDDLE_MM + rng.uniform(-100.0, 100.0, (markers, 3))
-    angle = 2.0 * np.pi * frequency * times_s[:, None, None, None] + phase
-    path: Array = centre + (amplitude * np.sin(angle)).sum(axis=1)
-    return path
+def ring(sensors: int = 4) -> tuple[SensorModel, ...]:
+    """Sensors on a ring of 800 mm that read 20 degrees off its radius, aimed 1.5 m away."""
+    around = 2.0 * np.pi * np.arange(sensors) / sensors
+    return tuple(
+        place_sensor(
+            f"s{index + 1}",
+            lens_position_mm=(400.0 * float(np.cos(a)), 400.0 * float(np.sin(a)), 0.0),
+            aim_mm=(0.0, 0.0, 1500.0),
+            measured_direction=(float(np.cos(a + 0.35)), float(np.sin(a + 0.35)), 0.0),
+            principal_distance_mm=36.0,
+            pixels=PIXELS,
+            pitch_um=12.0,
+        ).model
+        for index, a in enumerate(around)
+    )
 
 
 def peaks_of(
@@ -71,8 +79,7 @@ def peaks_of(
             merged.append((value, marker))
         found = [(value + sensing.sigma_px * rng.standard_normal(), m) for value, m in merged]
         found += [
-            (rng.uniform(0.0, PIXELS - 1.0), -1)
-            for _ in range(rng.poisson(sensing.false_peaks))
+            (rng.uniform(0.0, PIXELS - 1.0), -1) for _ in range(rng.poisson(sensing.false_peaks))
         ]
         rows.append(sorted(found))
     most = max(1, *(len(row) for row in rows)) if room is None else room

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 CUT_MM = 20.0
 """GOSPA's cut-off: further than this a track is false and its marker missed."""
 ORDER = 2.0
+TOLD_APART_MM = 6.0
+"""Markers nearer to one another may be anybody's for that exposure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,7 @@ def score(tracked: list[Tracked], places_mm: Array) -> dict[str, float]:
     """Return the figures of a run beside the true places (F, N, 3).
 
     ``switches`` counts how often a marker is followed by another track than the last that followed
-    it; ``held`` is the share of markers and exposures that are followed at all; ``nees`` is the
+    it while no other marker was near; ``held`` is the share of markers and exposures that are followed at all; ``nees`` is the
     median of the normalised position error squared, 2.37 when covariances are right; ``rms_mm``
     is of tracks and the markers that they follow.
     """
@@ -46,14 +48,17 @@ def score(tracked: list[Tracked], places_mm: Array) -> dict[str, float]:
     gospa: list[float] = []
     for frame, places in zip(tracked, places_mm, strict=True):
         apart = np.linalg.norm(frame.position_mm[:, None] - places[None], axis=2)
+        between = np.linalg.norm(places[:, None] - places[None], axis=2)
+        lonely = (between < TOLD_APART_MM).sum(axis=1) == 1
         tracks, markers = linear_sum_assignment(np.minimum(apart, CUT_MM))
         for track, marker in zip(tracks.tolist(), markers.tolist(), strict=True):
             if apart[track, marker] >= CUT_MM:
                 continue
             held += 1
             number = int(frame.identity[track])
-            switches += last.get(marker, number) != number
-            last[marker] = number
+            if lonely[marker]:
+                switches += last.get(marker, number) != number
+                last[marker] = number
             off = frame.position_mm[track] - places[marker]
             nees.append(float(off @ np.linalg.solve(frame.covariance_mm2[track], off)))
             squares.append(float(off @ off))

@@ -22,6 +22,8 @@ RESIDUAL_STEP_MM: Final = 0.01
 """The format keeps the residual of a point in one byte."""
 MOST_STEPS: Final = 255
 TIME_CHANNEL: Final = "TIME_OFF_NOMINAL_US"
+MOST_FRAMES: Final = 65_535
+"""The header counts frames in 16 bits, and readers keep to that."""
 _MOST_GAPS: Final = 20
 """So many times the frames that there are, the file may have."""
 
@@ -33,7 +35,8 @@ def write_c3d(table: MotionTable, found: Sequence[Trajectory], path: Path) -> No
 
     Raises:
         MissingLibrary: ezc3d is not installed.
-        InvalidParameter: there is no frame, or most of them were lost: nothing of one rate.
+        InvalidParameter: there is no frame, there are more than MOST_FRAMES, or most of them were
+            lost: nothing of one rate.
     """
     ezc3d = needed("ezc3d")
     place = _places(table)
@@ -59,6 +62,11 @@ def _places(table: MotionTable) -> NDArray[np.int64]:
             f"of the {int(place[-1]) + 1} exposures from the first frame to the last only "
             f"{len(table)} are there; C3D has one rate and would be gaps for the most part: "
             "export to .csv, .parquet or .trc"
+        )
+    if place[-1] >= MOST_FRAMES:
+        raise InvalidParameter(
+            f"there are {int(place[-1]) + 1} exposures from the first frame to the last; C3D holds "
+            f"{MOST_FRAMES}: export to .csv, .parquet or .trc"
         )
     return place
 

@@ -15,8 +15,11 @@ from validation.distortion_tables import TABLE_A1, TABLE_A2
 from validation.interpolators import CASE as INTERPOLATORS
 from validation.labels import CASE as LABELS
 from validation.map_bound import CASE as MAP_BOUND
+from validation.marker_capacity import CASE as MARKER_CAPACITY
 from validation.passive_detection import CASE as PASSIVE_DETECTION
 from validation.peak_efficiency import CASE as PEAK_EFFICIENCY
+from validation.section_6_1 import CASE as SECTION_6_1
+from validation.section_6_2 import CASE as SECTION_6_2
 from validation.signal_ordering import TABLE_4_1, TABLE_4_2, TABLE_4_3
 from validation.signal_scenes import CASE as TABLE_4_5
 from validation.signal_separation import CASE as TABLE_4_4
@@ -34,6 +37,8 @@ from validation.table_5_optimisation import (
     TABLE_5_14,
 )
 from validation.table_5_simulated import TABLE_5_1, TABLE_5_2, TABLE_5_3, TABLE_5_4
+from validation.table_6_1 import TABLE_6_1
+from validation.table_6_2 import TABLE_6_2
 from validation.tables import TablesCase
 from validation.wand import CASE as WAND
 
@@ -66,6 +71,10 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_5_12,
     TABLE_5_13,
     TABLE_5_14,
+    _drawn(SECTION_6_1, "section_6_1_picture"),
+    _drawn(SECTION_6_2, "section_6_2_picture"),
+    TABLE_6_1,
+    TABLE_6_2,
     LABELS,
     TABLE_A1,
     TABLE_A2,
@@ -77,6 +86,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     _drawn(PEAK_EFFICIENCY, "peak_efficiency_picture"),
     _drawn(CLOSE_PEAKS, "close_peaks_picture"),
     MAP_BOUND,
+    _drawn(MARKER_CAPACITY, "marker_capacity_picture"),
     _drawn(INTERPOLATORS, "interpolators_picture"),
     TABLES_3_1_3_2,
     TABLE_4_1,
@@ -93,4 +103,4 @@ ALL_CASES: Final[dict[str, Case | TablesCase]] = {
     **CASES,
     **{case.name: case for case in _TABLES},
 }
-"""Tests of chapter 5, then tables and questions."""
+"""Tests of chapter 5, then tables, sections and questions."""

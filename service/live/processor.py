@@ -16,6 +16,7 @@ from service.live.followers import MakeFollowers
 from service.live.frame_points import ActiveCalibration, no_points, points_of, usable_peaks
 from service.live.line_model import LineModel, line_model
 from service.live.motion_finding import MotionFinding
+from service.live.one_blas_thread import one_blas_thread
 from service.live.peak_finding import PeakFinding
 from service.live.tracked import Tracked
 
@@ -43,6 +44,7 @@ class DeviceProcessor:
         Without a model, it is that of the built-in profile that the description names. ``make``
         makes what follows markers and tools; None: what compute has.
         """
+        one_blas_thread()
         self._device_id = device_id
         self._names = tuple(sensor.name for sensor in description.sensors)
         self._active: ActiveCalibration | None = None

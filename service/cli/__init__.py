@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from service.cli.administration import register
+from service.cli.tools_commands import register as register_tools
 from service.version import package_version
 
 app = typer.Typer(
@@ -408,6 +409,7 @@ def peaks(
 
 
 register(app)
+register_tools(app)
 
 
 def main() -> None:

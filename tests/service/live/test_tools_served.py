@@ -1,13 +1,16 @@
 """A real server tracks a tool: made, streamed, pivoted and deleted while the device runs."""
 
+import json
 import time
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from hardware.simulated.scenes import MovingTool, MovingTools
+from service.cli import app
 from tests.service.live.test_stream import receive, streaming
 
 MARKERS = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (20.0, 15.0, 40.0))
@@ -88,3 +91,34 @@ def test_a_tool_from_rest_to_the_stream(server: str):
     assert status["state"] == "running"
     metrics = httpx.get(f"{server}/metrics").text
     assert 'lumiline_tool_frames_total{device="sim",tool="pointer"' not in metrics
+
+
+def lumiline(server: str, *arguments: str, code: int | None = 0) -> str:
+    given = ["tools", *arguments, "--url", server]
+    run = CliRunner().invoke(app, given, env={"COLUMNS": "120"})
+    assert code is None or run.exit_code == code, run.output
+    return run.output
+
+
+def test_tools_on_the_command_line(server: str):
+    assert "there are no tools" in lumiline(server, "watch", code=2)
+    sent("POST", f"{server}/api/v1/tools", json=TOOL | {"tip_mm": TIP})
+    listed = lumiline(server, "list")
+    assert "Pointer" in listed
+    assert "0 1 2 3" in listed
+    assert [tool["id"] for tool in json.loads(lumiline(server, "list", "--json"))] == ["pointer"]
+    end = time.monotonic() + 60.0
+    while '"OK"' not in (text := lumiline(server, "show", "pointer", "--json", code=None)):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    tip = json.loads(text)["pose"]["tip_mm"]
+    assert np.linalg.norm(np.subtract(tip, PIVOTED.centre_mm)) < 5.0
+    assert "pointer" in lumiline(server, "show", "pointer", code=None)
+    assert "pointer" in lumiline(server, "watch", "--seconds", "0.3")
+    refused = lumiline(server, "show", "nothing", code=2)
+    assert 'no tool "nothing"' in " ".join(refused.split())
+    sent("POST", f"{server}/api/v1/devices/sim/stop")
+    stopped = lumiline(server, "show", "pointer", code=1)
+    assert "is stopped" in stopped
+    sent("DELETE", f"{server}/api/v1/tools/pointer")
+    assert "refused" in lumiline("http://127.0.0.1:9", "list", code=2)

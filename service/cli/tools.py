@@ -1,0 +1,121 @@
+"""`lumiline tools`: tools of a running server and their poses, through the client."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from math import sqrt
+from typing import Final
+
+import typer
+from rich.live import Live
+from rich.table import Table
+
+from lumiline.client import Client
+from lumiline.client.documents import Pose, Tool
+from lumiline.client.errors import ClientError
+from service.cli.output import console, fail, print_json
+
+REFRESHES_PER_S: Final = 5.0
+_STYLES: Final = {"OK": "green", "HIGH_ERROR": "yellow", "OUT_OF_VOLUME": "yellow"}
+
+
+@contextmanager
+def _server(url: str, key: str | None) -> Iterator[Client]:
+    """Yield a client; what the server refuses ends the command with its reason."""
+    try:
+        with Client(url, key) as client:
+            yield client
+    except ClientError as error:
+        raise fail(str(error)) from None
+
+
+def show_all(url: str, key: str | None, device: str | None, *, as_json: bool) -> None:
+    """Print the tools."""
+    with _server(url, key) as client:
+        found = client.tools(device)
+    if as_json:
+        print_json([tool.model_dump(mode="json") for tool in found])
+        return
+    table = Table()
+    for heading in ("id", "device", "title", "markers", "strobed", "tip [mm]", "relative to"):
+        table.add_column(heading, overflow="fold")
+    for tool in found:
+        table.add_row(
+            tool.id, tool.device, tool.title, str(len(tool.markers_mm)), _strobed(tool),
+            _vector(tool.tip.position_mm), tool.reference or "tracker",
+        )  # fmt: skip
+    console.print(table)
+
+
+def show_one(url: str, key: str | None, tool_id: str, frame: str | None, *, as_json: bool) -> None:
+    """Print a tool's newest pose; exit code 1 where it is not OK."""
+    with _server(url, key) as client:
+        tool, pose = client.tool(tool_id), client.tool_pose(tool_id, frame)
+    if as_json:
+        documents = {"tool": tool.model_dump(mode="json"), "pose": pose.model_dump(mode="json")}
+        print_json(documents)
+    else:
+        console.print(f"{tool.id}: {tool.title}, {len(tool.markers_mm)} markers", highlight=False)
+        console.print(_poses([pose]))
+    if pose.status != "OK":
+        raise typer.Exit(1)
+
+
+def watch(
+    url: str,
+    key: str | None,
+    device: str | None,
+    frame: str | None,
+    seconds: float | None,
+    now: Callable[[], float] = time.monotonic,
+) -> None:
+    """Show the poses of all tools until the time is over."""
+    end = None if seconds is None else now() + seconds
+    with _server(url, key) as client:
+        tools = client.tools(device)
+        if not tools:
+            raise fail("there are no tools; POST /api/v1/tools makes one (docs/tools.md)")
+
+        def poses() -> Table:
+            # In the frame of a tool that tool itself is left out: it is where it is.
+            others = (tool for tool in tools if tool.id != frame)
+            return _poses(client.tool_pose(tool.id, frame) for tool in others)
+
+        try:
+            with Live(poses(), console=console, auto_refresh=False) as shown:
+                while end is None or now() < end:
+                    time.sleep(1.0 / REFRESHES_PER_S)
+                    shown.update(poses(), refresh=True)
+        except KeyboardInterrupt:
+            return
+
+
+def _poses(poses: Iterable[Pose]) -> Table:
+    table = Table()
+    table.add_column("tool")
+    table.add_column("in")
+    table.add_column("status")
+    for heading in ("tip [mm]", "sd [mm]", "age [s]"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("reason", overflow="fold")
+    for pose in poses:
+        style = _STYLES.get(pose.status, "red")
+        table.add_row(
+            pose.tool, pose.frame, f"[{style}]{pose.status}[/{style}]", _vector(pose.tip_mm),
+            _deviation(pose), "-" if pose.age_s is None else f"{pose.age_s:.2f}",
+            pose.reason or "",
+        )  # fmt: skip
+    return table
+
+
+def _strobed(tool: Tool) -> str:
+    return "-" if tool.strobe_markers is None else " ".join(map(str, tool.strobe_markers))
+
+
+def _vector(values: tuple[float, float, float] | None) -> str:
+    return "-" if values is None else " ".join(f"{value:9.2f}" for value in values)
+
+
+def _deviation(pose: Pose) -> str:
+    spread = pose.tip_covariance_mm2
+    return "-" if spread is None else f"{sqrt(sum(spread[n][n] for n in range(3))):.3f}"

@@ -1,0 +1,65 @@
+"""The commands of tools: list, show, watch. Their options only."""
+
+from typing import Annotated
+
+import typer
+
+tools = typer.Typer(help="Tools of a running server, and where they are.", no_args_is_help=True)
+
+Url = Annotated[str, typer.Option(envvar="LUMILINE_URL", help="The server.", show_default=True)]
+Key = Annotated[
+    str | None,
+    typer.Option(envvar="LUMILINE_KEY", help="API key; better in the variable than here."),
+]
+Device = Annotated[str | None, typer.Option(help="Only those of this device.")]
+Frame = Annotated[
+    str | None,
+    typer.Option(help="tracker, a tool, or a registration; left out: each tool's reference."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="For machines.")]
+HERE = "http://127.0.0.1:8000"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the command line."""
+    app.add_typer(tools, name="tools")
+
+
+@tools.command("list")
+def list_tools(
+    device: Device = None, url: Url = HERE, key: Key = None, as_json: AsJson = False
+) -> None:
+    """List tools."""
+    from service.cli.tools import show_all
+
+    show_all(url, key, device, as_json=as_json)
+
+
+@tools.command("show")
+def show_tool(
+    tool: Annotated[str, typer.Argument(help="The tool's id.")],
+    frame: Frame = None,
+    url: Url = HERE,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show a tool and its newest pose; exit code 1 where that is not OK."""
+    from service.cli.tools import show_one
+
+    show_one(url, key, tool, frame, as_json=as_json)
+
+
+@tools.command("watch")
+def watch_tools(
+    device: Device = None,
+    frame: Frame = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.1, help="How long; left out: until Ctrl-C.")
+    ] = None,
+    url: Url = HERE,
+    key: Key = None,
+) -> None:
+    """Show where all tools are, several times a second."""
+    from service.cli.tools import watch
+
+    watch(url, key, device, frame, seconds)

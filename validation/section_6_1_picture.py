@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from validation.section_6_1 import MISSING, SHARP, SMOOTH
 from validation.section_6_1_space import by_differences, our_kinematics, true_kinematics
 from validation.section_6_1_thesis import ActiveScene, differences, follow, record
-from validation.section_6_scene import FRAMES, RATE_HZ, Motion, Readings, cameras, readings
+from validation.section_6_scene import RATE_HZ, Motion, Readings, cameras, readings
 
 Array = NDArray[np.float64]
 
 SENSOR: Final = 1
 """Sensor 2, which measures along X: "positioned at 0 degrees"."""
-_ALL: Final = np.arange(FRAMES)
 _THESIS, _OURS, _TRUE = "tab:red", "tab:blue", "0.6"
 
 
@@ -42,7 +41,14 @@ def draw(path: Path) -> None:
 def _subsets(axis: Axes, scene: ActiveScene) -> None:
     subsets = follow(scene, SENSOR).subsets_px
     for one, (mark, colour) in enumerate((("*", "tab:green"), ("x", "tab:red"))):
-        axis.plot(_ALL, subsets[:, one], mark, color=colour, ms=3, label=f"Subset {one + 1}")
+        axis.plot(
+            np.arange(scene.frames),
+            subsets[:, one],
+            mark,
+            color=colour,
+            ms=3,
+            label=f"Subset {one + 1}",
+        )
     axis.set(title=f"Figure 6.3, sensor {SENSOR + 1}: {scene.name}", ylabel="position [px]")
     axis.legend(fontsize="small", loc="upper right")
 
@@ -51,9 +57,11 @@ def _track(axis: Axes, scene: ActiveScene) -> None:
     followed = follow(scene, SENSOR)
     truth = record(scene).truth.position_px[:, followed.markers[1], SENSOR]
     ours = _ours(scene).position_px[:, followed.markers[1], SENSOR]
-    axis.plot(_ALL, truth, color=_TRUE, lw=4, label="Target 2")
-    axis.plot(_ALL, followed.position_px[:, 1], color=_THESIS, lw=1, label="thesis")
-    axis.plot(_ALL, ours, "--", color=_OURS, lw=1, label="ours")
+    axis.plot(truth, color=_TRUE, lw=4, label="Target 2")
+    axis.plot(
+        np.arange(scene.frames), followed.position_px[:, 1], color=_THESIS, lw=1, label="thesis"
+    )
+    axis.plot(ours, "--", color=_OURS, lw=1, label="ours")
     axis.set(title=f"Figure 6.5: the track of Target 2, {scene.name}", ylabel="position [px]")
     axis.legend(fontsize="small", loc="upper right")
 
@@ -61,12 +69,22 @@ def _track(axis: Axes, scene: ActiveScene) -> None:
 def _along(axis: Axes, order: int) -> None:
     followed = follow(SHARP, SENSOR)
     target = followed.markers[1]
-    thesis = differences(followed.position_px[:, 1], np.full(FRAMES - 1, 1.0 / RATE_HZ))[order]
+    thesis = differences(followed.position_px[:, 1], np.full(SHARP.frames - 1, 1.0 / RATE_HZ))[
+        order
+    ]
     ours, truth = _ours(SHARP), record(SHARP).truth
     name = ("velocity_px_s", "acceleration_px_s2")[order]
-    axis.plot(_ALL, thesis, color=_THESIS, lw=0.8, label="thesis")
-    axis.plot(_ALL, getattr(ours, name)[:, target, SENSOR], color=_OURS, lw=1.2, label="ours")
-    axis.plot(_ALL, getattr(truth, name)[:, target, SENSOR], "k:", lw=0.8, label="true")
+    axis.plot(thesis, color=_THESIS, lw=0.8, label="thesis")
+    axis.plot(
+        np.arange(SHARP.frames),
+        getattr(ours, name)[:, target, SENSOR],
+        color=_OURS,
+        lw=1.2,
+        label="ours",
+    )
+    axis.plot(
+        np.arange(SHARP.frames), getattr(truth, name)[:, target, SENSOR], "k:", lw=0.8, label="true"
+    )
     axis.set(
         title=f"Figure 6.6: {('velocity', 'acceleration')[order]} of Target 2 along the sensor, "
         f"{SHARP.name}",
@@ -81,9 +99,11 @@ def _in_space(axis: Axes, order: int) -> None:
         (by_differences(SHARP), _THESIS, "thesis, from tracked readings"),
         (our_kinematics(SHARP, SMOOTH), _OURS, "ours"),
     ):
-        axis.plot(_ALL, getattr(found, name)[:, 0, 0], color=colour, lw=1, label=label)
+        axis.plot(
+            np.arange(SHARP.frames), getattr(found, name)[:, 0, 0], color=colour, lw=1, label=label
+        )
     truth = getattr(true_kinematics(SHARP), name)[:, 0, 0]
-    axis.plot(_ALL, truth, "k:", lw=0.8, label="true")
+    axis.plot(truth, "k:", lw=0.8, label="true")
     reach = 2.5 * float(np.abs(truth).max())
     axis.set(
         title=f"Figure 6.17: {('velocity', 'acceleration')[order]} of Target 1 along X",

@@ -56,19 +56,19 @@ TOLD: Final = TrackerSettings(white_jerk=JERK, merge_px=6.0, false_per_px=FALSE_
 no lines nearer than three of their deviations."""
 
 
-def points(kind: str, seed: int) -> tuple[Array, ...]:
+def points(kind: str, seed: int, frames: int = PASSIVE_FRAMES) -> tuple[Array, ...]:
     """Return the positions found of each sensor, (N, K) each, NaN-padded."""
     if kind == FITTED:
-        return tuple(batch.position_px for batch in our_peaks(seed))
-    return thesis_peaks(kind == AFTER, seed)
+        return tuple(batch.position_px for batch in our_peaks(seed, frames))
+    return thesis_peaks(kind == AFTER, seed, frames)
 
 
-def detection(kind: str, seeds: tuple[int, ...] = SEEDS) -> tuple[float, float, float]:
+def detection(kind: str, seeds: tuple[int, ...], frames: int) -> tuple[float, float, float]:
     """Return share of markers found, false peaks a line, and RMS error of the found [px]."""
     found, false, squares = [], [], []
     for seed in seeds:
-        truth = scans(seed).truth.position_px
-        for sensor, position in enumerate(points(kind, seed)):
+        truth = scans(seed, frames).truth.position_px
+        for sensor, position in enumerate(points(kind, seed, frames)):
             off = np.abs(position[:, :, None] - truth[:, None, :, sensor])
             off = np.where(np.isnan(off), np.inf, off)
             near = off.min(axis=1)
@@ -80,20 +80,22 @@ def detection(kind: str, seeds: tuple[int, ...] = SEEDS) -> tuple[float, float, 
 
 
 @cache
-def thesis_hold(kind: str, settings: AssociationSettings, seed: int) -> Hold:
+def thesis_hold(
+    kind: str, settings: AssociationSettings, seed: int, frames: int = PASSIVE_FRAMES
+) -> Hold:
     """Return how the probabilistic model holds the markers along all sensors."""
-    tracks = [thesis_tracks(position, settings) for position in points(kind, seed)]
-    return hold_of_sensors(tracks, scans(seed).truth.position_px)
+    tracks = [thesis_tracks(position, settings) for position in points(kind, seed, frames)]
+    return hold_of_sensors(tracks, scans(seed, frames).truth.position_px)
 
 
 @cache
-def our_tracks(settings: TrackerSettings, seed: int) -> SpaceTracks:
+def our_tracks(settings: TrackerSettings, seed: int, frames: int = PASSIVE_FRAMES) -> SpaceTracks:
     """Return our tracks in space."""
-    seen = scans(seed)
-    return track(seen.motion.time_s, our_peaks(seed), cameras(), seen.motion.position_mm, settings)
+    seen, peaks = scans(seed, frames), our_peaks(seed, frames)
+    return track(seen.motion.time_s, peaks, cameras(), seen.motion.position_mm, settings)
 
 
-def holds() -> dict[str, Hold]:
+def holds(seeds: tuple[int, ...], frames: int) -> dict[str, Hold]:
     """Return all ways to track, by their names."""
     tracked: dict[str, Hold] = {}
     for name, kind, settings in (
@@ -104,21 +106,23 @@ def holds() -> dict[str, Hold]:
         ("thesis, on our peaks", FITTED, CURVED),
     ):
         # Noise of all scenes is alike, and before [6.5] it takes long.
-        seeds = SEEDS[:1] if kind == BEFORE else SEEDS
-        tracked[name] = mean_hold([thesis_hold(kind, settings, seed) for seed in seeds])
+        some = seeds[:1] if kind == BEFORE else seeds
+        tracked[name] = mean_hold([thesis_hold(kind, settings, seed, frames) for seed in some])
         tell(len(tracked) / 7.0, name)
     for name, ours in (("ours", TrackerSettings()), ("ours, knowing the bar", TOLD)):
-        tracked[name] = mean_hold([hold_in_space(our_tracks(ours, seed)) for seed in SEEDS])
+        tracked[name] = mean_hold([hold_in_space(our_tracks(ours, seed, frames)) for seed in seeds])
     return tracked
 
 
-def work_out() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
-    """Return detection, tracks, and [6.9] beside [6.10]."""
-    detected = {kind: detection(kind) for kind in (AFTER, FITTED)}
-    detected = {BEFORE: detection(BEFORE, SEEDS[:1]), **detected}
-    tracked = holds()
+def work_out(
+    seeds: tuple[int, ...] = SEEDS, frames: int = PASSIVE_FRAMES
+) -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
+    """Return detection, tracks, and [6.9] beside [6.10], of some scenes."""
+    detected = {BEFORE: detection(BEFORE, seeds[:1], frames)}
+    detected |= {kind: detection(kind, seeds, frames) for kind in (AFTER, FITTED)}
+    tracked = holds(seeds, frames)
     tables = (_detection(detected), _tracks(tracked), _exchange())
-    return tables, _findings(detected, tracked)
+    return tables, _findings(detected, tracked, len(seeds), frames)
 
 
 def _detection(detected: dict[str, tuple[float, float, float]]) -> ResultTable:
@@ -168,7 +172,10 @@ def _exchange() -> ResultTable:
 
 
 def _findings(
-    detected: dict[str, tuple[float, float, float]], tracked: dict[str, Hold]
+    detected: dict[str, tuple[float, float, float]],
+    tracked: dict[str, Hold],
+    scenes: int,
+    frames: int,
 ) -> tuple[str, ...]:
     before, after = detected[BEFORE], detected[AFTER]
     thesis, curved = tracked["thesis, after [6.5]"], tracked["thesis, velocity by curve"]
@@ -196,7 +203,7 @@ def _findings(
         (
             "Two deviations about the mean velocity of some scans lose a target wherever it "
             f"accelerates: {thesis.exchanged:.0f} new tracks for each marker and sensor in "
-            f"{PASSIVE_FRAMES} scans. With the velocity of the quadratic window, which section "
+            f"{frames} scans. With the velocity of the quadratic window, which section "
             f"2.5 wants for the dynamic model, {curved.exchanged:.0f}; two deviations leave out "
             "one point in twenty of themselves."
         ),
@@ -209,9 +216,9 @@ def _findings(
         (
             f"Ours in space: {ours.first:.1%} on each marker's first track, {ours.lost:.1%} lost "
             f"(the first scans, until a track is confirmed, included), {ours.wrong:.1%} wrong, "
-            f"{ours.exchanged * 3 * len(SEEDS):.0f} exchanges of three markers in {len(SEEDS)} "
-            f"scenes and {ours.false * len(SEEDS):.0f} false tracks, from one false peak a line; "
-            f"told how the bar moves {told.exchanged * 3 * len(SEEDS):.0f} exchanges, "
+            f"{ours.exchanged * 3 * scenes:.0f} exchanges of three markers in {scenes} "
+            f"scenes and {ours.false * scenes:.0f} false tracks, from one false peak a line; "
+            f"told how the bar moves {told.exchanged * 3 * scenes:.0f} exchanges, "
             f"{told.lost:.1%} lost. A marker that one sensor does not see is still seen by three "
             "others, and two that meet along one sensor are apart along the rest."
         ),
@@ -223,7 +230,7 @@ def _findings(
             f"{FADING:g} as a marker turns away, another phase for each sensor; v_max "
             f"{MOST_VELOCITY_PX_S:g} px/s, an interval of 1 px at least, tracks ended after 6 "
             f"scans without a point. A track is at a marker within {NEAR_PX:g} px. Our false "
-            f"alarms: {FALSE_ALARMS:g} a line. {len(SEEDS)} scenes of {PASSIVE_FRAMES} scans, one "
+            f"alarms: {FALSE_ALARMS:g} a line. {scenes} scenes of {frames} scans, one "
             "of them before [6.5]."
         ),
     )

@@ -5,9 +5,9 @@ import json
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
 from threading import Thread
 from typing import Any, Final, Literal
 
@@ -171,7 +171,11 @@ def _ended(process: "subprocess.Popen[str]") -> dict[str, Any]:
 
 
 def _counted(counters: Counters) -> dict[str, Any]:
-    return asdict(counters)
+    # Not asdict, which makes other counters of them.
+    return {
+        name: dict(value) if isinstance(value, Counter) else value
+        for name, value in vars(counters).items()
+    }
 
 
 def _show(found: dict[str, Any]) -> None:

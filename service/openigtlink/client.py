@@ -25,7 +25,7 @@ _SOCKET_BYTES: Final = 64 * 1024
 """The same in the operating system: what lies there gets old."""
 _AT_ONCE: Final = 32
 """Messages of one client that are answered before it is somebody else's turn."""
-_BURST_S: Final = 0.1
+_BURST_S: Final = 0.5
 """How much a client may be behind its rate and then catch up: arrivals are never quite even."""
 _CLOSING_S: Final = 1.0
 _OTHER: Final = "other"

@@ -275,7 +275,7 @@ def test_who_is_in_no_network_that_may_connect_is_told_nothing(monkeypatch: pyte
 def test_a_rate_keeps_the_newest():
     async def test() -> None:
         async with serving() as served:
-            served.server._settings.__dict__["rate_hz"] = 20.0
+            served.server._settings.__dict__["rate_hz"] = 4.0
             peer = await served.joined()
             for number in range(100):
                 served.put(number)

@@ -16,8 +16,10 @@ from validation.interpolators import CASE as INTERPOLATORS
 from validation.labels import CASE as LABELS
 from validation.map_bound import CASE as MAP_BOUND
 from validation.marker_capacity import CASE as MARKER_CAPACITY
+from validation.partial_view import CASE as PARTIAL_VIEW
 from validation.passive_detection import CASE as PASSIVE_DETECTION
 from validation.peak_efficiency import CASE as PEAK_EFFICIENCY
+from validation.pointer_tip import CASE as POINTER_TIP
 from validation.section_6_1 import CASE as SECTION_6_1
 from validation.section_6_2 import CASE as SECTION_6_2
 from validation.signal_ordering import TABLE_4_1, TABLE_4_2, TABLE_4_3
@@ -97,6 +99,8 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_C,
     CONVERGENCE,
     WAND,
+    PARTIAL_VIEW,
+    POINTER_TIP,
 )
 
 ALL_CASES: Final[dict[str, Case | TablesCase]] = {

@@ -93,11 +93,11 @@ def find_lit(
     associate(model, list(looks.values()), seen, settings.gate_probability)
     starts = []
     for index, tool in enumerate(tools):
-        one, look = found.get(index), looks.get(index)
-        if one is not None and look is not None:
-            starts.append(_start(model, tool, errors[index], seen, one, look, len(place), settings))
+        own, look = found.get(index), looks.get(index)
+        if own is not None and look is not None:
+            starts.append(_start(model, tool, errors[index], seen, own, look, len(place), settings))
         else:
-            starts.append(_no_start(model, tool, one, len(place), settings))
+            starts.append(_no_start(model, tool, own, len(place), settings))
     return starts
 
 
@@ -193,7 +193,7 @@ def _fitted_state(
     whitening = equations.whitening(fit.rotation, centroid)
     slopes = whitening @ equations.rows(fit.rotation[None], centroid[None])[0, :, :6]
     slopes[:, :3] *= frame.radius_mm
-    covariance = np.linalg.inv(slopes.T @ slopes)
+    covariance: Array = np.asarray(np.linalg.inv(slopes.T @ slopes))
     state = resting_state(time_ns, fit.rotation, centroid, covariance, settings.motion, errors)
     if errors == 0:
         return state

@@ -73,13 +73,14 @@ def report(
         scaled = here * (radius[:, None] * radius)
         if not np.linalg.eigvalsh(scaled)[-1] <= most:
             judged = observability(np.linalg.inv(scaled), frame, support.sensors, settings.fit)
-            reason = judged.reason or "the pose is not told by what was seen"
-            return without_pose(tool, PoseStatus.MISSING, reason, state.time_ns, sequence)
+            why = judged.reason or "the pose is not told by what was seen"
+            return without_pose(tool, PoseStatus.MISSING, why, state.time_ns, sequence)
     origin, tip = frame.origin_slopes(state.rotation), frame.tip_slopes(state.rotation)
     tip_covariance = tip @ here @ tip.T
     tip_sd = float(np.sqrt(np.trace(tip_covariance)))
     limit = settings.most_tip_sd_mm if tool.most_tip_sd_mm is None else tool.most_tip_sd_mm
-    status, reason = PoseStatus.OK, None
+    status = PoseStatus.OK
+    reason: str | None = None
     if tip_sd > limit:
         status = PoseStatus.HIGH_ERROR
         reason = (

@@ -62,9 +62,10 @@ def starts_from_readings(
 ) -> tuple[Array, Array]:
     """Return rotations (K, 3, 3) and centroids (K, 3) [mm] that fit readings, best first.
 
-    Each reading is a plane, [2.14]: ``n . (R b + t) + d = 0``, so that for a rotation the best t is
-    linear, and what remains is linear in the nine elements of R. It is worked out for rotations
-    all over, the best of which are improved by Gauss-Newton. No marker needs three sensors.
+    Each reading is a plane (thesis, section 2.4): ``n . (R b + t) + d = 0``, so that for a
+    rotation the best t is linear, and what remains is linear in the nine elements of R. It is
+    worked out for rotations all over, the best of which are improved by Gauss-Newton. No marker
+    needs three sensors.
 
     Args:
         model: the cameras.
@@ -86,7 +87,7 @@ def starts_from_readings(
     rest = offsets - normals @ (inverse @ offsets)
     slopes = by_rotation - normals @ (inverse @ by_rotation)
     # n residuals, c + A vec(R), have no more to say than the square root of the 10 x 10 matrix.
-    square = np.linalg.qr(np.column_stack([slopes, rest]), mode="r")
+    square: Array = np.asarray(np.linalg.qr(np.column_stack([slopes, rest])).R)
     slopes, rest = square[:, :9], square[:, 9]
     rotations = _all_rotations()
     cost = ((rest + rotations.reshape(-1, 9) @ slopes.T) ** 2).sum(axis=1)

@@ -18,7 +18,7 @@ from compute.pose.paired_points import PairedFit, Similarity, fit_pairs, isotrop
 from compute.pose.registration_words import flat_words, misfit_words, order_words
 from compute.pose.target_error import localisation_error
 from compute.pose.transform import Transform
-from compute.pose.wrong_pairs import WrongPairs, look_alikes, wrong_pairs
+from compute.pose.wrong_pairs import WrongPairs, check_pairs
 
 Array = NDArray[np.float64]
 
@@ -153,11 +153,11 @@ def register_points(
     covariance = fit.covariance if known else fit.covariance * fle**2 / 3.0
     freedom = 3 * count - parameters
     shrunk = fit.similarity.scale * source if scaled else source
-    wrong = wrong_pairs(shrunk, target, variance if known else None)
+    wrong, others = check_pairs(shrunk, target, variance if known else None)
     similarity = fit.similarity
     warnings = [
         *misfit_words(fit.chi2 if known else None, freedom, wrong, called),
-        *order_words(look_alikes(shrunk, target, variance if known else None), wrong, called),
+        *order_words(others, wrong, called),
         *flat_words(*principal_line(source), covariance, known),
     ]
     return Registration(

@@ -12,13 +12,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_matrix
 from compute.pose.association import common_slopes, robust_update
 from compute.pose.marker_frame import MarkerFrame
 from compute.pose.observability import missing_readings
 from compute.pose.pose_equations import PoseEquations
 from compute.pose.pose_filter import (
     PoseState,
+    Update,
     innovations,
     predict,
     resting_state,
@@ -28,6 +28,7 @@ from compute.pose.pose_fit import solutions
 from compute.pose.pose_start import rough_place, starts_from_readings
 from compute.pose.reading_model import ReadingModel
 from compute.pose.settings import ToolTrackerSettings
+from compute.pose.small import one_rotation
 from compute.reconstruction.points import chi2_limit
 
 Array = NDArray[np.float64]
@@ -182,24 +183,22 @@ def _settle(
     state = resting_state(begin, rotation, centroid_mm, broad, motion, errors)
     for turn in range(PASSES):
         passed = _passed(model, frame, exposures, state, settings, robust=turn > 1)
-        if passed is None:
+        found = None if passed is None else passed.state
+        if passed is None or found is None:
             return None
         if turn == PASSES - 1:
-            break
+            limit = chi2_limit(passed.readings - 6, settings.fit.inconsistent_probability)
+            enough = passed.readings >= settings.fit.least_readings
+            return passed if enough and passed.nis <= limit else None
         # Where the next pass is linearised; what is known in advance stays next to nothing.
-        found = passed.state
         state = replace(
             state,
-            rotation=rotation_matrix(-1e-9 * (end - begin) * found.turn_rate_rad_s)
-            @ found.rotation,
+            rotation=one_rotation(-1e-9 * (end - begin) * found.turn_rate_rad_s) @ found.rotation,
             centroid_mm=found.centroid_mm - 1e-9 * (end - begin) * found.velocity_mm_s,
             velocity_mm_s=found.velocity_mm_s,
             turn_rate_rad_s=found.turn_rate_rad_s,
         )
-    limit = chi2_limit(passed.readings - 6, settings.fit.inconsistent_probability)
-    if passed.readings < settings.fit.least_readings or passed.nis > limit:
-        return None
-    return passed
+    return None
 
 
 def _passed(
@@ -213,6 +212,7 @@ def _passed(
 ) -> StrobedStart | None:
     """Filter the exposures once; None where one does not fit at all."""
     nis, count = 0.0, 0
+    taken: Update | None
     for one in exposures:
         state = predict(state, one.time_ns, settings.motion)
         seen = np.flatnonzero(np.isfinite(one.readings_px))

@@ -62,10 +62,10 @@ class _Tried:
         return 3 * int(self.kept.shape[1]) - 6
 
 
-def wrong_pairs(
+def check_pairs(
     source: Array, target: Array, variance_mm2: Array | None = None
-) -> WrongPairs | None:
-    """Return what pairs are wrong, or None where none need be.
+) -> tuple[WrongPairs | None, tuple[tuple[int, ...], ...]]:
+    """Return what pairs are wrong, None where none need be, and other orders that fit as well.
 
     Tries all orders of up to six pairs; of more, all exchanges of two and of three in a ring
     (up to 60 and 20 pairs; of more, among those that are off most); and leaving out one or two.
@@ -77,13 +77,27 @@ def wrong_pairs(
         target: shape (N, 3) [mm].
         variance_mm2: of a coordinate of each pair, both sides together, shape (N,) [mm^2]; None:
             not known, and the same for all.
+
+    Returns:
+        The finding, and the orders of the targets that fit about as well as the given one, best
+        first: of fiducials in such places an exchange cannot be told by the residuals.
     """
+    orders = _orders(source, target, variance_mm2)
+    return (
+        _wrong(source, target, variance_mm2, orders),
+        _look_alikes(source, target, variance_mm2, orders),
+    )
+
+
+def _wrong(
+    source: Array, target: Array, variance_mm2: Array | None, orders: list[_Tried]
+) -> WrongPairs | None:
     given = _squares(source, target, np.arange(len(source))[None], variance_mm2)
     freedom = 3 * len(source) - 6
     if variance_mm2 is not None and chi_square.sf(given.squares[0], freedom) > LEVEL:
         return None
     # Leaving out comes last: what an exchange explains needs no wrong point.
-    tried = [*_orders(source, target, variance_mm2), *_without(source, target, variance_mm2)]
+    tried = [*orders, *_without(source, target, variance_mm2)]
     count = sum(len(one.squares) for one in tried)
     least = min((float(one.squares[one.best]) / one.freedom, one.freedom) for one in tried)
     for one in tried:
@@ -98,13 +112,9 @@ def wrong_pairs(
     return None
 
 
-def look_alikes(
-    source: Array, target: Array, variance_mm2: Array | None = None
+def _look_alikes(
+    source: Array, target: Array, variance_mm2: Array | None, orders: list[_Tried]
 ) -> tuple[tuple[int, ...], ...]:
-    """Return other orders of the targets that fit about as well as the given one, best first.
-
-    Of fiducials in such places an exchange cannot be told by the residuals.
-    """
     given = _squares(source, target, np.arange(len(source))[None], variance_mm2)
     freedom = given.freedom
     if variance_mm2 is None:
@@ -112,7 +122,7 @@ def look_alikes(
     else:
         bound = chi_square.isf(LOOK_ALIKE, freedom)
     found = []
-    for tried in _orders(source, target, variance_mm2):
+    for tried in orders:
         near = np.flatnonzero(tried.squares <= bound)
         found += [(float(tried.squares[one]), tuple(tried.order[one].tolist())) for one in near]
     return tuple(order for _, order in sorted(found))

@@ -1,0 +1,72 @@
+"""The cases of tools: partial views are at their bound, and what is not told is not reported."""
+
+import numpy as np
+import pytest
+
+from compute.pose.reading_model import ReadingModel
+from validation.all_cases import ALL_CASES
+from validation.partial_view import MOST_RATIO, UNOBSERVABLE, bound, look, pairings
+from validation.partial_view_scene import MARKERS_MM, MIDDLE_MM, SIGMA_PX, rig
+from validation.pointer_tip import Tips
+from validation.pointer_tip_scene import MARKERS_MM as POINTER_MM
+from validation.pointer_tip_scene import TIP_MM as POINTER_TIP_MM
+from validation.pointer_tip_scene import random_strokes
+
+
+def test_the_cases_are_there() -> None:
+    assert {"partial-view", "pointer-tip"} <= set(ALL_CASES)
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_partial_views_are_at_the_bound(calibrated: bool) -> None:
+    seen = look(pairings(), calibrated=calibrated, trials=150, seed=5)
+    assert seen.points == 0
+    assert seen.statuses["OK"] >= 140
+    assert seen.ratio(slice(0, 3)) < MOST_RATIO
+    assert seen.ratio(slice(3, 6)) < MOST_RATIO
+    # Means of 150 chi-squares of 6 and 3: three deviations.
+    pose, tip = seen.square.mean(axis=0)
+    assert pose == pytest.approx(6.0, abs=0.9)
+    assert tip == pytest.approx(3.0, abs=0.65)
+
+
+@pytest.mark.parametrize("view", UNOBSERVABLE, ids=lambda view: view[0])
+def test_what_is_not_told_is_not_reported(view) -> None:
+    _, masks, sigma = view
+    seen = look(masks, trials=12, sigma_px=sigma)
+    assert seen.statuses["OK"] == 0
+    assert len(seen.error) == 0
+    assert all(reason != "None" for reason in seen.reasons.values())
+
+
+def test_the_bound_is_that_of_the_slopes() -> None:
+    cameras = rig()
+    rotation = np.eye(3)
+    whole = bound(
+        ReadingModel(cameras), rotation, MIDDLE_MM, np.ones((4, 4), dtype=np.bool_), SIGMA_PX
+    )
+    step = 1e-3
+    readings = cameras.project(MARKERS_MM + MIDDLE_MM)
+    moved = cameras.project(MARKERS_MM + MIDDLE_MM + np.array([0.0, step, 0.0]))
+    slope = (moved - readings).ravel() / step
+    # Information of a shift along Y alone: the Schur complement takes the rest away.
+    assert np.linalg.inv(whole)[4, 4] == pytest.approx(slope @ slope / SIGMA_PX**2, rel=1e-4)
+
+
+def test_strokes_move_the_tip_as_they_say() -> None:
+    (stroke,) = random_strokes(1, np.random.default_rng(0))
+    for exposure in (0, 40):
+        distance = np.linalg.norm(stroke.markers_mm(exposure) - stroke.tip_mm(exposure), axis=1)
+        assert distance == pytest.approx(np.linalg.norm(POINTER_MM - POINTER_TIP_MM, axis=1))
+    moved = np.linalg.norm(stroke.tip_mm(1000) - stroke.tip_mm(0))
+    assert moved == pytest.approx(np.linalg.norm(stroke.velocity_mm_s))
+    assert moved <= 150.0
+
+
+def test_tips_are_summed_up() -> None:
+    errors = np.array([[3.0, 0, 0], [0, 4.0, 0]])
+    tips = Tips(3, errors, np.broadcast_to(np.eye(3), (2, 3, 3)))
+    assert tips.rms_mm == pytest.approx(np.sqrt(12.5))
+    assert tips.stated_mm == pytest.approx(np.sqrt(3.0))
+    assert tips.square == pytest.approx(12.5)
+    assert tips.most_mm == pytest.approx(3.95)

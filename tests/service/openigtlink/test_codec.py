@@ -202,6 +202,16 @@ def test_consistent_garbage_in_the_body(version, body):
         read_body(read_header(header), body)
 
 
+@pytest.mark.parametrize("sizes", [(11, 0, 0), (101, 0, 0), (12, 89, 0), (12, 0, 2**31)])
+def test_parts_that_do_not_fit_in_the_body(sizes):
+    body = struct.pack(">HHII", *sizes, 1).ljust(100, b"x")
+    header = struct.pack(
+        ">H12s20sIIQQ", 2, b"TRANSFORM", b"x", 0, 0, len(body), crc64.ecma_182(body)
+    )
+    with pytest.raises(BadMessage, match="do not fit"):
+        read_body(read_header(header), body)
+
+
 READERS = {
     "transform": read_transform, "position": read_position, "tdata": read_tdata,
     "qtdata": read_qtdata, "points": read_points, "status": read_status, "string": read_string,

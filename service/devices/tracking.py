@@ -15,10 +15,10 @@ _TOOLS = ToolTrackerSettings()
 class Tracking(Given):
     """How the markers and tools of a running device are tracked; all has defaults."""
 
-    tracks: Literal["with-tools", "always", "never"] = Field(
-        default="with-tools",
-        description="Whether markers are followed as tracks: as soon as the device has tools, "
-        "always, or never. Tools are tracked in any case.",
+    tracks: Literal["never", "with-tools", "always"] = Field(
+        default="never",
+        description="Whether markers are followed as tracks: never, as soon as the device has "
+        "tools, or always. Tools are tracked in any case; tracks beside them cost time.",
     )
     motion: MotionModel = Field(
         default=_TRACKER.motion,

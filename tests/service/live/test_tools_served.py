@@ -42,7 +42,8 @@ def shown(server: str) -> None:
     """The device shows a pointer that is pivoted about its tip."""
     settings = {"scene": SCENE, "frame_rate_hz": 200}
     source = {"kind": "simulated", "settings": settings}
-    sent("PATCH", f"{server}/api/v1/devices/sim", json={"source": source})
+    changed = {"source": source, "tracking": {"tracks": "with-tools"}}
+    sent("PATCH", f"{server}/api/v1/devices/sim", json=changed)
     sent("POST", f"{server}/api/v1/devices/sim/start")
 
 

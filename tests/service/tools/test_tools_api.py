@@ -52,7 +52,7 @@ def test_a_tool_from_the_first_to_the_last(client: Any, live: RecordedLive):
     assert (body.name, body.strobe_markers, body.tip_mm) == ("pointer", (0, 1, 2, 3), (-150, 0, 0))
     assert body.markers_mm.tolist() == POINTER["markers_mm"]
     assert (other.name, other.strobe_markers, other.tip_mm) == ("patient", None, None)
-    assert live.tracked["sim"].tracks
+    assert not live.tracked["sim"].tracks  # nobody has asked for it
     change = {"reference": "patient", "limits": {"tip_sd_mm": 0.4}, "title": "Probe"}
     changed = client.patch("/api/v1/tools/pointer", json=change).json()
     assert (changed["reference"], changed["limits"]) == ("patient", {"tip_sd_mm": 0.4})
@@ -70,7 +70,6 @@ def test_a_tool_from_the_first_to_the_last(client: Any, live: RecordedLive):
     assert client.delete("/api/v1/tools/pointer").status_code == 204
     assert client.delete("/api/v1/tools/patient").status_code == 204
     assert followed(live) == []
-    assert not live.tracked["sim"].tracks
     assert code(client.get("/api/v1/tools/pointer")) == (404, "unknown-tool")
 
 
@@ -179,7 +178,7 @@ def test_who_did_it_is_written_down(sqlite_client: Any):
 
 def test_how_a_device_is_tracked_is_its_setting(client: Any, live: RecordedLive):
     device = client.get("/api/v1/devices/sim").json()
-    assert device["tracking"]["tracks"] == "with-tools"
+    assert device["tracking"]["tracks"] == "never"
     client.post("/api/v1/devices/sim/start")
     assert not live.tracked["sim"].tracks
     tracking = {"tracks": "always", "coast_s": 0.5, "tool_tip_sd_mm": 0.7}
@@ -191,11 +190,14 @@ def test_how_a_device_is_tracked_is_its_setting(client: Any, live: RecordedLive)
     assert now.tracker is not None
     assert now.tool_tracker is not None
     assert (now.tracker.coast_s, now.tool_tracker.most_tip_sd_mm) == (0.5, 0.7)
-    never = client.patch("/api/v1/devices/sim", json={"tracking": {"tracks": "never"}})
-    assert never.json()["tracking"]["coast_s"] == device["tracking"]["coast_s"]
-    made(client, POINTER)
+    again = client.patch("/api/v1/devices/sim", json={"tracking": {"tracks": "with-tools"}})
+    assert again.json()["tracking"]["coast_s"] == device["tracking"]["coast_s"]
     assert not live.tracked["sim"].tracks
+    made(client, POINTER)
+    assert live.tracked["sim"].tracks
     assert followed(live) == ["pointer"]
+    client.delete("/api/v1/tools/pointer")
+    assert not live.tracked["sim"].tracks
     wrong = {"tracking": {"volume_mm": [[0, 0, 0], [1, 1, 0]]}}
     assert code(client.patch("/api/v1/devices/sim", json=wrong)) == (422, "invalid-parameter")
-    assert client.get("/api/v1/devices/sim").json()["tracking"]["tracks"] == "never"
+    assert client.get("/api/v1/devices/sim").json()["tracking"]["tracks"] == "with-tools"

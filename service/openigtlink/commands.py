@@ -32,6 +32,7 @@ _NOT_ALLOWED: Final = (
     "commands that change something are refused: there is no telling who sends them; the setting "
     "openigtlink_changes allows them"
 )
+_ID_CHARACTERS: Final = 63
 _FILE: Final = re.compile(r"[^A-Za-z0-9_-]+")
 Array = NDArray[np.float64]
 _Do = Callable[[Asked], Awaitable[Reply]]
@@ -165,16 +166,14 @@ class Commands:
         return Reply(done=True, message="every change is kept when it is made; nothing to save")
 
     async def _start_recording(self, asked: Asked) -> Reply:
-        device = asked.attributes.get("CaptureDeviceId") or asked.attributes.get("ChannelId")
         wanted = asked.attributes.get("OutputFilename")
         name = None if not wanted else file_name(wanted)
-        begun = await self._host.start_recording(device or self._device(), name)
+        begun = await self._host.start_recording(self._wanted(asked), name)
         text = f"StartRecording successful: {begun}"
         return Reply(done=True, message=text, values={"OutputFilename": begun})
 
     async def _stop_recording(self, asked: Asked) -> Reply:
-        device = asked.attributes.get("CaptureDeviceId") or asked.attributes.get("ChannelId")
-        told = await self._host.stop_recording(device or self._device())
+        told = await self._host.stop_recording(self._wanted(asked))
         return Reply(done=True, message=f"StopRecording successful: {told}")
 
     async def _set_transform(self, asked: Asked) -> Reply:
@@ -193,6 +192,13 @@ class Commands:
             warning = " WARNING: it is kept until the server ends."
         text = f"UpdateTransform ({name}) completed successfully{warning}"
         return Reply(done=True, message=text)
+
+    def _wanted(self, asked: Asked) -> str:
+        """Return the device that is asked for, by whichever of PLUS's names; else the one."""
+        found = asked.attributes.get("CaptureDeviceId") or asked.attributes.get("ChannelId")
+        if found is not None and len(found) > _ID_CHARACTERS:
+            raise CommandRefused(f"a device's id has at most {_ID_CHARACTERS} characters")
+        return found or self._device()
 
     def _device(self) -> str:
         snapshot = self._newest()

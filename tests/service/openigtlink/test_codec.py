@@ -212,6 +212,26 @@ def test_parts_that_do_not_fit_in_the_body(sizes):
         read_body(read_header(header), body)
 
 
+@pytest.mark.parametrize(
+    ("head", "values"),
+    [
+        (struct.pack(">HHHI", 1, 3, 3, 6), b"Key12345"),
+        (struct.pack(">HHHI", 1, 9, 3, 0), b"Key12345"),
+        (struct.pack(">HHHI", 2, 3, 3, 5), b"Key12345"),
+        (struct.pack(">HHHI", 1, 3, 99, 5), b"Key12345"),
+        (struct.pack(">HHHI", 1, 3, 3, 5), b"Key\xff2345"),
+        (b"\0", b""),
+    ],
+)
+def test_metadata_that_are_none(head, values):
+    body = struct.pack(">HHII", 12, len(head), len(values), 1) + head + values
+    header = struct.pack(
+        ">H12s20sIIQQ", 2, b"TRANSFORM", b"x", 0, 0, len(body), crc64.ecma_182(body)
+    )
+    with pytest.raises(BadMessage):
+        read_body(read_header(header), body)
+
+
 READERS = {
     "transform": read_transform, "position": read_position, "tdata": read_tdata,
     "qtdata": read_qtdata, "points": read_points, "status": read_status, "string": read_string,

@@ -100,6 +100,8 @@ def test_changes_are_refused_and_written_down_unless_a_setting_allows_them():
 def test_recordings():
     host, commands = made()
     assert not run(host, commands, "StopRecording").done
+    long = run(host, commands, "StartRecording", CaptureDeviceId="x" * 60_000)
+    assert (long.done, len(long.message) < 100) == (False, True)
     begun = run(host, commands, "StartRecording", OutputFilename="../../tmp/My scan.nrrd")
     assert begun.values == {"OutputFilename": "My-scan.h5"}
     assert host.recording == "My-scan.h5"
@@ -107,6 +109,7 @@ def test_recordings():
     assert run(host, commands, "StopRecording", CaptureDeviceId="sim").done
     assert host.audited == [
         ("openigtlink-stop-recording", "refused"),
+        ("openigtlink-start-recording", "refused"),
         ("openigtlink-start-recording", "done"),
         ("openigtlink-start-recording", "refused"),
         ("openigtlink-stop-recording", "done"),

@@ -12,6 +12,8 @@ from compute.pose.small import one_cross
 Array = NDArray[np.float64]
 
 _SAME = np.eye(3)
+COLLINEAR_SHARE = 1e-3
+"""Points whose spread across their line is a smaller share of that along it are on a line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +28,14 @@ class MarkerFrame:
         markers_mm: less the centroid, shape (M, 3) [mm].
         radius_mm: RMS distance of the markers from the centroid [mm]: turns times this are mm.
         tip_mm: the tip less the centroid, shape (3,) [mm].
+        collinear: whether the markers are on a line.
     """
 
     centroid_mm: Array
     markers_mm: Array
     radius_mm: float
     tip_mm: Array
+    collinear: bool
 
     @classmethod
     def of(cls, tool: RigidBody) -> "MarkerFrame":
@@ -70,4 +74,12 @@ def _frame_of(tool: RigidBody) -> MarkerFrame:
     about = markers - centroid
     tip = np.zeros(3) if tool.tip_mm is None else np.array(tool.tip_mm)
     radius = float(np.sqrt((about**2).sum(axis=1).mean()))
-    return MarkerFrame(centroid, about, radius, tip - centroid)
+    return MarkerFrame(centroid, about, radius, tip - centroid, is_line(markers))
+
+
+def is_line(points_mm: Array) -> bool:
+    """Return whether points (N, 3) are on a line, or are fewer than three."""
+    if len(points_mm) < 3:
+        return True
+    spread = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
+    return bool(spread[1] <= COLLINEAR_SHARE * spread[0])

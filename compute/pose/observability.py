@@ -6,15 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.marker_frame import MarkerFrame
+from compute.pose.marker_frame import MarkerFrame, is_line
 from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
 
 Array = NDArray[np.float64]
 
 RANK_RATIO = 1e-12
 """Smallest ratio of eigenvalues of a normal matrix in mm; below it the direction is open."""
-COLLINEAR_SHARE = 1e-3
-"""Markers whose spread across their line is a smaller share of that along it are on a line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +54,9 @@ def missing_readings(
             f"{_number(count, 'reading')} of {_number(len(markers), 'marker')}; a pose takes "
             f"{POSE_PARAMETERS} and {settings.least_redundancy} more to check them"
         )
-    spread = np.linalg.svd(
-        frame.markers_mm[markers] - frame.markers_mm[markers].mean(axis=0), compute_uv=False
-    )
-    if len(markers) < 3 or spread[1] <= COLLINEAR_SHARE * spread[0]:
+    if len(markers) == len(frame.markers_mm) and not frame.collinear:
+        return None
+    if len(markers) < 3 or is_line(frame.markers_mm[markers]):
         return (
             f"only {_listed('marker', markers)} were seen, which are on a line: nothing tells the "
             "turn about it"

@@ -5,10 +5,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 from compute.camera.rotation import rotation_matrix
 from compute.pose.marker_frame import MarkerFrame
 from compute.pose.reading_model import ReadingModel
+from compute.pose.small import one_rotation
 
 Array = NDArray[np.float64]
 
@@ -84,8 +86,13 @@ class PoseEquations:
 
     @cached_property
     def plain_whitening(self) -> Array:
-        """W of the readings' own noise alone, shape (n, n)."""
-        return np.diag(1.0 / self.sigma_px.ravel()[self._flat])
+        """W of the readings' own noise alone, its diagonal, shape (n,)."""
+        return 1.0 / self.sigma_px.ravel()[self._flat]
+
+    @property
+    def plain(self) -> bool:
+        """Whether the readings' own noise is all that is uncertain: exact cameras, no table."""
+        return self.model.corrections is None and self.model.common.shape[2] == 0
 
     def arms(self, rotation: Array) -> Array:
         """Return the markers about their centroid along the world's axes, shape (K, M, 3)."""
@@ -127,8 +134,9 @@ class PoseEquations:
         return np.asarray(np.linalg.inv(root), dtype=np.float64)
 
     def gram(self, rotation: Array, centroid_mm: Array, whitening: Array) -> Array:
-        """Return the whitened equations' squares, shape (K, 7, 7)."""
-        rows = whitening @ self.rows(rotation, centroid_mm)
+        """Return the whitened equations' squares, shape (K, 7, 7); W is (n, n), or a diagonal."""
+        rows = self.rows(rotation, centroid_mm)
+        rows = whitening @ rows if whitening.ndim == 2 else whitening[:, None] * rows
         found: Array = rows.transpose(0, 2, 1) @ rows
         return found
 
@@ -139,6 +147,8 @@ class PoseEquations:
 
         Turns are taken from the left, at the centroid.
         """
+        if len(rotation) == 1:
+            return self._refine_one(rotation[0], centroid_mm[0], whitening, most)
         rotation, centroid = rotation.copy(), centroid_mm.copy()
         gram = self.gram(rotation, centroid, whitening)
         damping = np.full(len(rotation), FIRST_DAMPING)
@@ -161,6 +171,50 @@ class PoseEquations:
             converged[index] = small
             index = index[~small & (damping[index] < MAX_DAMPING)]
         return Poses(rotation, centroid, gram, converged)
+
+    def _refine_one(
+        self, rotation: Array, centroid_mm: Array, whitening: Array, most: int
+    ) -> Poses:
+        """``refine`` from one pose, which is what tracking and repeated fits do, in fewer calls."""
+        centroid = centroid_mm
+        gram = self._gram_one(rotation, centroid, whitening)
+        damping, converged = FIRST_DAMPING, False
+        for _ in range(most if np.isfinite(gram[6, 6]) else 0):
+            normal = gram[:6, :6].copy()
+            diagonal = normal.flat[::7]
+            normal.flat[::7] = diagonal + (
+                damping * diagonal + (1e-300 + 1e-15 * float(diagonal.max()))
+            )
+            _, step, failed = dposv(normal, gram[:6, 6])
+            if failed:
+                damping *= 10.0
+                continue
+            turned = one_rotation(step[:3] / self.frame.radius_mm) @ rotation
+            moved = centroid + step[3:]
+            trial = self._gram_one(turned, moved, whitening)
+            converged = bool(np.abs(step).max() <= SETTLED_MM)
+            if trial[6, 6] <= ROUNDING * gram[6, 6] or (converged and np.isfinite(trial[6, 6])):
+                rotation, centroid, gram = turned, moved, trial
+                damping *= 0.1
+            else:
+                damping *= 10.0
+            if converged or damping >= MAX_DAMPING:
+                break
+        return Poses(rotation[None], centroid[None], gram[None], np.array([converged]))
+
+    def _gram_one(self, rotation: Array, centroid_mm: Array, whitening: Array) -> Array:
+        """Return the whitened equations' squares of one pose, shape (7, 7)."""
+        arms = self.frame.markers_mm @ rotation.T
+        value, slope = self.model.expected(arms + centroid_mm)
+        slope = slope.reshape(-1, 3)[self._flat]
+        rows = np.empty((len(self._flat), 7))
+        turn_slopes(arms[self._marker], slope, rows)
+        rows[:, :3] /= self.frame.radius_mm
+        rows[:, 3:6] = slope
+        rows[:, 6] = self._given - value.ravel()[self._flat]
+        rows = whitening @ rows if whitening.ndim == 2 else whitening[:, None] * rows
+        found: Array = rows.T @ rows
+        return found
 
 
 def turn_slopes(arm_mm: Array, slope_px_per_mm: Array, into: Array) -> None:

@@ -213,13 +213,16 @@ def _fit_from(
 
 def solutions(equations: PoseEquations, rotation: Array, centroid_mm: Array) -> Poses:
     """Return the distinct solutions that K starts (3, 3) and (3,) lead to, best first."""
-    near = equations.refine(rotation, centroid_mm, equations.plain_whitening, FIRST_STEPS)
-    value = near.gram[:, 6, 6]
-    if not np.isfinite(value).any():
-        return near.of(np.empty(0, dtype=np.intp))
-    best = int(np.nanargmin(value))
-    whitening = equations.whitening(near.rotation[best], near.centroid_mm[best])
-    found = equations.refine(near.rotation, near.centroid_mm, whitening)
+    if equations.plain:
+        found = equations.refine(rotation, centroid_mm, equations.plain_whitening)
+    else:
+        near = equations.refine(rotation, centroid_mm, equations.plain_whitening, FIRST_STEPS)
+        value = near.gram[:, 6, 6]
+        if not np.isfinite(value).any():
+            return near.of(np.empty(0, dtype=np.intp))
+        best = int(np.nanargmin(value))
+        whitening = equations.whitening(near.rotation[best], near.centroid_mm[best])
+        found = equations.refine(near.rotation, near.centroid_mm, whitening)
     order = np.argsort(found.chi2, kind="stable")
     if len(order) == 1:
         return found

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix
-from compute.pose.marker_frame import MarkerFrame
-from compute.pose.observability import COLLINEAR_SHARE
+from compute.pose.marker_frame import MarkerFrame, is_line
 from compute.pose.reading_model import ReadingModel
 from compute.pose.transform import cross_matrix, nearest_rotation
 
@@ -49,10 +48,8 @@ def start_from_points(
     weight = weight / weight.sum()
     middle_source, middle_target = weight @ source, weight @ target
     about_source, about_target = source - middle_source, target - middle_target
-    for about in (about_source, about_target):
-        spread = np.linalg.svd(about, compute_uv=False)
-        if spread[1] <= COLLINEAR_SHARE * spread[0]:
-            return None
+    if is_line(source) or is_line(target):
+        return None
     rotation = nearest_rotation((about_target * weight[:, None]).T @ about_source)
     return rotation, middle_target - rotation @ middle_source
 

@@ -17,6 +17,7 @@ BENCHMARKS = {
     "navigation": "simulated optics to an OpenIGTLink client: latency, jitter and tip errors",
     "signal": "raw lines to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
+    "pose": "poses of ten tools from readings, beside SciPy; a tracker's step",
     "reconstruct": "readings to points through a correction table, beside SciPy, numba, CuPy",
     "calibration": "19 points x 4 sensors, beside SciPy and pyceres on eleven parameters",
     "rays": "exact rays through a lens, beside optiland",
@@ -62,6 +63,10 @@ def run(
         from benchmarks import points
 
         points.main(["--json"] if as_json else [])
+    elif name == "pose":
+        from benchmarks import pose
+
+        pose.main(["--json"] if as_json else [])
     elif name == "reconstruct":
         from benchmarks import reconstruct
 

@@ -1,0 +1,308 @@
+"""Poses of tools beside SciPy: ``python -m benchmarks.pose [--json]``.
+
+Ten tools of four markers before four sensors, as a tracking server has them each frame:
+
+* fit: the pose of one tool from the 16 readings of its markers, from the pose of the frame before.
+  The peer is ``scipy.optimize.least_squares`` on the same residuals from the same start, as a user
+  would write it: a rotation vector and a translation, NumPy arrays of all markers at once, with
+  slopes by differences and with analytic ones. Both end at the same minimum; ours also works
+  out the covariance, tests the residuals and whether the pose is observable at all.
+* without a start: ours tries all rotations. The peer searches from 24 rotations, as few as find the
+  pose most of the time.
+* step: a frame of all ten tools through ``ToolTracker.step``, their markers lit together or one by
+  one: prediction, association, update, covariance, status.
+
+Methods take turns, and the least time of each counts: what else a machine does only adds to it.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from benchmarks.points import rig
+from compute.camera.rotation import rotation_matrix
+from compute.camera.stack import CameraStack
+from compute.pose.pose_fit import fit_pose
+from compute.pose.reading_model import ReadingModel
+from compute.pose.rigid_body import RigidBody
+from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.tool_tracker import ToolTracker
+from compute.pose.transform import Transform
+from compute.reconstruction.points import reconstruct
+
+Array = NDArray[np.float64]
+Row = dict[str, str | float]
+
+TOOLS: Final = 10
+SIGMA_PX: Final = 0.05
+FRAMES: Final = 60
+RATE_HZ: Final = 200.0
+PEER_STARTS: Final = 24
+OURS: Final = "lumiline"
+SIGMA: Final = np.full((4, 4), SIGMA_PX)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One fit: a tool, where it is, its readings (M, S), and the pose of the frame before."""
+
+    tool: RigidBody
+    rotation: Array
+    translation_mm: Array
+    readings_px: Array
+    start: Transform
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a method found: the translation (3,) [mm] and the weighted squares."""
+
+    translation_mm: Array
+    chi2: float
+
+
+def tools() -> list[RigidBody]:
+    """Return ten tools of four markers within 60 mm, all of different shape."""
+    rng = np.random.default_rng(0)
+    found: list[RigidBody] = []
+    while len(found) < TOOLS:
+        markers = rng.uniform(-60.0, 60.0, (4, 3)) * [1.0, 1.0, 0.4]
+        apart = np.linalg.norm(markers[:, None] - markers[None], axis=-1)[np.triu_indices(4, 1)]
+        if apart.min() > 30.0:
+            found.append(RigidBody(f"tool{len(found)}", markers, None, (0.0, 0.0, -150.0)))
+    return found
+
+
+def tasks(cameras: CameraStack) -> list[Task]:
+    """Return a fit of each tool, from 2 mm and a degree off."""
+    rng = np.random.default_rng(1)
+    made = []
+    for tool in tools():
+        rotation = Rotation.random(random_state=rng).as_matrix()
+        shift = np.array([0.0, 0.0, 1500.0]) + rng.uniform(-150.0, 150.0, 3)
+        exact = cameras.project(tool.markers_mm @ rotation.T + shift)
+        readings = exact + SIGMA_PX * rng.standard_normal(exact.shape)
+        off = Transform(rotation_matrix(np.full(3, 0.01)) @ rotation, shift + 1.2)
+        made.append(Task(tool, rotation, shift, readings, off))
+    return made
+
+
+def ours(model: ReadingModel, task: Task, start: Transform | None) -> Found:
+    """Fit by Lumiline."""
+    found = fit_pose(model, task.tool, task.readings_px, SIGMA, start=start)
+    if found.status is not PoseStatus.OK:
+        raise RuntimeError(f"no pose of {task.tool.name}: {found.reason}")
+    assert found.translation_mm is not None
+    assert found.chi2 is not None
+    return Found(found.translation_mm, found.chi2)
+
+
+def by_scipy(cameras: CameraStack, task: Task, start: Transform, *, analytic: bool) -> Found:
+    """Fit by SciPy's Levenberg-Marquardt, MINPACK's."""
+    markers, readings = task.tool.markers_mm, task.readings_px
+
+    def residuals(x: Array) -> Array:
+        places = markers @ rotation_matrix(x[:3]).T + x[3:]
+        return np.asarray(((cameras.project(places) - readings) / SIGMA_PX).ravel())
+
+    def slopes(x: Array) -> Array:
+        rotation = rotation_matrix(x[:3])
+        arms = markers @ rotation.T
+        _, by_place = cameras.linearised(arms + x[3:])
+        # d (R b) / d x of a rotation vector: -[R b]x times the left Jacobian of the rotation.
+        turned = np.cross(arms[:, None, :], by_place) @ _left_jacobian(x[:3])
+        return np.asarray(np.concatenate([turned, by_place], axis=2).reshape(-1, 6) / SIGMA_PX)
+
+    x = np.concatenate([Rotation.from_matrix(start.rotation).as_rotvec(), start.translation_mm])
+    if analytic:
+        found = least_squares(residuals, x, slopes, method="lm", x_scale="jac")
+    else:
+        found = least_squares(residuals, x, method="lm", x_scale="jac")
+    return Found(np.asarray(found.x[3:]), 2.0 * float(found.cost))
+
+
+def _left_jacobian(vector: Array) -> Array:
+    """Return the left Jacobian of SO(3), shape (3, 3)."""
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if angle < 1e-6:
+        return np.eye(3) + 0.5 * cross
+    first = (1.0 - np.cos(angle)) / angle**2
+    second = (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
+
+
+def by_many_starts(cameras: CameraStack, task: Task) -> Found:
+    """Fit by SciPy from rotations all over, as one does without a start."""
+    rotations = Rotation.random(PEER_STARTS, random_state=np.random.default_rng(2)).as_matrix()
+    place = np.array([0.0, 0.0, 1500.0])
+    found = [
+        by_scipy(cameras, task, Transform(rotation, place), analytic=True) for rotation in rotations
+    ]
+    return min(found, key=lambda one: one.chi2)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What a tracker is given of a frame: peaks (4, K), and the lit marker."""
+
+    peaks_px: Array
+    marker: int | None
+    readings_px: Array | None
+
+
+def frames(cameras: CameraStack, *, strobed: bool) -> tuple[list[RigidBody], list[Frame]]:
+    """Return the tools and frames of them in slow motion."""
+    rng = np.random.default_rng(3)
+    bodies = tools()
+    if strobed:
+        bodies = [
+            RigidBody(one.name, one.markers_mm, tuple(range(4 * k, 4 * k + 4)), one.tip_mm)
+            for k, one in enumerate(bodies)
+        ]
+    rotations = [Rotation.random(random_state=rng).as_matrix() for _ in bodies]
+    # In two rows, 120 mm apart.
+    places = [
+        np.array([120.0 * (k % 5 - 2), 140.0 * (k // 5) - 70.0, 1500.0 + 15.0 * k])
+        for k in range(TOOLS)
+    ]
+    axes = rng.standard_normal((TOOLS, 3))
+    made = []
+    for index in range(FRAMES * (4 * TOOLS if strobed else 1)):
+        rate = RATE_HZ * (4 * TOOLS if strobed else 1)
+        readings = []
+        marker = index % (4 * TOOLS)
+        for k, body in enumerate(bodies):
+            if strobed and k != marker // 4:
+                continue
+            turn = rotation_matrix(0.5 * index / rate * axes[k]) @ rotations[k]
+            exact = cameras.project(body.markers_mm @ turn.T + places[k])
+            readings.append(exact + SIGMA_PX * rng.standard_normal(exact.shape))
+        whole = np.concatenate(readings)
+        if strobed:
+            made.append(Frame(whole[marker % 4][:, None], marker, None))
+        else:
+            made.append(Frame(np.sort(whole.T, axis=1), None, whole))
+    return bodies, made
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """A tracker's run: time of each frame [s], and the poses after the last."""
+
+    seconds: list[float]
+    poses: tuple[ToolPose, ...]
+
+
+def track(cameras: CameraStack, *, strobed: bool) -> Steps:
+    """Run frames through a tracker; finding the tools at first is not timed."""
+    bodies, made = frames(cameras, strobed=strobed)
+    tracker = ToolTracker(cameras, bodies)
+    rate = RATE_HZ * (4 * TOOLS if strobed else 1)
+    seconds: list[float] = []
+    poses: tuple[ToolPose, ...] = ()
+    for index, frame in enumerate(made):
+        peaks = frame.peaks_px
+        points = None
+        if index == 0 and frame.readings_px is not None:
+            points = reconstruct(cameras, frame.readings_px, SIGMA[0])
+        flags = np.zeros(peaks.shape, dtype=np.int32)
+        sigma = np.full(peaks.shape, SIGMA_PX)
+        time_ns = round(1e9 * index / rate)
+        before = time.perf_counter()
+        poses = tracker.step(time_ns, index, peaks, sigma, flags, frame.marker, points)
+        seconds.append(time.perf_counter() - before)
+    return Steps(seconds[len(seconds) // 2 :], poses)
+
+
+def run(seconds: float = 0.5) -> list[Row]:
+    """Measure all; times are of one tool [us]."""
+    cameras = rig()
+    model = ReadingModel.of(cameras)
+    made = tasks(cameras)
+    fits: dict[tuple[str, str], Callable[[Task], Found]] = {
+        ("fit", OURS): lambda task: ours(model, task, task.start),
+        ("fit", "scipy least_squares, analytic slopes"): lambda task: by_scipy(
+            cameras, task, task.start, analytic=True
+        ),
+        ("fit", "scipy least_squares, by differences"): lambda task: by_scipy(
+            cameras, task, task.start, analytic=False
+        ),
+        ("without a start", OURS): lambda task: ours(model, task, None),
+        (
+            "without a start",
+            f"scipy least_squares, {PEER_STARTS} starts",
+        ): lambda task: by_many_starts(cameras, task),
+    }
+    least = dict.fromkeys(fits, np.inf)
+    found: dict[tuple[str, str], list[Found]] = {}
+    end = time.perf_counter() + seconds * len(fits)
+    while True:
+        for key, method in fits.items():
+            before = time.perf_counter()
+            found[key] = [method(task) for task in made]
+            least[key] = min(least[key], (time.perf_counter() - before) / len(made))
+        if time.perf_counter() > end:
+            break
+    rows: list[Row] = []
+    for (job, name), took in least.items():
+        off = [
+            float(np.linalg.norm(one.translation_mm - task.translation_mm))
+            for one, task in zip(found[job, name], made, strict=True)
+        ]
+        rows.append(
+            {
+                "job": job,
+                "method": name,
+                "us_per_tool": 1e6 * took,
+                "times_ours": took / least[job, OURS],
+                "worst_error_mm": max(off),
+                "mean_chi2": float(np.mean([one.chi2 for one in found[job, name]])),
+            }
+        )
+    for strobed in (False, True):
+        steps = track(cameras, strobed=strobed)
+        valid = sum(pose.valid for pose in steps.poses)
+        rows.append(
+            {
+                "job": f"step, {TOOLS} tools, " + ("one marker lit" if strobed else "all lit"),
+                "method": OURS,
+                "us_per_tool": 1e6 * float(np.median(steps.seconds)) / TOOLS,
+                "us_per_step": 1e6 * float(np.median(steps.seconds)),
+                "valid_poses": float(valid),
+            }
+        )
+    return rows
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the rows as a table, or as JSON."""
+    parser = argparse.ArgumentParser(prog="benchmarks.pose", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=0.5, help="time for each method")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    options = parser.parse_args(argv)
+    rows = run(options.seconds)
+    if options.json:
+        json.dump(rows, sys.stdout, indent=2)
+        print()
+        return 0
+    print(f"{'job':32} {'method':38} {'us/tool':>9} {'x ours':>7} {'worst mm':>9}")
+    for row in rows:
+        times = f"{row['times_ours']:7.2f}" if "times_ours" in row else " " * 7
+        worst = f"{row['worst_error_mm']:9.3f}" if "worst_error_mm" in row else ""
+        print(f"{row['job']:32} {row['method']:38} {row['us_per_tool']:9.1f} {times} {worst}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.thesis.eight_state import EightState, EightStateModel
+from compute.tracking.thesis.pair_tracking import Decision
 from validation.section_6_1_thesis import ActiveScene, differences, in_space, record
 from validation.section_6_figures import SPIKE, SensorFigures, sensor_figures
 from validation.section_6_ours import SpaceTracks, track
@@ -103,16 +104,16 @@ def our_sensor_figures(scene: ActiveScene, sensor: int) -> SensorFigures:
     )
 
 
-def by_differences(scene: ActiveScene) -> Kinematics:
+def by_differences(scene: ActiveScene, decision: Decision = "velocity") -> Kinematics:
     """Return points by the thesis's tracks and their differences, the frames equally apart."""
-    points = in_space(scene)
+    points = in_space(scene, decision)
     velocity, acceleration = differences(points, np.full(len(points) - 1, 1.0 / RATE_HZ))
     return Kinematics(points, velocity, acceleration)
 
 
-def by_eight_states(scene: ActiveScene) -> Kinematics:
+def by_eight_states(scene: ActiveScene, decision: Decision = "velocity") -> Kinematics:
     """Return the same points through the filter of [6.11]."""
-    points = in_space(scene)
+    points = in_space(scene, decision)
     model = EightStateModel(white_jerk=JERK, white_acceleration=1e4)
     stack = CameraStack.of(list(cameras()))
     found = Kinematics(*(np.full_like(points, np.nan) for _ in range(3)))

@@ -54,10 +54,10 @@ def sensor_figures(
         truly_moving: their velocity and acceleration, (N, 2) each.
     """
     distance = np.abs(truth[:, 1] - truth[:, 0])
-    apart = distance > APART * distance.max()
+    apart = np.asarray(distance > APART * distance.max())
     side = np.sign(truth[:, 1] - truth[:, 0])[apart]
     off = np.abs(position[:, :, None] - truth[:, None, :])
-    there = ~np.isnan(position).any(axis=1)
+    there = np.asarray(~np.isnan(position).any(axis=1))
     owner = np.where(there[:, None], np.nan_to_num(off, nan=0.0).argmin(axis=2), -1)
     judged = owner[apart & there]
     own = (owner == np.arange(2)) | ~apart[:, None]

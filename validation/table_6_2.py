@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.thesis_bundle import unflat
+from validation.section_6_scene import BAR_MM
 from validation.table_5_frame import parameters
 from validation.table_5_statistics import statistics_tables
 from validation.table_6_bar import (
-    BAR_MM,
     Bar,
     Cameras,
     bar,

@@ -169,7 +169,7 @@ def test_case_6_1_and_its_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         monkeypatch.setattr(section_6_1, name, scene)
     monkeypatch.setattr(section_6_1, "SCENES", scenes)
     tables, findings = section_6_1.work_out()
-    assert [len(table.rows) for table in tables] == [9, 9, 3, 12]
+    assert [len(table.rows) for table in tables] == [9, 9, 3, 18]
     assert len(findings) == 5
     case = ALL_CASES["section-6.1"]
     assert isinstance(case, TablesCase)

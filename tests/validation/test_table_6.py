@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from validation import table_6_1
+from validation.section_6_scene import BAR_MM
 from validation.table_6_1 import DIGITS, exact, frame_errors, printed_frame, rounded_statistics
 from validation.table_6_2 import (
     DISTANCE,
@@ -17,7 +18,6 @@ from validation.table_6_2 import (
 )
 from validation.table_6_2 import work_out as table_6_2
 from validation.table_6_bar import (
-    BAR_MM,
     bar,
     by_known,
     generated,

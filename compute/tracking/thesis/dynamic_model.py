@@ -21,4 +21,4 @@ def transition_in_plane(interval_s: float) -> Array:
     Args:
         interval_s: the sampling period, Delta T [s].
     """
-    return np.kron(transition_along_sensor(interval_s), np.eye(2))
+    return np.asarray(np.kron(transition_along_sensor(interval_s), np.eye(2)), dtype=np.float64)

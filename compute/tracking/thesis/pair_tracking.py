@@ -115,15 +115,13 @@ class PairTracking:
         data = np.column_stack([one.position_px for one in filled])
         made = np.column_stack([one.created for one in filled])
         followed = [self._follow(data, start, window) for start in range(2)]
-        position, predicted, subset = (
-            np.column_stack([one[part] for one in followed]) for part in range(3)
-        )
+        position = np.column_stack([one[0] for one in followed])
+        predicted = np.column_stack([one[1] for one in followed])
+        subset = np.column_stack([one[2] for one in followed])
         rows = np.arange(len(data))[:, None]
         switched = np.zeros(position.shape, dtype=np.bool_)
         switched[1:] = subset[1:] != subset[:-1]
-        return PairTracks(
-            position, predicted, subset.astype(np.int8), switched, made[rows, subset.astype(int)]
-        )
+        return PairTracks(position, predicted, subset.astype(np.int8), switched, made[rows, subset])
 
     def _follow(
         self, data: Array, start: int, window: QuadraticWindow

@@ -29,6 +29,7 @@ _BURST_S: Final = 0.5
 """How much a client may be behind its rate and then catch up: arrivals are never quite even."""
 _CLOSING_S: Final = 1.0
 _OTHER: Final = "other"
+_TOLD_BY_SERVER: Final = ("shutdown", "refused")
 
 
 class Client(asyncio.Protocol):
@@ -155,8 +156,8 @@ class Client(asyncio.Protocol):
             return
         self._write(self.session.told(code, word, reason))
         self._ending = word
-        level = logging.INFO if word == "shutdown" else logging.WARNING
-        _log.log(level, "OpenIGTLink client %s: %s", self.session.address, reason)
+        if word not in _TOLD_BY_SERVER:
+            _log.warning("OpenIGTLink client %s: %s", self.session.address, reason)
         self._transport.close()
         self._timer("close", _CLOSING_S, self._transport.abort)
 

@@ -26,6 +26,7 @@ _LOOK_S: Final = 0.25
 _TOOLS_S: Final = 2.0
 """How often the application is asked for its tools, besides when an unknown one appears."""
 _CLOSING_S: Final = 2.0
+_REFUSALS_S: Final = 10.0
 _BACKLOG: Final = 64
 
 
@@ -60,6 +61,7 @@ class OpenIGTLinkServer:
         self._asked_for: frozenset[str] = frozenset()
         self._wake = asyncio.Event()
         self._failing = False
+        self._refusal_told_s = 0.0
         self._others: set[str] = set()
 
     @property
@@ -130,20 +132,26 @@ class OpenIGTLinkServer:
         address = client.session.address
         if not self._allowed.lets_in(address):
             self.counters.refused["address"] += 1
-            _log.warning("OpenIGTLink: %s is in no network that may connect", address)
+            self._tell_refused(f"{address} is in no network that may connect")
             return "address", None
         if len(self._clients) >= self._settings.clients:
             self.counters.refused["full"] += 1
-            most = self._settings.clients
-            return f"{most} clients are connected, and no more are let in", (
-                StatusCode.NOT_ENOUGH_RESOURCE
-            )
+            reason = f"{self._settings.clients} clients are connected, and no more are let in"
+            self._tell_refused(f"{address}: {reason}")
+            return reason, StatusCode.NOT_ENOUGH_RESOURCE
         self._clients.add(client)
         _log.info("OpenIGTLink client %s connected", address)
         newest = self._fresh()
         if newest is not None:
             client.offer(newest)
         return None
+
+    def _tell_refused(self, text: str) -> None:
+        """Write into the log that somebody was refused, now and then: the metrics count all."""
+        now = time.monotonic()
+        if now >= self._refusal_told_s:
+            self._refusal_told_s = now + _REFUSALS_S
+            _log.warning("OpenIGTLink: %s", text)
 
     def _lost(self, client: Client) -> None:
         if client in self._clients:

@@ -18,8 +18,8 @@ def guards(dialect: str) -> list[str]:
     """Return the statements that make what refuses changes."""
     if dialect == "sqlite":
         return [
-            *(_refusal(table, "unchanged", "UPDATE", "changed") for table in _CHECKS),
-            *(_refusal(table, "not_replaced", "INSERT", "replaced") for table in _guarded()),
+            *(refusal(table, "unchanged", "UPDATE", "changed") for table in _CHECKS),
+            *(refusal(table, "not_replaced", "INSERT", "replaced") for table in _guarded()),
         ]
     return [
         f"CREATE TRIGGER {table}_unchanged BEFORE UPDATE ON {table} "
@@ -32,7 +32,8 @@ def _guarded() -> tuple[str, ...]:
     return (*_BEFORE, *_CHECKS)
 
 
-def _refusal(table: str, name: str, what: str, done: str) -> str:
+def refusal(table: str, name: str, what: str, done: str) -> str:
+    """Return the trigger by which SQLite refuses ``what``."""
     # A row may be replaced by its key, or by SQLite's own number of it.
     there = (
         f" WHEN EXISTS (SELECT 1 FROM {table} WHERE id = NEW.id OR rowid = NEW.rowid)"  # noqa: S608

@@ -3,16 +3,37 @@
 import sqlalchemy as sa
 from alembic import op
 
+from migrations.versions.v0006_guards import refusal
+
 revision = "0008"
 down_revision = "0007"
 branch_labels = None
 depends_on = None
 
 _MOMENT = sa.DateTime(timezone=True)
+_IMMUTABLE = ("registrations", "tool_calibrations")
 
 
 def _of_device() -> sa.ForeignKeyConstraint:
     return sa.ForeignKeyConstraint(["device_id"], ["devices.id"])
+
+
+def guards(dialect: str) -> list[str]:
+    """Return the statements that make what refuses changes of what was measured."""
+    if dialect == "sqlite":
+        return [
+            refusal(table, name, what, done)
+            for table in _IMMUTABLE
+            for name, what, done in (
+                ("unchanged", "UPDATE", "changed"),
+                ("not_replaced", "INSERT", "replaced"),
+            )
+        ]
+    return [
+        f"CREATE TRIGGER {table}_unchanged BEFORE UPDATE ON {table} "
+        "FOR EACH ROW EXECUTE FUNCTION lumiline_refuse('changed')"
+        for table in _IMMUTABLE
+    ]
 
 
 def upgrade() -> None:
@@ -69,9 +90,13 @@ def upgrade() -> None:
         "registrations",
         ["device_id", "created_at"],
     )
+    bind = op.get_bind()
+    for statement in guards(bind.dialect.name):
+        bind.exec_driver_sql(statement)
 
 
 def downgrade() -> None:
+    # The triggers go with their tables.
     for table in ("registrations", "tool_calibrations", "tools"):
         op.drop_table(table)
     op.drop_column("devices", "tracking")

@@ -16,6 +16,8 @@ from service.database.models import (
     CorrectionTableRow,
     DriftCheckRow,
     QualityCheckRow,
+    RegistrationRow,
+    ToolCalibrationRow,
 )
 from tests.service.database.filled import content, fill
 
@@ -25,6 +27,8 @@ UNCHANGED = {
     ActivationRow: set(),
     DriftCheckRow: set(),
     QualityCheckRow: set(),
+    RegistrationRow: set(),
+    ToolCalibrationRow: set(),
 }
 
 

@@ -87,8 +87,8 @@ class PointSolver:
             self._arrays.append(values)
 
         row = row_length(self.sensors, cuda=bool(place.is_cuda))
-        put("cameras", _filled(_camera_fields(stack), row))
-        put("coefficients", _filled(stack.coefficients.T, row))
+        put("cameras", filled(camera_fields(stack), row))
+        put("coefficients", filled(stack.coefficients.T, row))
         put("powers", np.array(stack.terms, dtype=np.int32).reshape(-1, 2))
         freedoms = range(-3, self.sensors - 2)
         put("limits", np.array([chi2_limit(f, INCONSISTENT_PROBABILITY) for f in freedoms]))
@@ -102,7 +102,7 @@ class PointSolver:
                 ("variance", corrections.variance_px2),
                 ("valid", corrections.valid.astype(np.uint8)),
             ):
-                put(name, _filled(np.moveaxis(values, 0, -1), row))
+                put(name, filled(np.moveaxis(values, 0, -1), row))
             job["degree"] = corrections.degree
             job["cells_x"], job["cells_y"], job["cells_z"] = corrections.grid.cells
             job["origin"], job["pitch"] = corrections.grid.origin_mm, corrections.grid.pitch_mm
@@ -190,14 +190,14 @@ def _check(cameras: CameraStack, covariance: Array | None) -> None:
         )
 
 
-def _filled(values: NDArray[Any], row: int) -> NDArray[Any]:
+def filled(values: NDArray[Any], row: int) -> NDArray[Any]:
     """Return values with the sensors last, filled up with zeros to rows of this length."""
     filled = np.zeros((*values.shape[:-1], row), dtype=values.dtype)
     filled[..., : values.shape[-1]] = values
     return filled
 
 
-def _camera_fields(cameras: CameraStack) -> Array:
+def camera_fields(cameras: CameraStack) -> Array:
     """Return the cameras' parameters with the sensors last, shape (16, S)."""
     fields = np.concatenate(
         [

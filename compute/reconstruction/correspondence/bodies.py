@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix
 from compute.errors import InvalidParameter
-from compute.reconstruction.correspondence.candidates import BAND, Candidates, Chance
+from compute.reconstruction.correspondence.candidates import BANDS, Candidates, Chance
 from compute.reconstruction.correspondence.settings import FALSE_REJECTION, MatchSettings
 from compute.reconstruction.points import chi2_limit
 
@@ -114,9 +114,10 @@ class _Distances:
         for a, b in combinations(range(count), 2):
             misfit = np.abs(self.length - lengths[a, b])
             inside = (misfit <= _GATE * self.sigma) & self.apart
-            wide = (misfit <= BAND * _GATE * self.sigma) & self.apart
-            self.chance.hits += float(np.count_nonzero(wide) - np.count_nonzero(inside))
-            self.chance.width += 2.0 * _GATE * (BAND - 1.0) * float(np.count_nonzero(self.apart))
+            within = misfit <= _GATE * self.sigma * BANDS[:, None, None]
+            hits = (within & self.apart).sum(axis=(1, 2)) - 1.0
+            pairs = float(np.count_nonzero(self.apart))
+            self.chance.add(hits, 2.0 * _GATE * BANDS * pairs)
             fits[a, b] = inside
 
         def grown(rows: tuple[int, ...], open_to: NDArray[np.bool_]) -> Iterator[tuple[int, ...]]:

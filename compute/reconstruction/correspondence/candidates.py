@@ -16,8 +16,13 @@ Array = NDArray[np.float64]
 Choice = NDArray[np.intp]
 Solve = Callable[[Array, Array], PointBatch]
 
-BAND = 20.0
-"""Misfits of up to this times what a marker may have tell how many are there by chance."""
+BANDS = np.array([1.0, 3.0, 20.0])
+"""Misfits of up to these times what a marker may have tell how many are there by chance."""
+EXTENT_MM = 500.0
+"""How far a point may be undetermined at most: markers are not farther apart."""
+COMPARED_MM = 5.0
+"""Up to which a less determined point is taken as likelier. Markers that are evenly spread are
+dense in readings where these tell little, far away; but nothing is known of a volume so far out."""
 _HALF_COUNT = 0.5
 _LOG_TWO_PI = log(2.0 * pi)
 
@@ -33,7 +38,9 @@ class Candidates:
         chi2: of the readings, and of the predicted point where there is one, shape (C,).
         degrees: of freedom of ``chi2``, shape (C,).
         log_fit: log of the integral of the readings' likelihood over space, shape (C,) [mm^3].
+        log_compared: the same, but not larger for being less determined than ``COMPARED_MM``.
         predicted: index of the predicted point that it would be, -1: none, shape (C,).
+        log_density: log of that point's density at the position, shape (C,) [1/mm^3]; 0: none.
     """
 
     choice: Choice
@@ -42,7 +49,9 @@ class Candidates:
     chi2: Array
     degrees: NDArray[np.intp]
     log_fit: Array
+    log_compared: Array
     predicted: NDArray[np.intp]
+    log_density: Array
 
     def __len__(self) -> int:
         """Return the number of combinations."""
@@ -57,7 +66,9 @@ class Candidates:
             self.chi2[index],
             self.degrees[index],
             self.log_fit[index],
+            self.log_compared[index],
             self.predicted[index],
+            self.log_density[index],
         )
 
     def joined(self, other: "Candidates") -> "Candidates":
@@ -69,7 +80,9 @@ class Candidates:
             np.concatenate([self.chi2, other.chi2]),
             np.concatenate([self.degrees, other.degrees]),
             np.concatenate([self.log_fit, other.log_fit]),
+            np.concatenate([self.log_compared, other.log_compared]),
             np.concatenate([self.predicted, other.predicted]),
+            np.concatenate([self.log_density, other.log_density]),
         )
 
     def scores(self, settings: MatchSettings, missed: NDArray[np.intp]) -> Array:
@@ -80,21 +93,32 @@ class Candidates:
             missed: how many sensors should have a peak of it and have none, shape (C,).
         """
         seen = (self.choice >= 0).sum(axis=1)
-        # A predicted point comes with a density of its own, which ``log_fit`` holds already.
-        density = np.where(self.predicted < 0, log(settings.markers_per_mm3), 0.0)
+        density = np.where(self.predicted < 0, log(settings.markers_per_mm3), self.log_density)
         score: Array = (
-            density + self.log_fit + seen * settings.log_seen + missed * settings.log_missed
+            density + self.log_compared + seen * settings.log_seen + missed * settings.log_missed
         )
         return score
 
 
-def solved(solve: Solve, peaks: FramePeaks, choice: Choice) -> tuple[Candidates, Array, Array]:
-    """Reconstruct combinations (N, S) of three or more peaks and keep those that meet.
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """N combinations that were reconstructed.
 
-    Returns:
-        The ones that meet; chi2 of all, shape (N,), infinite where there is no point; and their
-        degrees of freedom, shape (N,).
+    Args:
+        found: those that meet.
+        row: which they are, shape (C,).
+        chi2: of all, infinite where there is no point, shape (N,).
+        degrees: of freedom of all, shape (N,).
     """
+
+    found: Candidates
+    row: NDArray[np.intp]
+    chi2: Array
+    degrees: NDArray[np.intp]
+
+
+def solved(solve: Solve, peaks: FramePeaks, choice: Choice) -> Tried:
+    """Reconstruct combinations (N, S) of three or more peaks."""
     readings, sigma = peaks.readings(choice)
     points = solve(readings, sigma)
     degrees = points.used.sum(axis=1) - 3
@@ -104,22 +128,24 @@ def solved(solve: Solve, peaks: FramePeaks, choice: Choice) -> tuple[Candidates,
     covariance = points.covariance_mm2[good]
     used = points.used[good]
     spread = np.log(np.where(used, sigma[good], 1.0)).sum(axis=1)
-    log_fit = (
-        0.5 * np.log(np.linalg.det(covariance))
-        - spread
-        - 0.5 * _LOG_TWO_PI * degrees[good]
-        - 0.5 * chi2[good]
+    inverse = np.linalg.inv(covariance)
+    log_volume, capped = (
+        -0.5 * np.log(np.linalg.det(inverse + np.eye(3) / extent**2))
+        for extent in (EXTENT_MM, COMPARED_MM)
     )
+    rest = -spread - 0.5 * _LOG_TWO_PI * degrees[good] - 0.5 * chi2[good]
     found = Candidates(
         choice[good],
         points.position_mm[good],
         covariance,
         chi2[good],
         degrees[good],
-        log_fit,
+        log_volume + rest,
+        capped + rest,
         np.full(len(good), -1),
+        np.zeros(len(good)),
     )
-    return found, chi2, degrees
+    return Tried(found, good, chi2, degrees)
 
 
 def _limit(freedom: int) -> float:
@@ -137,39 +163,51 @@ def no_candidates(sensors: int) -> Candidates:
         none,
         whole,
         none,
+        none,
         whole,
+        none,
     )
 
 
-@dataclass
 class Chance:
     """How densely misfits of wrong combinations lie about zero, as counted in this frame.
 
-    Wrong combinations' misfits are spread evenly over a range much wider than the noise: how many
-    lie in a wide band tells how many lie near zero, where a marker's do.
-
-    Args:
-        hits: misfits in the bands, in units of their deviations.
-        width: of the bands, summed over all that was tried.
+    Wrong combinations' misfits are spread evenly over a range wider than the noise: how many lie
+    in a band tells how many lie near zero, where a marker's do. Where the noise is so wide that
+    the broadest band reaches beyond all peaks, a narrower one is denser, and counts.
     """
 
-    hits: float = 0.0
-    width: float = 0.0
+    def __init__(self) -> None:
+        self._hits = np.zeros(len(BANDS))
+        self._width = np.zeros(len(BANDS))
+
+    def add(self, hits: Array, width: Array) -> None:
+        """Add counts of misfits within each of the bands, and the bands' widths in deviations."""
+        self._hits += hits
+        self._width += width
 
     def log_density(self) -> float:
         """Log of the density of a wrong misfit at zero, by the deviation that it is measured in."""
-        if self.width <= 0.0:
+        if self._width[-1] <= 0.0:
             return -np.inf
-        return float(np.log((self.hits + _HALF_COUNT) / self.width))
+        # What is seen in a band for sure, and half a misfit in the broadest at least.
+        sure = np.maximum(self._hits - np.sqrt(np.maximum(self._hits, 0.0)), 0.0)
+        sure[-1] = max(self._hits[-1], 0.0) + _HALF_COUNT
+        return float(np.log((sure / self._width).max()))
 
-    def count(self, chi2: Array, degrees: int) -> None:
-        """Count combinations of so many degrees of freedom, all that there are."""
+    def count(self, chi2: Array, degrees: int, true: int) -> None:
+        """Count the misfits of combinations of so many degrees of freedom, all that there are.
+
+        Args:
+            chi2: of all of them.
+            degrees: of freedom.
+            true: how many of them may be markers.
+        """
         limit = _limit(degrees)
-        inside = (chi2 > limit) & (chi2 <= BAND**2 * limit)
-        hits = np.count_nonzero(inside)
+        hits = np.array([np.count_nonzero(chi2 <= band**2 * limit) - true for band in BANDS])
         # The share of a ball of so many dimensions, as the density along one of them.
         log_ball = 0.5 * degrees * log(pi) - lgamma(0.5 * degrees + 1.0)
-        volume = log_ball + 0.5 * degrees * log(limit) + log(BAND**degrees - 1.0)
-        density = np.exp((log((hits + _HALF_COUNT) / max(len(chi2), 1)) - volume) / degrees)
-        self.hits += hits
-        self.width += (hits + _HALF_COUNT) / density
+        log_volume = log_ball + degrees * (0.5 * log(limit) + np.log(BANDS))
+        share = np.maximum(hits + _HALF_COUNT, _HALF_COUNT) / max(len(chi2), 1)
+        density = np.exp((np.log(share) - log_volume) / degrees)
+        self.add(hits, (np.maximum(hits, 0) + _HALF_COUNT) / density)

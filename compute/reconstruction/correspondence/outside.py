@@ -78,13 +78,13 @@ def predicted_candidates(
     """
     free = np.isfinite(peaks.position_px)
     place, spread = predicted.position_mm, predicted.covariance_mm2
-    found = gates(predict, peaks, free, place, spread, (), chance)
+    found = gates(predict, peaks, free, place, spread, (), chance, len(place))
     start = np.full((len(place), len(peaks)), -1)
     rows = np.flatnonzero((found.count > 0).sum(axis=1) >= _LEAST)
     choice, cut = extended(start, found, rows, _LEAST, most)
     if len(choice) == 0:
         return no_candidates(len(peaks)), cut
-    meets, _, _ = solved(solve, peaks, np.unique(choice, axis=0))
+    meets = solved(solve, peaks, np.unique(choice, axis=0)).found
     # Each of them for each prediction that it lies near.
     away = meets.position_mm[:, None] - place
     whole = meets.covariance_mm2[:, None] + spread
@@ -103,8 +103,10 @@ def predicted_candidates(
             near.covariance_mm2,
             near.chi2 + chi2[row, point],
             near.degrees + 3,
-            near.log_fit + log_density,
+            near.log_fit,
+            near.log_compared,
             point.astype(np.intp),
+            log_density,
         ),
         cut,
     )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from compute.reconstruction.correspondence.bodies import BodyMatch, body_matches
 from compute.reconstruction.correspondence.candidates import (
+    EXTENT_MM,
     Candidates,
     Chance,
     Choice,
@@ -32,7 +33,8 @@ MOST_SMALL: Final = 300
 MOST_PLAIN: Final = 20_000
 """Combinations that are tried where nothing predicts readings: 11 markers on four sensors."""
 _UNSEEN: Final = 0.25
-"""Unexplained peaks of a sensor that are expected beside those that are there."""
+"""Unexplained peaks of a sensor that are expected beside those that are there, and for each
+marker as many more as it has chances to be missed."""
 _FREEZE: Final = 0.5
 """Share of the wrong rate below which a group is taken for good, before all is looked at."""
 _LOG_ROOT_TWO_PI: Final = 0.5 * log(2.0 * pi)
@@ -67,6 +69,7 @@ class Pool:
         self.seeing = tuple(int(sensor) for sensor in np.flatnonzero(peaks.count > 0))
         self.found = no_candidates(len(peaks))
         self.chance = Chance()
+        self.predicted_chance = Chance()
         self.body_chance = Chance()
         self.bodies: list[tuple[int, BodyMatch]] = []
         self.groups: list[Group] = []
@@ -82,7 +85,7 @@ class Pool:
             self.peaks,
             predicted,
             self.settings.most_points,
-            self.chance,
+            self.predicted_chance,
         )
         self.found = self.found.joined(found)
         self.cut += cut
@@ -116,7 +119,7 @@ class Pool:
             choice = choice[: self.settings.most_points]
         if len(choice) == 0:
             return
-        found, _, _ = solved(self.solve, self.peaks, choice)
+        found = solved(self.solve, self.peaks, choice).found
         if self.predict is not None:
             seen = self.predict(found.position_mm)
             # A ghost that a sensor would have to read beyond its ends is none.
@@ -142,12 +145,12 @@ class Pool:
         self._add_single()
 
     def _add_all(self, choice: Choice) -> None:
-        found, chi2, degrees = solved(self.solve, self.peaks, choice)
+        tried = solved(self.solve, self.peaks, choice)
         self.points += len(choice)
-        fewest = int(degrees.min(initial=len(self.peaks)))
-        least = max(1, fewest)
-        self.chance.count(chi2[degrees == least], least)
-        self.found = self.found.joined(found)
+        least = max(1, int(tried.degrees.min(initial=len(self.peaks))))
+        true = int(self.peaks.count[list(self.seeing)].min())
+        self.chance.count(tried.chi2[tried.degrees == least], least, true)
+        self.found = self.found.joined(tried.found)
 
     def _add_stepwise(self, predict: Predictor) -> None:
         """Start from triples of sensors that no marker escapes; first what nearly all saw."""
@@ -177,7 +180,7 @@ class Pool:
                 self.cut += cut
                 before = len(self.found)
                 if len(choice):
-                    self._join(solved(self.solve, self.peaks, choice)[0])
+                    self._join(solved(self.solve, self.peaks, choice).found)
                 if seeing > 4 and len(self.found) > before:
                     self._decide(_FREEZE * self.settings.wrong_rate)
 
@@ -235,14 +238,17 @@ class Pool:
             for resource in columns[index]:
                 if resource < len(self.peaks) * room:
                     left[resource // room] -= 1.0
-        unexplained = np.log(np.maximum(left, 0.0) + _UNSEEN)
         markers = max(len(packing.chosen) + len(self.groups), 1)
+        expected = _UNSEEN + markers * (1.0 - settings.detection)
+        unexplained = np.log(np.maximum(left, 0.0) + expected)
+        foreign = self._foreign(packing.chosen, np.exp(unexplained))
         gone: set[int] = set()
         for index, wrong in zip(packing.chosen, packing.wrong, strict=True):
             doubt = wrong + self._by_chance(index, columns[index], unexplained, markers)
+            doubt += foreign.get(index, 0.0)
             if doubt > sure:
                 continue
-            ambiguous = doubt > settings.wrong_rate or self.cut > 0
+            ambiguous = doubt > settings.wrong_rate or self.cut > 0 or self._undetermined(index)
             self._make(index, ambiguous)
             gone.update(columns[index])
         if sure == inf:
@@ -265,22 +271,65 @@ class Pool:
 
         Were it wrong, its peaks would be unexplained as well: the more of those, the likelier.
         """
+        room, settings = self.peaks.room, self.settings
+        used = [resource // room for resource in column if resource < len(self.peaks) * room]
+        # A marker that these sensors saw, and the others not.
+        true = log(markers) + len(used) * log(settings.detection)
         if index < len(self.found):
             chi2, degrees = float(self.found.chi2[index]), int(self.found.degrees[index])
-            chance = self.chance
+            true += (len(self.seeing) - len(used)) * settings.log_missed
+            near = 0.0
+            if self.found.predicted[index] >= 0:
+                # Three of the misfits are to the prediction, of which there is one.
+                true -= log(markers)
+                degrees -= 3
+                near = 3.0 * (self.predicted_chance.log_density() + _LOG_ROOT_TWO_PI)
+            if degrees > 0:
+                near += degrees * (self.chance.log_density() + _LOG_ROOT_TWO_PI)
         else:
             match = self.bodies[index - len(self.found)][1]
-            chi2, degrees, chance = match.chi2, match.degrees, self.body_chance
-        room = self.peaks.room
-        ways = sum(
-            float(unexplained[resource // room])
-            for resource in column
-            if resource < len(self.peaks) * room
-        )
-        log_odds = (
-            ways - log(markers) + degrees * (chance.log_density() + _LOG_ROOT_TWO_PI) + 0.5 * chi2
-        )
+            chi2 = match.chi2
+            near = match.degrees * (self.body_chance.log_density() + _LOG_ROOT_TWO_PI)
+        ways = sum(float(unexplained[sensor]) for sensor in used)
+        log_odds = ways - true + near + 0.5 * chi2
         return exp(min(log_odds, 0.0))
+
+    def _foreign(self, chosen: tuple[int, ...], unexplained: Array) -> dict[int, float]:
+        """Return the chances that one of a candidate's peaks is not its own, which it missed.
+
+        Its reading is then one of the unexplained peaks near by: as likely as those are dense,
+        against the density of its innovation, by what the other sensors say.
+        """
+        rows = [index for index in chosen if index < len(self.found)]
+        choice = self.found.choice[rows]
+        which, sensor = np.nonzero((choice >= 0) & ((choice >= 0).sum(axis=1) > 3)[:, None])
+        if len(which) == 0:
+            return {}
+        without = choice[which]
+        without[np.arange(len(which)), sensor] = -1
+        fewer = solved(self.solve, self.peaks, without)
+        which, sensor = which[fewer.row], sensor[fewer.row]
+        log_density = self.found.log_fit[rows][which] - fewer.found.log_fit
+        extent = self._extent()
+        known = np.isfinite(extent)
+        density = np.where(known, unexplained / extent, self.settings.false_per_px)
+        odds = (1.0 / self.settings.detection - 1.0) * density[sensor] * np.exp(-log_density)
+        total = np.bincount(which, odds, minlength=len(rows))
+        return dict(zip(rows, total.tolist(), strict=True))
+
+    def _extent(self) -> Array:
+        """Return over how many pixels each sensor's peaks are spread, shape (S,); inf: too few."""
+        place, count = self.peaks.position_px, self.peaks.count
+        last = place[np.arange(len(place)), np.maximum(count - 1, 0)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spread = (last - place[:, 0]) * (count + 1) / (count - 1)
+        return np.where(count >= 3, spread, np.inf)
+
+    def _undetermined(self, index: int) -> bool:
+        """Say whether a candidate may be anywhere: what fits everywhere proves nothing."""
+        if index >= len(self.found):
+            return False
+        return float(np.trace(self.found.covariance_mm2[index])) > EXTENT_MM**2
 
     def _make(self, index: int, ambiguous: bool) -> None:
         if index < len(self.found):
@@ -299,7 +348,7 @@ class Pool:
         if (left == 1).sum() < 3 or left.max() > 1:
             return
         choice = np.where(left == 1, self.free.argmax(axis=1), -1)
-        found, _, _ = solved(self.solve, self.peaks, choice[None])
+        found = solved(self.solve, self.peaks, choice[None]).found
         if len(found) and float(found.scores(self.settings, self._missed(found))[0]) > 0.0:
             self.groups.append(Group(tuple(int(peak) for peak in choice), True))
 

@@ -32,7 +32,7 @@ class MatchSettings:
     """
 
     detection: float = 0.95
-    false_per_px: float = 1e-3
+    false_per_px: float = 2e-4
     markers_per_mm3: float = 1e-7
     merged_px: float = 2.0
     wrong_rate: float = 1e-3

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.reconstruction.correspondence.candidates import BAND, Chance, Choice, Solve
+from compute.reconstruction.correspondence.candidates import BANDS, Chance, Choice, Solve
 from compute.reconstruction.correspondence.peaks import FramePeaks
 from compute.reconstruction.correspondence.predictor import Predictor
 from compute.reconstruction.correspondence.settings import FALSE_REJECTION
@@ -41,6 +41,7 @@ def gates(
     covariance_mm2: Array,
     without: tuple[int, ...],
     chance: Chance,
+    true: int,
 ) -> Gates:
     """Find the peaks within the innovation's limit of what is predicted.
 
@@ -51,7 +52,8 @@ def gates(
         points_mm: shape (N, 3) [mm]; NaN: no point.
         covariance_mm2: shape (N, 3, 3) [mm^2].
         without: sensors that are left out.
-        chance: counts the peaks beside the gates.
+        chance: counts the peaks in and beside the gates.
+        true: how many of a sensor's peaks may be where they should.
     """
     seen = predict(points_mm)
     own = tuple(np.flatnonzero(row) for row in free)
@@ -70,10 +72,12 @@ def gates(
         centre, half = np.where(there, centre, -1e9), np.where(there, half, 0.0)
         first[:, sensor] = np.searchsorted(place, centre - half)
         count[:, sensor] = np.searchsorted(place, centre + half, "right") - first[:, sensor]
-        wide = np.searchsorted(place, centre + BAND * half, "right")
-        wide -= np.searchsorted(place, centre - BAND * half)
-        chance.hits += float((wide - count[:, sensor]).sum())
-        chance.width += 2.0 * _GATE * (BAND - 1.0) * len(index) * float(there.sum())
+        hits = [float(count[:, sensor].sum())]
+        for band in BANDS[1:]:
+            wide = np.searchsorted(place, centre + band * half, "right")
+            hits.append(float((wide - np.searchsorted(place, centre - band * half)).sum()))
+        tried = len(index) * float(there.sum())
+        chance.add(np.array(hits) - true, 2.0 * _GATE * BANDS * tried)
     return Gates(first, count, own)
 
 
@@ -115,7 +119,10 @@ def completed(
     if len(start) == 0:
         return start, 0
     points = solve(*peaks.readings(start))
-    found = gates(predict, peaks, free, points.position_mm, points.covariance_mm2, base, chance)
+    true = int(free.sum(axis=1)[list(base)].min())
+    found = gates(
+        predict, peaks, free, points.position_mm, points.covariance_mm2, base, chance, true
+    )
     hopeful = np.flatnonzero(3 + (found.count > 0).sum(axis=1) >= least)
     return extended(start, found, hopeful, least, most)
 

@@ -1,11 +1,27 @@
 """Peaks of several markers at once: grouped rightly, or not at all."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from compute.camera.stack import CameraStack
-from compute.reconstruction.correspondence import Correspondence, match_peaks
+from compute.errors import InvalidParameter
+from compute.reconstruction.correspondence import (
+    Correspondence,
+    MatchSettings,
+    PredictedPoints,
+    group_peaks,
+    match_peaks,
+)
+from compute.reconstruction.correspondence.cover import covering_triples
+from compute.reconstruction.estimate import PointBatch
+from compute.reconstruction.points import reconstruct
+from tests.compute.reconstruction.peak_scene import random_scene
 from tests.compute.rig import control_points, project, rig
 
 Array = NDArray[np.float64]
@@ -131,6 +147,211 @@ def test_nothing_seen() -> None:
     assert len(found.readings_px) == 0
 
 
-def test_too_many_combinations_are_not_tried() -> None:
-    assert len(match(4, project(rig(4), control_points(7))).readings_px) > 0
-    assert len(match(4, project(rig(4), control_points(8))).readings_px) == 0
+def test_without_the_sensors_forward_too_many_combinations_are_not_tried() -> None:
+    def solve(readings: Array, sigma: Array) -> PointBatch:
+        return reconstruct(CameraStack.of(rig(4)), readings, sigma)
+
+    position, sigma = peaks(project(rig(4), control_points(12)))
+    found = group_peaks(solve, position, sigma)
+    assert len(found) == 0
+    assert found.cut == 12**4
+    position, sigma = peaks(project(rig(4), control_points(5)))
+    assert len(group_peaks(solve, position, sigma)) == 5
+
+
+def test_twenty_markers_on_eight_sensors() -> None:
+    """With 5 % of the lines missed and as many false ones."""
+    cameras = CameraStack.of(rig(8))
+    right = unmarked = wrong = 0
+    for seed in range(3):
+        scene = random_scene(cameras, 20, seed, missed=0.05, false=0.05)
+        found = match_peaks(cameras, scene.position_px, scene.sigma_px)
+        for owner, ambiguous in zip(scene.owners(found), found.ambiguous, strict=True):
+            right += owner is not None
+            unmarked += owner is not None and not ambiguous
+            wrong += owner is None and not ambiguous
+    assert right >= 58
+    assert unmarked >= 48
+    assert wrong <= 1
+
+
+@pytest.mark.parametrize(
+    ("sensors", "markers", "missed", "false"),
+    [(4, 3, 0.0, 0.0), (4, 5, 0.05, 0.05), (5, 6, 0.05, 0.05), (6, 6, 0.2, 0.2)],
+)
+def test_unambiguous_is_wrong_as_rarely_as_stated(
+    sensors: int, markers: int, missed: float, false: float
+) -> None:
+    """More than three wrong ones too many come by chance once in hundreds of such tests."""
+    cameras = CameraStack.of(rig(sensors))
+    how = MatchSettings(detection=min(1.0 - missed, 0.95), wrong_rate=0.01)
+    unmarked = wrong = 0
+    for seed in range(60):
+        scene = random_scene(cameras, markers, seed, missed=missed, false=false)
+        found = match_peaks(cameras, scene.position_px, scene.sigma_px, settings=how)
+        for owner, ambiguous in zip(scene.owners(found), found.ambiguous, strict=True):
+            unmarked += not ambiguous
+            wrong += owner is None and not ambiguous
+    assert unmarked > 50
+    assert wrong <= how.wrong_rate * unmarked + 3.0 * (how.wrong_rate * unmarked) ** 0.5
+
+
+@given(st.integers(0, 10_000), st.integers(4, 6), st.integers(2, 6))
+@settings(max_examples=25, deadline=None)
+def test_the_order_of_peaks_does_not_matter(seed: int, sensors: int, markers: int) -> None:
+    cameras = CameraStack.of(rig(sensors))
+    scene = random_scene(cameras, markers, seed, missed=0.1, false=0.1)
+    found = match_peaks(cameras, scene.position_px, scene.sigma_px)
+    order = np.argsort(np.random.default_rng(seed + 1).random(scene.position_px.shape), axis=1)
+    shuffled = np.take_along_axis(scene.position_px, order, axis=1)
+    again = match_peaks(cameras, shuffled, np.take_along_axis(scene.sigma_px, order, axis=1))
+    np.testing.assert_array_equal(again.readings_px, found.readings_px)
+    np.testing.assert_array_equal(again.ambiguous, found.ambiguous)
+    for row, choice in zip(again.readings_px, again.peaks, strict=True):
+        seen = choice >= 0
+        np.testing.assert_array_equal(shuffled[seen.nonzero()[0], choice[seen]], row[seen])
+        assert np.isnan(row[~seen]).all()
+
+
+@given(st.integers(0, 10_000), st.integers(4, 6), st.integers(2, 5))
+@settings(max_examples=25, deadline=None)
+def test_the_order_of_sensors_does_not_matter(seed: int, sensors: int, markers: int) -> None:
+    models = rig(sensors)
+    scene = random_scene(CameraStack.of(models), markers, seed)
+    found = match_peaks(CameraStack.of(models), scene.position_px, scene.sigma_px)
+    mirrored = match_peaks(
+        CameraStack.of(models[::-1]), scene.position_px[::-1], scene.sigma_px[::-1]
+    )
+    rows = {tuple(row) for row, a in zip(found.peaks, found.ambiguous, strict=True) if not a}
+    others = {tuple(row[::-1]) for row in mirrored.peaks}
+    assert rows <= others
+    assert len(mirrored) == len(found)
+
+
+@given(st.integers(0, 10_000), st.integers(4, 6), st.integers(2, 5), st.integers(0, 3))
+@settings(max_examples=25, deadline=None)
+def test_a_peak_far_away_does_not_change_the_others(
+    seed: int, sensors: int, markers: int, where: int
+) -> None:
+    """Where no combination of the others would be seen by that sensor: at the end of its line."""
+    cameras = CameraStack.of(rig(sensors))
+    scene = random_scene(cameras, markers, seed)
+    found = match_peaks(cameras, scene.position_px, scene.sigma_px)
+    position = np.pad(scene.position_px, ((0, 0), (0, 1)), constant_values=np.nan)
+    sigma = np.pad(scene.sigma_px, ((0, 0), (0, 1)), constant_values=np.nan)
+    position[where, -1], sigma[where, -1] = 20_000.0, 0.02
+    again = match_peaks(cameras, position, sigma)
+    sure = {tuple(row) for row, a in zip(found.peaks, found.ambiguous, strict=True) if not a}
+    assert sure <= {tuple(row) for row in again.peaks}
+
+
+def test_a_peak_that_two_markers_share() -> None:
+    """At its middle it is neither's to the noise; flagged as merged, it is both's."""
+    models = rig(4)
+    cameras = CameraStack.of(models)
+    first = np.array([20.0, 10.0, 1500.0])
+    second = first + 60.0 * models[1].rotation[1] + 1.0 * models[1].rotation[0]
+    readings = project(models, np.array([first, second]))
+    assert abs(readings[0, 1] - readings[1, 1]) > 1.0
+    position = np.sort(readings.T, axis=1)
+    merged = np.zeros(position.shape, dtype=np.bool_)
+    position[1] = [position[1].mean(), np.nan]
+    sigma = np.where(np.isfinite(position), 0.02, np.nan)
+    assert len(match_peaks(cameras, position, sigma)) == 0
+    merged[1, 0] = True
+    found = match_peaks(cameras, position, sigma, merged=merged)
+    assert len(found) == 2
+    assert (found.peaks[:, 1] == 0).all()
+    assert len({tuple(row) for row in found.peaks}) == 2
+    # What it says of each is as uncertain as the settings say.
+    assert (found.sigma_px[:, 1] > 1.9).all()
+
+
+@pytest.mark.parametrize("sensors", [3, 4])
+def test_predicted_points_tell_what_sensors_cannot(sensors: int) -> None:
+    cameras = CameraStack.of(rig(sensors))
+    named = wrong = 0
+    for seed in range(10):
+        scene = random_scene(cameras, 5, seed)
+        rng = np.random.default_rng(seed)
+        away = scene.places_mm + rng.normal(0.0, 2.0, scene.places_mm.shape)
+        predicted = PredictedPoints(away, np.tile(4.0 * np.eye(3), (5, 1, 1)))
+        found = match_peaks(cameras, scene.position_px, scene.sigma_px, predicted=predicted)
+        for owner, point, doubt in zip(
+            scene.owners(found), found.predicted, found.ambiguous, strict=True
+        ):
+            named += owner is not None and owner == point
+            wrong += (owner is None or owner != point >= 0) and not doubt
+    assert named >= 47
+    assert wrong == 0
+
+
+def test_a_prediction_that_is_not_there_takes_nothing() -> None:
+    cameras = CameraStack.of(rig(3))
+    scene = random_scene(cameras, 2, 5)
+    beside = PredictedPoints(scene.places_mm[:1] + 60.0, np.eye(3)[None])
+    assert len(match_peaks(cameras, scene.position_px, scene.sigma_px, predicted=beside)) == 0
+
+
+TOOL = np.array([[0.0, 0.0, 0.0], [70.0, 0.0, 10.0], [0.0, 50.0, -20.0], [40.0, 60.0, 35.0]])
+
+
+@pytest.mark.parametrize("sensors", [3, 4])
+def test_a_rigid_body_is_found_among_ghosts(sensors: int) -> None:
+    cameras = CameraStack.of(rig(sensors))
+    found_bodies = 0
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        turn = Rotation.random(random_state=seed).as_matrix()
+        places = TOOL @ turn.T + np.array([0.0, 0.0, 1500.0]) + rng.uniform(-80.0, 80.0, 3)
+        readings = project(rig(sensors), places)
+        position, sigma = peaks(readings, seed)
+        found = match_peaks(cameras, position, sigma, bodies_mm=[TOOL])
+        if not (found.body == 0).any():
+            continue
+        assert sorted(found.body_marker[found.body == 0]) == [0, 1, 2, 3]
+        for row, marker, doubt in zip(
+            found.readings_px, found.body_marker, found.ambiguous, strict=True
+        ):
+            assert doubt or np.abs(readings[marker] - row).max() < 0.2
+        found_bodies += not found.ambiguous[found.body == 0].any()
+    assert found_bodies >= 6
+
+
+def test_the_mirror_image_of_a_body_is_not_it() -> None:
+    """Any three of its markers are, turned over: all four are not."""
+    cameras = CameraStack.of(rig(3))
+    places = TOOL * np.array([1.0, 1.0, -1.0]) + np.array([0.0, 0.0, 1500.0])
+    position, sigma = peaks(project(rig(3), places))
+    found = match_peaks(cameras, position, sigma, bodies_mm=[TOOL])
+    assert (found.body == 0).sum() < 4
+    whole = match_peaks(cameras, position, sigma, bodies_mm=[TOOL * np.array([1.0, 1.0, -1.0])])
+    assert (whole.body == 0).sum() == 4
+
+
+def test_what_is_refused() -> None:
+    position, sigma = peaks(project(rig(3), control_points(2)))
+
+    def solve(readings: Array, sigma: Array) -> PointBatch:
+        return reconstruct(CameraStack.of(rig(3)), readings, sigma)
+
+    one = PredictedPoints(np.zeros((1, 3)), np.eye(3)[None])
+    with pytest.raises(InvalidParameter, match="predict"):
+        group_peaks(solve, position, sigma, predicted=one)
+    with pytest.raises(InvalidParameter, match="three or more"):
+        group_peaks(solve, position, sigma, bodies_mm=[np.zeros((3, 3))])
+    with pytest.raises(InvalidParameter, match="finite"):
+        PredictedPoints(np.full((1, 3), np.nan), np.eye(3)[None])
+    with pytest.raises(InvalidParameter, match="shapes"):
+        PredictedPoints(np.zeros((1, 3)), np.eye(3))
+    with pytest.raises(InvalidParameter, match="wrong_rate is 0"):
+        MatchSettings(wrong_rate=0.0)
+    with pytest.raises(InvalidParameter, match="merged_px is -1"):
+        MatchSettings(merged_px=-1.0)
+
+
+@pytest.mark.parametrize(("sensors", "seen"), [(4, 4), (5, 4), (6, 4), (8, 4), (8, 6)])
+def test_triples_cover_every_choice_of_sensors(sensors: int, seen: int) -> None:
+    triples = covering_triples(sensors, seen)
+    for choice in combinations(range(sensors), seen):
+        assert any(set(triple) <= set(choice) for triple in triples)

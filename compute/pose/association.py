@@ -31,10 +31,13 @@ Array = NDArray[np.float64]
 ROUNDS: Final = 3
 RIVAL: Final = 16.0
 """Of two markers that expect a peak, the one with so many times the variance does not count."""
-UNUSABLE: Final = (
-    PeakFlag.SATURATED | PeakFlag.CLIPPED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
-)
-"""Peaks whose position may be wrong by more than their standard deviation says."""
+UNUSABLE: Final = PeakFlag.CLIPPED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
+"""Peaks that may be anywhere: drawn inwards, of two maxima, or of a pattern that fits elsewhere."""
+DOUBTFUL: Final = PeakFlag.SATURATED | PeakFlag.JOINT | PeakFlag.POOR_FIT
+"""Peaks whose standard deviation is too small: their shape is not what was fitted to them, or a
+neighbour's light is in it."""
+DOUBTFUL_FACTOR: Final = 3.0
+"""On the standard deviations of these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +60,12 @@ class FramePeaks:
         position = np.asarray(position_px, dtype=np.float64)
         sigma = np.asarray(sigma_px, dtype=np.float64)
         usable = np.isfinite(position) & np.isfinite(sigma) & (sigma > 0.0)
-        usable &= (np.asarray(peak_flags) & int(UNUSABLE)) == 0
-        return cls(np.where(usable, position, np.nan), np.where(usable, sigma**2, 1.0), usable)
+        flags = np.asarray(peak_flags)
+        variance = sigma**2
+        if flags.any():
+            usable &= (flags & int(UNUSABLE)) == 0
+            variance = np.where(flags & int(DOUBTFUL), DOUBTFUL_FACTOR**2 * variance, variance)
+        return cls(np.where(usable, position, np.nan), np.where(usable, variance, 1.0), usable)
 
     def single(self) -> tuple[Array, Array]:
         """Return readings and deviations of sensors with one peak, NaN of others, (S,) each."""

@@ -154,8 +154,9 @@ class ToolTracker:
                 continue
             same = np.array_equal(before.body.markers_mm, tool.body.markers_mm)
             if same and before.body.strobe_markers == tool.body.strobe_markers:
-                tool.state, tool.seen_ns, tool.last = before.state, before.seen_ns, before.last
-                tool.exposures, tool.fresh = before.exposures, before.fresh
+                tool.state, tool.seen_ns, tool.fresh = before.state, before.seen_ns, before.fresh
+                tool.last, tool.fits = deque(before.last), deque(before.fits)
+                tool.exposures = deque(before.exposures)
                 tool.status, tool.reason = before.status, before.reason
         self._time_ns = other._time_ns
 

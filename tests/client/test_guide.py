@@ -1,0 +1,26 @@
+"""The programs of the guide work as they stand."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+GUIDE = Path(__file__).parents[2] / "docs" / "client.md"
+PROGRAMS = re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_program_of_the_guide(
+    program: str, server: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "http://127.0.0.1:8000" in program
+    exec(compile(program.replace("http://127.0.0.1:8000", server), GUIDE.name, "exec"), {})
+    assert capsys.readouterr().out
+
+
+def test_every_method_is_in_the_guide() -> None:
+    from lumiline.client import Client
+
+    named = set(re.findall(r"`(\w+)`", GUIDE.read_text()))
+    methods = {name for name in vars(Client) if not name.startswith("_")}
+    assert methods - {"close", "stream"} <= named

@@ -7,7 +7,7 @@ import numpy as np
 import pyigtl
 import pytest
 from fastcrc import crc64
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.camera.rotation import rotation_matrix
@@ -164,8 +164,9 @@ def test_mutated_messages_raise_nothing_but_the_codecs_error(message, data):
     with contextlib.suppress(BadMessage):
         for event in all_of(decoder):
             assert isinstance(event, Message | Damaged)
-            # A checksum of 64 bits finds all of so few changes of the body.
-            if isinstance(event, Message):
+            # A checksum of 64 bits finds all of so few changes of the body; the header, and the
+            # version in it by which the body is read, it does not protect.
+            if isinstance(event, Message) and event.version == message.version:
                 assert event.content == message.content
 
 
@@ -241,6 +242,7 @@ READERS = {
 
 
 @pytest.mark.parametrize("reader", READERS.values(), ids=READERS)
+@settings(max_examples=40)
 @given(content=st.binary(max_size=400))
 def test_contents_of_any_bytes(reader, content):
     with contextlib.suppress(BadMessage):

@@ -58,9 +58,12 @@ def test_without_its_reference_a_tool_has_no_pose(status: PoseStatus):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e39])
 def test_a_pose_that_float32_does_not_hold_is_none(value: float):
-    wrong = pose("probe", translation_mm=np.array([0.0, value, 0.0]))
-    found = Snapshot(entry(0, [wrong]), PLAIN).poses[0]
-    assert (found.status, found.placed) == (PoseStatus.INVALID, None)
+    for wrong in (
+        pose("probe", translation_mm=np.array([0.0, value, 0.0])),
+        pose("probe", rotation=np.diag([1.0, value, 1.0])),
+    ):
+        found = Snapshot(entry(0, [wrong]), PLAIN).poses[0]
+        assert (found.status, found.placed) == (PoseStatus.INVALID, None)
 
 
 def test_a_status_of_ok_without_a_pose_is_not_ok():

@@ -71,6 +71,7 @@ def test_a_client_is_sent_version_1_until_it_has_sent_version_2(loop: str):
     async def test() -> None:
         async with serving() as served:
             old, new = await served.joined(), await served.joined()
+            assert (await old.ask(Message("GET_STATUS"), "STATUS")).version == 1
             status = await new.ask(Message("GET_STATUS", version=2, number=7), "STATUS")
             assert status.version == 2
             served.put(1)

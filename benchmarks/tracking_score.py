@@ -37,9 +37,9 @@ def score(tracked: list[Tracked], places_mm: Array) -> dict[str, float]:
     """Return the figures of a run beside the true places (F, N, 3).
 
     ``switches`` counts how often a marker is followed by another track than the last that followed
-    it while no other marker was near; ``held`` is the share of markers and exposures that are followed at all; ``nees`` is the
-    median of the normalised position error squared, 2.37 when covariances are right; ``rms_mm``
-    is of tracks and the markers that they follow.
+    it while no other marker was near; ``held`` is the share of markers and exposures that are
+    followed at all; ``nees`` is the median of the normalised position error squared, 2.37 when
+    covariances are right; ``rms_mm`` is of tracks and the markers that they follow.
     """
     last: dict[int, int] = {}
     switches = held = 0

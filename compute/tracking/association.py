@@ -14,7 +14,7 @@ from compute.tracking.filtering import (
     soft_update,
 )
 from compute.tracking.frame_peaks import FramePeaks
-from compute.tracking.joint_hypotheses import Claim, Contender, claims
+from compute.tracking.joint_hypotheses import REACH, Claim, Contender, claims
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.reading_model import ReadingModel
 from compute.tracking.settings import TrackerSettings
@@ -31,8 +31,6 @@ DOUBTED_SIGMA = 3.0
 """A reading this far from what all others and the prediction say counts for less."""
 SEEN = 0.5
 """Probability from which a peak is said to be a track's."""
-_REACH = 2.0
-"""Predictions nearer than so many ``merge_px``, and two deviations, may share a peak."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +111,9 @@ class _Work:
         peaks: FramePeaks,
     ) -> None:
         self.model, self.motion, self.settings = model, motion, settings
-        self.states, self.bias, self.peaks = states, bias, peaks
+        # A copy: it is written to.
+        self.states = states.rows(np.arange(len(states)))
+        self.bias, self.peaks = bias, peaks
         shape = (len(states), len(model))
         self.choice = np.full(shape, -1, dtype=np.int32)
         self.merged = np.zeros(shape, dtype=np.bool_)
@@ -198,10 +198,11 @@ class _Work:
             difference = np.where(used[:, None], position[:, None] - expected, 0.0)
             updated = joint_update(self.states, innovation, difference)
             place = (self.states.probability[..., None] * updated[0].mean[..., :3]).sum(axis=1)
-            if turn + 1 == turns or np.abs(place - self.place).max() < RELINEARISED_MM:
+            far = used.any(axis=1) & ~(np.abs(place - self.place) < RELINEARISED_MM).all(axis=1)
+            if turn + 1 == turns or not far.any():
                 break
-            self.place = place
-            self.predicted = self.model.predict(place)
+            self.place = np.where(far[:, None], place, self.place)
+            self.predicted = self.model.predict(self.place)
         return updated
 
     def _take_sensor(self, sensor: int, rows: NDArray[np.intp]) -> None:
@@ -321,7 +322,7 @@ def _decisive(
         own = (gated.sum(axis=2) == 1) & alone.any(axis=2)
         apart = np.abs(at[:, None] - at[None])
         deviation = np.sqrt(variance)
-        reach = _REACH * (settings.merge_px + deviation[:, None] + deviation[None])
+        reach = REACH * (settings.merge_px + deviation[:, None] + deviation[None])
         near = apart <= reach
     near[np.arange(len(reading)), np.arange(len(reading))] = False
     near &= ~(own[:, None] & own[None])

@@ -93,15 +93,14 @@ def blink_codes(
     """Return words for so many markers, the first that keep their distance from those before.
 
     Lexicographic codes: all words in order, of which rotations of one another count once if the
-    codes are cyclic. They are not the largest sets that exist, but near: 20 markers at a distance
-    of 4 need 11 bits.
+    codes are cyclic. They are not the largest sets that exist.
 
     Args:
         markers: how many, at least 1.
         length: scans of a word, 2 to LONGEST.
         distance: see ``BlinkCodes``; 3 corrects a wrong bit, 5 two.
         cyclic: see ``BlinkCodes``.
-        least_on: scans of a word in which a marker is on, at least; None: half of them.
+        least_on: scans of a word in which a marker is on, at least; None: a third of them.
 
     Raises:
         InvalidParameter: there are too few such words, with how many were found, or a value is
@@ -115,7 +114,7 @@ def blink_codes(
         raise InvalidParameter(
             f"distance is {distance}; it must be 1 to the length {length}", distance=distance
         )
-    on = (length + 1) // 2 if least_on is None else least_on
+    on = (length + 2) // 3 if least_on is None else least_on
     words = np.arange(1, 2**length, dtype=np.uint32)
     words = words[np.bitwise_count(words) >= on]
     shifts = range(1, length) if cyclic else range(0)

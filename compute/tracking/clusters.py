@@ -3,12 +3,11 @@
 from collections.abc import Iterator
 from math import sqrt
 
-from compute.tracking.joint_hypotheses import Contender
+from compute.tracking.joint_hypotheses import REACH, Contender
 from compute.tracking.settings import TrackerSettings
 
 Peak = tuple[int, float, float]
 """Index, position [px] and variance [px^2]."""
-_REACH = 2.0
 
 
 def clusters(
@@ -21,7 +20,7 @@ def clusters(
     """
     if not contenders:
         return
-    merge = _REACH * settings.merge_px
+    merge = REACH * settings.merge_px
 
     def reach(member: int) -> float:
         return settings.gate_sigma * sqrt(contenders[member].variance_px2)

@@ -9,12 +9,14 @@ from math import exp, log, pi, prod, sqrt
 
 from compute.tracking.settings import TrackerSettings
 
+REACH = 2.0
+"""Predictions nearer than so many ``merge_px``, and two deviations, may share a peak."""
 _LOG_2 = log(2.0)
-_LEAST_MERGED = 1e-4
+LEAST_MERGED = 1e-4
 """Chance below which two tracks are not taken as one peak."""
-_NEGLIGIBLE = 1e-6
+NEGLIGIBLE = 1e-6
 """Partial hypotheses that lead to nothing but such a part of the likeliest are not followed."""
-_WEIGHT_VARIANCE = 1.0 / 12.0
+SHARE_VARIANCE = 1.0 / 12.0
 """Of the share of one of two markers in their common peak, which nothing is known of."""
 
 
@@ -112,7 +114,7 @@ def claims(
     most = [max(missed + sum(option.weight for option in own), 1.0) for own in options]
     partials = [_Partial(1.0, (), 0, 0)]
     given_up = 0.0
-    least = _NEGLIGIBLE * _greedy(options, missed)
+    least = NEGLIGIBLE * _greedy(options, missed)
     for track, own in enumerate(options):
         grown: list[_Partial] = []
         for partial in partials:
@@ -205,7 +207,7 @@ def _options(
             options.append(_Option((track,), place, gain * _density(off, total)))
         for later in range(track + 1, len(contenders)):
             chance = chance_merged[track, later]
-            if chance < _LEAST_MERGED:
+            if chance < LEAST_MERGED:
                 continue
             other = contenders[later]
             shared = variance + _share_variance(own, other)
@@ -228,7 +230,7 @@ def _resolved(one: _Option, two: _Option, chance_merged: dict[tuple[int, int], f
 def _share_variance(one: Contender, two: Contender) -> float:
     """Return the variance of a shared peak about the middle of its two markers [px^2]."""
     apart = (one.reading_px - two.reading_px) ** 2
-    return _WEIGHT_VARIANCE * (apart + one.variance_px2 + two.variance_px2)
+    return SHARE_VARIANCE * (apart + one.variance_px2 + two.variance_px2)
 
 
 def _claim(

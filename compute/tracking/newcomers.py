@@ -1,5 +1,7 @@
 """Newcomers: markers found in left-over peaks, as new tracks or as those that were lost."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,7 @@ from compute.tracking.life_cycle import (
     replaced,
 )
 from compute.tracking.motion_model import MotionModels
+from compute.tracking.native.associator import Associator
 from compute.tracking.new_states import new_states
 from compute.tracking.point_matching import match_points, update_by_points
 from compute.tracking.reading_model import Predicted, ReadingModel
@@ -29,14 +32,15 @@ Array = NDArray[np.float64]
 class Newcomers:
     """Starts, confirms, finds again and ends tracks; counts their identity numbers.
 
-    A tentative track is followed by points of at least three sensors, found among the peaks that
-    confirmed tracks leave: a ghost of theirs has none.
+    A tentative track lives on peaks that confirmed tracks leave: a ghost of theirs has none. It
+    begins with two points of at least three sensors; then it is followed as others are.
 
     Args:
         model: of the readings.
         motion: M models.
         settings: of the tracker.
         finder: of points.
+        associator: of peaks with tracks.
     """
 
     def __init__(
@@ -45,15 +49,16 @@ class Newcomers:
         motion: MotionModels,
         settings: TrackerSettings,
         finder: PointFinder,
+        associator: Associator,
     ) -> None:
         self._model, self._motion, self._settings = model, motion, settings
-        self._finder = finder
+        self._finder, self._associator = finder, associator
         self._next = 1
         self._searched_ns: dict[int | None, int] = {}
 
-    def renew(self, model: ReadingModel, finder: PointFinder) -> None:
+    def renew(self, model: ReadingModel, finder: PointFinder, associator: Associator) -> None:
         """Go on with other cameras."""
-        self._model, self._finder = model, finder
+        self._model, self._finder, self._associator = model, finder, associator
 
     def reset(self) -> None:
         """Forget when it was searched; numbers go on."""
@@ -78,29 +83,59 @@ class Newcomers:
             marker: the one that was lit; None: all were.
             time_ns: of the frame.
         """
-        degrees = seen.degrees()[part]
-        open_ = part[(degrees < 3) | ~tracks.confirmed[part]]
+        hits = tracks.hits[part].copy()
+        tentative = part[~tracks.confirmed[part]]
+        self._follow(tracks, tentative[tracks.hits[tentative] > 0], seen, peaks, marker, time_ns)
         last = self._searched_ns.get(marker)
         due = last is None or time_ns - last >= round(self._settings.start_every_s * 1e9)
+        begun = tentative[tracks.hits[tentative] == 0]
         new: tuple[Tracks, Seen] | None = None
-        if due or len(open_):
+        if due or len(begun):
             self._searched_ns[marker] = time_ns
             # What a weak track has may be another marker's; it may find it again itself.
             weak = tracks.confirmed & (tracks.weak >= WEAK_EXPOSURES)
-            open_ = np.union1d(open_, part[weak[part]])
-            free = _free(peaks, seen, weak)
-            points = self._finder.find(peaks, free, self._expected(tracks, open_))
+            lost = tracks.confirmed & (seen.degrees() < 3)
+            open_ = np.union1d(begun, part[weak[part] | lost[part]])
+            points = self._finder.find(
+                peaks, _free(peaks, seen, weak), self._expected(tracks, open_)
+            )
             if points is not None:
                 others = self._match(tracks, open_, points, seen, peaks, marker, time_ns)
                 if len(others):
                     new = self._start(points, others, marker, time_ns)
-        tentative = part[~tracks.confirmed[part]]
-        tracks.misses[tentative[seen.degrees()[tentative] == 0]] += 1
+        tracks.misses[part] += ~tracks.confirmed[part] & (tracks.hits[part] == hits)
         if new is not None:
             tracks, seen = tracks.joined(new[0]), seen.joined(new[1])
         keep = self._confirm(tracks, part, seen, time_ns)
         keep &= ~ended(tracks, self._settings, time_ns)
         return (tracks, seen) if keep.all() else (tracks.rows(keep), seen.rows(keep))
+
+    def _follow(
+        self,
+        tracks: Tracks,
+        rows: NDArray[np.intp],
+        seen: Seen,
+        peaks: FramePeaks,
+        marker: int | None,
+        time_ns: int,
+    ) -> None:
+        """Update tentative tracks, of which the velocity is known, by peaks that are left."""
+        if len(rows) == 0:
+            return
+        left = replace(peaks, usable=_free(peaks, seen, np.zeros(len(tracks), dtype=np.bool_)))
+        found = self._associator.associate(tracks.states.rows(rows), tracks.bias[rows], left)
+        tracks.states.put(rows, found.states)
+        seen.peaks[rows], seen.nis[rows] = found.peaks, found.nis
+        seen.merged[rows] = found.merged.any(axis=1)
+        degrees = (found.peaks >= 0).sum(axis=1)
+        hit = degrees >= 3
+        predicted = self._model.predict(combined(self._motion, found.states).mean[:, :3])
+        tracks.vouched[rows] += hit & self._vouched(predicted, found.peaks, peaks, marker)
+        tracks.hits[rows] += hit
+        tracks.evidence[rows] += found.evidence
+        missed = np.maximum(found.in_view - degrees, 0)
+        tracks.evidence[rows] += missed * np.log(1.0 - self._settings.detection)
+        tracks.seen_ns[rows[hit]] = time_ns
 
     def _expected(self, tracks: Tracks, rows: NDArray[np.intp]) -> PredictedPoints:
         whole = combined(self._motion, tracks.states.rows(rows))

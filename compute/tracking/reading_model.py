@@ -69,8 +69,8 @@ class ReadingModel:
         self.cameras = cameras
         self.corrections = corrections
         self.exact = parameter_covariance is None and corrections is None
-        self._last = np.full(len(cameras), np.inf) if pixels is None else np.array(pixels) - 0.5
-        self._first = -self._last if pixels is None else np.full(len(cameras), -0.5)
+        self.last_px = np.full(len(cameras), np.inf) if pixels is None else np.array(pixels) - 0.5
+        self.first_px = -self.last_px if pixels is None else np.full(len(cameras), -0.5)
         self._cubic = bool(np.any(cameras.cubic_per_px2 != 0.0))
         self._blocks = (
             None
@@ -92,7 +92,7 @@ class ReadingModel:
             correction = self.corrections.at(places_mm)
             reading = reading - correction.value_px
             slope = slope - correction.slope_px_per_mm
-        in_view = (reading >= self._first) & (reading <= self._last)
+        in_view = (reading >= self.first_px) & (reading <= self.last_px)
         return Predicted(reading, slope, in_view)
 
     def bias_covariance(self, places_mm: Array) -> Array:

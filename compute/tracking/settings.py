@@ -30,11 +30,12 @@ class TrackerSettings:
             is not looked for peak by peak, but by points of at least three sensors [px].
         doubtful_factor: by which standard deviations of saturated and ill-fitted peaks grow.
         confirm_hits: exposures that must have seen a track, after its first, before it is a marker.
-        confirm_misses: exposures that may miss it until then; with one more it ends.
+        confirm_misses: exposures that may miss it until then; with one more it ends. The second one
+            must see it.
         false_confirmation: chance that is accepted for a track of false peaks to be confirmed.
         coast_s: how long a confirmed track is predicted without being seen, then it ends [s].
         start_every_s: least time between two searches for new markers in peaks that are left over,
-            of each strobed marker, while none is about to be confirmed or lost [s].
+            of each strobed marker, while none has just begun [s].
         most_hypotheses: joint hypotheses of one cluster and sensor that are kept.
 
     Raises:

@@ -9,7 +9,6 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.correspondence import MatchSettings, Predictor
-from compute.tracking.association import associate
 from compute.tracking.frame_peaks import FramePeaks
 from compute.tracking.left_over import PointFinder
 from compute.tracking.life_cycle import count_weak, exchangeable
@@ -59,9 +58,9 @@ class Tracker:
     ) -> None:
         self.settings = settings
         self.motion = MotionModels.of(settings)
-        self.model, finder = self._made(cameras, parameter_covariance, corrections, pixels)
         self._pixels = pixels
-        self._newcomers = Newcomers(self.model, self.motion, settings, finder)
+        self.model, finder = self._made(cameras, parameter_covariance, corrections, pixels)
+        self._newcomers = Newcomers(self.model, self.motion, settings, finder, self._associator)
         self._tracks = Tracks.empty(len(self.motion), len(self.model))
         self._time_ns: int | None = None
 
@@ -74,8 +73,10 @@ class Tracker:
     ) -> tuple[ReadingModel, PointFinder]:
         # Here and not above: Warp takes a second to load, and the types are used without it.
         from compute.reconstruction.solver import PointSolver
+        from compute.tracking.native.associator import Associator
 
         model = ReadingModel(cameras, parameter_covariance, corrections, pixels)
+        self._associator = Associator(model, self.motion, self.settings)
         solver = PointSolver(cameras, parameter_covariance, corrections, "cpu", threads=1)
         finder = PointFinder(
             lambda readings, sigma: solver.solve(readings, np.where(sigma > 0.0, sigma, 1.0)),
@@ -103,7 +104,7 @@ class Tracker:
                 f"there are {len(cameras)} cameras; the tracker is for {len(self.model)}"
             )
         self.model, finder = self._made(cameras, parameter_covariance, corrections, self._pixels)
-        self._newcomers.renew(self.model, finder)
+        self._newcomers.renew(self.model, finder, self._associator)
         self._tracks.states.with_bias[:] = 0.0
         self._tracks.bias[:] = 0.0
         self._tracks.bias_mm[:] = np.inf
@@ -197,14 +198,7 @@ class Tracker:
         tracks = self._tracks
         if len(rows) == 0 or not peaks.usable.any():
             return
-        found = associate(
-            self.model,
-            self.motion,
-            self.settings,
-            tracks.states.rows(rows),
-            tracks.bias[rows],
-            peaks,
-        )
+        found = self._associator.associate(tracks.states.rows(rows), tracks.bias[rows], peaks)
         tracks.states.put(rows, found.states)
         seen.peaks[rows], seen.nis[rows] = found.peaks, found.nis
         seen.merged[rows] = found.merged.any(axis=1)

@@ -1,0 +1,1 @@
+"""Native source of the association of peaks with tracks, and of the filter's updates; CPU only."""

@@ -1,0 +1,143 @@
+"""Associator: what ``associate`` does, by one kernel on the CPU."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.reconstruction.native.job import row_length
+from compute.reconstruction.native.launch import address
+from compute.reconstruction.solver import camera_fields, filled, term_room
+from compute.tracking.association import Associated, associate
+from compute.tracking.frame_peaks import FramePeaks
+from compute.tracking.motion_model import MotionModels
+from compute.tracking.native.job import JOB, MOST_OPTIONS, PARTIAL_BYTES
+from compute.tracking.reading_model import ReadingModel
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.states import States
+
+Array = NDArray[np.float64]
+
+_GROWN: Final = 64
+"""Partial hypotheses that there is room for, in parts of those that are kept."""
+
+
+class Associator:
+    """Associates by the kernel; what it has no room for, the reference does.
+
+    Warp is not thread-safe: one thread makes it and calls it. The kernel is compiled when it is
+    first made for so many sensors (seconds), and stays on the disk.
+
+    Args:
+        model: of the readings.
+        motion: M models.
+        settings: what sensors miss and invent.
+    """
+
+    def __init__(
+        self, model: ReadingModel, motion: MotionModels, settings: TrackerSettings
+    ) -> None:
+        # Here and not above: Warp takes a second to load.
+        import warp as wp
+
+        from compute.tracking.native.kernel import association_kernel
+
+        self._model, self._motion, self._settings = model, motion, settings
+        cameras = model.cameras
+        self._job = np.zeros(1, dtype=JOB)
+        # Kept: the job has their addresses.
+        self._kept: list[NDArray[Any]] = []
+        row = row_length(len(cameras), cuda=False)
+        self._put("cameras", filled(camera_fields(cameras), row))
+        self._put("coefficients", filled(cameras.coefficients.T, row))
+        self._put("powers", np.array(cameras.terms, dtype=np.int32).reshape(-1, 2))
+        self._put("first", model.first_px)
+        self._put("last", model.last_px)
+        job = self._job
+        job["terms"] = len(cameras.terms)
+        job["top_power"] = max((max(term) for term in cameras.terms), default=0)
+        if model.corrections is not None:
+            table = model.corrections
+            self._put("values", filled(np.moveaxis(table.coefficients_px, 0, -1), row))
+            job["degree"] = table.degree
+            job["cells_x"], job["cells_y"], job["cells_z"] = table.grid.cells
+            job["origin"], job["pitch"] = table.grid.origin_mm, table.grid.pitch_mm
+        for name in ("detection", "false_per_px", "merge_px", "gate_sigma", "search_px"):
+            job[name] = getattr(settings, name)
+        job["models"] = len(motion)
+        job["most_hypotheses"] = settings.most_hypotheses
+        grown = max(_GROWN * settings.most_hypotheses, MOST_OPTIONS + 1)
+        job["most_grown"] = grown
+        self._put(
+            "partials", np.empty((settings.most_hypotheses + grown) * PARTIAL_BYTES, np.uint8)
+        )
+        self._grown = grown
+        self._tracks = self._room = 0
+        self._work: list[NDArray[Any]] = []
+        self._launch = wp.launch(
+            association_kernel(len(cameras), term_room(cameras)),
+            dim=1,
+            inputs=[address(job)],
+            device="cpu",
+            record_cmd=True,
+        )
+
+    def associate(self, states: States, bias: Array, peaks: FramePeaks) -> Associated:
+        """Return what ``compute.tracking.association.associate`` does of the same arguments."""
+        count, sensors = len(states), len(self._model)
+        room = peaks.position_px.shape[1]
+        job = self._job
+        if count > self._tracks or room > self._room:
+            self._reserve(max(count, self._tracks), max(room, self._room))
+        after = States(
+            np.ascontiguousarray(states.mean).copy(),
+            np.ascontiguousarray(states.covariance).copy(),
+            np.ascontiguousarray(states.with_bias).copy(),
+            np.ascontiguousarray(states.probability).copy(),
+        )
+        choice = np.empty((count, sensors), np.int32)
+        merged = np.zeros((count, sensors), np.bool_)
+        chance = np.zeros((count, sensors))
+        nis, evidence = np.zeros(count), np.zeros(count)
+        doubtful = np.zeros(count, np.bool_)
+        in_view = np.empty(count, np.int32)
+        given = (
+            after.mean,
+            after.covariance,
+            after.with_bias,
+            after.probability,
+            np.ascontiguousarray(bias),
+            np.ascontiguousarray(peaks.position_px),
+            np.ascontiguousarray(peaks.variance_px2),
+            np.ascontiguousarray(peaks.usable),
+            choice,
+            merged,
+            chance,
+            nis,
+            evidence,
+            doubtful,
+            in_view,
+        )
+        words = job.view(np.uint64)
+        words[: len(given)] = [address(array) for array in given]
+        job["tracks"], job["room"], job["failed"] = count, room, 0
+        self._launch.launch()
+        if job["failed"][0]:
+            return associate(self._model, self._motion, self._settings, states, bias, peaks)
+        return Associated(after, choice, merged, chance, nis, evidence, doubtful, in_view)
+
+    def _reserve(self, tracks: int, room: int) -> None:
+        sensors = len(self._model)
+        self._tracks, self._room = tracks, room
+        self._work = [
+            np.empty(tracks * (15 + 9 * sensors)),
+            np.empty(2 * tracks * sensors + sensors * room, np.uint8),
+            np.empty(max(self._grown, tracks * sensors), np.int32),
+        ]
+        for name, array in zip(("numbers", "marks", "order"), self._work, strict=True):
+            self._job[name] = address(array)
+
+    def _put(self, name: str, array: NDArray[Any]) -> None:
+        values = np.ascontiguousarray(array)
+        self._job[name] = address(values)
+        self._kept.append(values)

@@ -13,7 +13,8 @@ from service.live.pose_board import BoardEntry, PoseBoard
 from service.ndi.view import View
 
 AGE_S: Final = 0.5
-"""Poses are not given any more when nothing has come for so long, nor for AGE_FRAMES frames."""
+"""Poses are not given any more when nothing has come for so long, nor for AGE_FRAMES frames; nor
+when their exposures are older than twice as much."""
 AGE_FRAMES: Final = 5.0
 
 MarkersOf = Callable[[str, str], NDArray[np.float64] | None]
@@ -33,6 +34,7 @@ class PoseFeed:
         markers: where a tool's markers are; by default they are not known.
         age_s: see AGE_S.
         now: a clock that never goes back [s].
+        wall_ns: the clock of the exposures, as time.time_ns.
     """
 
     def __init__(
@@ -42,12 +44,14 @@ class PoseFeed:
         markers: MarkersOf = _unknown,
         age_s: float = AGE_S,
         now: Callable[[], float] = time.monotonic,
+        wall_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self._board = board
         self._chosen = device
         self._markers = markers
         self._age_s = age_s
         self._now = now
+        self._wall_ns = wall_ns
         self._came: dict[str, float] = dict.fromkeys(board.newest(), now())
         self._waiting: set[asyncio.Event] = set()
         self._end = board.listen(self._told)
@@ -103,4 +107,7 @@ class PoseFeed:
         # What was put up before we listened, or is not told of yet, counts from when it is seen.
         came = self._came.setdefault(entry.device_id, self._now())
         slow = AGE_FRAMES / entry.frame_rate_hz if entry.frame_rate_hz > 0.0 else 0.0
-        return self._now() - came <= max(self._age_s, slow)
+        most = max(self._age_s, slow)
+        # Exposures tell of a pipeline that is behind; their clock may be set while we look.
+        old_s = (self._wall_ns() - entry.exposure_ns) * 1e-9
+        return self._now() - came <= most and old_s <= 2.0 * most

@@ -1,6 +1,7 @@
 """Poses on a board, and a server that gives them to NDI clients."""
 
 import asyncio
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any, ClassVar
@@ -39,9 +40,8 @@ def pose(
         "readings_used": 12,
     }
     reason = None if status is PoseStatus.OK else "as the test has it"
-    return ToolPose(
-        tool, status, reason, 10**18, sequence, **((members if there else {}) | changed)
-    )
+    own = (members if there else {}) | changed
+    return ToolPose(tool, status, reason, time.time_ns(), sequence, **own)
 
 
 def entry(
@@ -49,7 +49,7 @@ def entry(
 ) -> BoardEntry:
     """All poses of a device."""
     by_name = {one.tool: one for one in poses}
-    return BoardEntry(device, sequence, 10**18, by_name, "cal", rate_hz)
+    return BoardEntry(device, sequence, time.time_ns(), by_name, "cal", rate_hz)
 
 
 @asynccontextmanager

@@ -38,12 +38,12 @@ def test_the_only_device_with_tools():
 
 
 def test_poses_grow_old():
-    """From when they came, by a clock of our own: exposures of a replay may be of last year."""
+    """From when they came."""
 
     async def see() -> None:
         clock, board = Clock(), PoseBoard()
         board.put(entry(pose("a")))
-        feed = PoseFeed(board, now=clock)
+        feed = PoseFeed(board, now=clock, wall_ns=lambda: 0)
         clock.now += AGE_S
         assert feed.look(None).poses
         clock.now += 0.01
@@ -58,6 +58,23 @@ def test_poses_grow_old():
         clock.now += 4.9
         assert feed.look(None).fresh
         clock.now += 0.2
+        assert not feed.look(None).fresh
+        feed.close()
+
+    asyncio.run(see())
+
+
+def test_poses_that_come_late_are_old():
+    """The pipeline is behind: they come as they should, and are of seconds ago."""
+
+    async def see() -> None:
+        clock, board = Clock(), PoseBoard()
+        board.put(given := entry(pose("a")))
+        wall = [given.exposure_ns]
+        feed = PoseFeed(board, now=clock, wall_ns=lambda: wall[0])
+        wall[0] += int(2e9 * AGE_S)
+        assert feed.look(None).fresh
+        wall[0] += 10**7
         assert not feed.look(None).fresh
         feed.close()
 

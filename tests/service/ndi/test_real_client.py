@@ -3,6 +3,8 @@
 import asyncio
 import json
 import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +13,25 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from compute.pose.tool_pose import PoseStatus, ToolPose
+from service.app import create_app
 from service.live.pose_board import PoseBoard
-from tests.service.ndi.boards import answering, entry, pose
+from service.settings import Settings
+from tests.service.ndi.boards import PATIENT_S, answering, entry, pose
+from tests.service.recorded_live import TestClient
 
 pytest.importorskip("ndicapy")
 
 CLIENT = Path(__file__).with_name("real_client.py")
+
+
+async def client_told(port: int, rom: Path | None = None) -> dict[str, Any]:
+    """Return what a client that connects to a port is told."""
+    arguments = [str(CLIENT), str(port), *([str(rom)] if rom else [])]
+    client = await asyncio.create_subprocess_exec(sys.executable, *arguments, stdout=-1, stderr=-1)
+    out, err = await client.communicate()
+    assert client.returncode == 0, err.decode()
+    found: dict[str, Any] = json.loads(out)
+    return found
 
 
 def told(*poses: ToolPose, rom: Path | None = None, **options: Any) -> dict[str, Any]:
@@ -26,14 +41,7 @@ def told(*poses: ToolPose, rom: Path | None = None, **options: Any) -> dict[str,
         board = PoseBoard()
         board.put(entry(*poses))
         async with answering(board, **options) as server:
-            arguments = [str(CLIENT), str(server.address[1]), *([str(rom)] if rom else [])]
-            client = await asyncio.create_subprocess_exec(
-                sys.executable, *arguments, stdout=-1, stderr=-1
-            )
-            out, err = await client.communicate()
-        assert client.returncode == 0, err.decode()
-        found: dict[str, Any] = json.loads(out)
-        return found
+            return await client_told(server.address[1], rom)
 
     return asyncio.run(run())
 
@@ -90,3 +98,47 @@ def test_a_tool_by_its_definition_file(tmp_path: Path):
         # The client asks for what is outside of the volume: 0800.
         assert found[reply][by_tool["outside"]][2] == 0x71
         assert len(found[reply][by_tool["outside"]][0]) == 8
+
+
+TOOLS = {
+    "probe": [[0, 0, 0], [80, 0, 0], [0, 60, 0], [20, 15, 40]],
+    "ref": [[0, 0, 0], [110, 0, 0], [0, 70, 0], [45, 50, 30]],
+}
+
+
+def test_two_tools_as_rest_has_them(tmp_path: Path):
+    """A whole service, its tools made over REST, their poses asked for in both ways."""
+    app = create_app(Settings(data_dir=tmp_path, compute_device="cpu", ndi_port=0))
+    with TestClient(app) as client:
+        app.state.ndi._feed._age_s = PATIENT_S
+        # Its own frames would take the place of those that are put up here.
+        assert client.post("/api/v1/devices/sim/stop").status_code == 200
+        for number, (name, markers) in enumerate(TOOLS.items()):
+            made = client.post(
+                "/api/v1/tools",
+                json={
+                    "id": name,
+                    "device": "sim",
+                    "title": name,
+                    "markers_mm": markers,
+                    "strobe_markers": [4 * number + slot for slot in range(4)],
+                },
+            )
+            assert made.status_code == 201, made.text
+        poses = [pose(name, seed=10 + number) for number, name in enumerate(TOOLS)]
+        rest: dict[str, Any] = {}
+        while len(rest) < 2:
+            # Over REST poses are good for a second, which a busy machine may need.
+            now = [replace(one, exposure_ns=time.time_ns()) for one in poses]
+            app.state.live.poses.put(entry(*now, device="sim"))
+            found = [client.get(f"/api/v1/tools/{name}/pose").json() for name in TOOLS]
+            rest = {one["tool"]: one for one in found if one["status"] == "OK"}
+        heard = asyncio.run(client_told(app.state.ndi.address[1]))
+    assert heard["tools"] == {"1": "probe", "2": "ref"}
+    for handle, name in heard["tools"].items():
+        expected = np.array(rest[name]["quaternion_wxyz"] + rest[name]["translation_mm"])
+        for reply, unit, millimetre in (("tx", 0.51e-4, 0.51e-2), ("bx", 1e-6, 1e-4)):
+            transform, frame, _ = heard[reply][handle]
+            assert np.abs(transform[:4] - expected[:4]).max() <= unit
+            assert np.abs(transform[4:7] - expected[4:]).max() <= millimetre
+            assert frame == rest[name]["sequence"]

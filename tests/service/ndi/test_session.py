@@ -103,6 +103,19 @@ def test_tools_that_the_client_defines():
     assert "probe, ref" in talk.session.state.complaints[-1]
 
 
+def test_another_definition_makes_it_another_tool():
+    talk = Talk("probe", "ref")
+    assert talk("INIT:") == "OKAY"
+    assert talk("PHRQ:*********1****") == "03"
+    talk.upload("03", b"ref")
+    assert talk("PINIT:03") == "OKAY"
+    assert talk("PENA:03D") == "OKAY"
+    talk.upload("03", b"probe")
+    assert talk("PENA:03D") == "ERROR0E"
+    assert talk("PINIT:03") == "OKAY"
+    assert talk("PHINF:030004").strip() == "probe"
+
+
 def test_a_definition_is_not_written_where_it_does_not_belong():
     talk = Talk("probe")
     assert talk("INIT:") == "OKAY"

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from math import lgamma, log, pi
 
 import numpy as np
@@ -73,6 +74,8 @@ class Candidates:
 
     def joined(self, other: "Candidates") -> "Candidates":
         """Return these and others."""
+        if len(self) == 0:
+            return other
         return Candidates(
             np.concatenate([self.choice, other.choice]),
             np.concatenate([self.position_mm, other.position_mm]),
@@ -107,7 +110,7 @@ class Tried:
     Args:
         found: those that meet.
         row: which they are, shape (C,).
-        chi2: of all, infinite where there is no point, shape (N,).
+        chi2: of all, NaN where there is no point, shape (N,).
         degrees: of freedom of all, shape (N,).
     """
 
@@ -122,36 +125,56 @@ def solved(solve: Solve, peaks: FramePeaks, choice: Choice) -> Tried:
     readings, sigma = peaks.readings(choice)
     points = solve(readings, sigma)
     degrees = points.used.sum(axis=1) - 3
-    chi2 = np.where(np.isfinite(points.chi2), points.chi2, np.inf)
-    limits = np.array([_limit(freedom) for freedom in range(len(peaks) - 2)])
-    good = np.flatnonzero((chi2 <= limits[np.maximum(degrees, 0)]) & np.isfinite(chi2))
-    covariance = points.covariance_mm2[good]
-    used = points.used[good]
-    spread = np.log(np.where(used, sigma[good], 1.0)).sum(axis=1)
-    inverse = np.linalg.inv(covariance)
-    log_volume, capped = (
-        -0.5 * np.log(np.linalg.det(inverse + np.eye(3) / extent**2))
-        for extent in (EXTENT_MM, COMPARED_MM)
+    with np.errstate(invalid="ignore"):
+        good = np.flatnonzero(points.chi2 <= _limits(len(peaks))[np.maximum(degrees, 0)])
+    found = no_candidates(len(peaks))
+    if len(good):
+        chi2, freedom, covariance = points.chi2[good], degrees[good], points.covariance_mm2[good]
+        log_sigma = np.log(np.where(points.used[good], sigma[good], 1.0)).sum(axis=1)
+        rest = -log_sigma - 0.5 * _LOG_TWO_PI * freedom - 0.5 * chi2
+        log_volume, compared = _log_volumes(covariance)
+        found = Candidates(
+            choice[good],
+            points.position_mm[good],
+            covariance,
+            chi2,
+            freedom,
+            log_volume + rest,
+            compared + rest,
+            np.full(len(good), -1),
+            np.zeros(len(good)),
+        )
+    return Tried(found, good, points.chi2, degrees)
+
+
+def _log_volumes(covariance: Array) -> tuple[Array, Array]:
+    """Return log of the root of ``det (C^-1 + 1 / e^2)^-1`` for both extents e, shape (C,)."""
+    xx, yy, zz = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 2, 2]
+    xy, xz, yz = covariance[:, 0, 1], covariance[:, 0, 2], covariance[:, 1, 2]
+    trace = xx + yy + zz
+    minor = yy * zz - yz * yz
+    minors = minor + xx * zz - xz * xz + xx * yy - xy * xy
+    determinant = xx * minor - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    # Rounding may leave nothing of what is all but flat.
+    determinant = np.maximum(determinant, 1e-30)
+    one, other = (
+        0.5 * np.log(determinant / (1.0 + x * (trace + x * (minors + x * determinant))))
+        for x in (EXTENT_MM**-2, COMPARED_MM**-2)
     )
-    rest = -spread - 0.5 * _LOG_TWO_PI * degrees[good] - 0.5 * chi2[good]
-    found = Candidates(
-        choice[good],
-        points.position_mm[good],
-        covariance,
-        chi2[good],
-        degrees[good],
-        log_volume + rest,
-        capped + rest,
-        np.full(len(good), -1),
-        np.zeros(len(good)),
-    )
-    return Tried(found, good, chi2, degrees)
+    return one, other
 
 
 def _limit(freedom: int) -> float:
     return chi2_limit(freedom, FALSE_REJECTION)
 
 
+@cache
+def _limits(sensors: int) -> Array:
+    """Return the limits of chi2 by degrees of freedom; infinity is beyond all of them."""
+    return np.array([min(_limit(freedom), 1e300) for freedom in range(sensors - 2)])
+
+
+@cache
 def no_candidates(sensors: int) -> Candidates:
     """Return none."""
     none = np.empty(0)
@@ -204,10 +227,16 @@ class Chance:
             true: how many of them may be markers.
         """
         limit = _limit(degrees)
+        # NaN, where there is no point, compares as false.
         hits = np.array([np.count_nonzero(chi2 <= band**2 * limit) - true for band in BANDS])
         # The share of a ball of so many dimensions, as the density along one of them.
-        log_ball = 0.5 * degrees * log(pi) - lgamma(0.5 * degrees + 1.0)
-        log_volume = log_ball + degrees * (0.5 * log(limit) + np.log(BANDS))
-        share = np.maximum(hits + _HALF_COUNT, _HALF_COUNT) / max(len(chi2), 1)
-        density = np.exp((np.log(share) - log_volume) / degrees)
-        self.add(hits, (np.maximum(hits, 0) + _HALF_COUNT) / density)
+        counted = np.maximum(hits, 0) + _HALF_COUNT
+        share = counted / max(len(chi2), 1)
+        self.add(hits, counted * np.exp((_log_balls(degrees) - np.log(share)) / degrees))
+
+
+@cache
+def _log_balls(degrees: int) -> Array:
+    """Return the log volumes of the bands as balls of so many dimensions, in deviations."""
+    log_ball = 0.5 * degrees * log(pi) - lgamma(0.5 * degrees + 1.0)
+    return log_ball + degrees * (0.5 * log(_limit(degrees)) + np.log(BANDS))

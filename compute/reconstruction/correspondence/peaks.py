@@ -38,7 +38,10 @@ class FramePeaks:
         """Sort peaks (S, K); those that are merged get the deviation ``merged_px`` on top."""
         usable = np.isfinite(position_px) & np.isfinite(sigma_px)
         place = np.where(usable, position_px, np.nan)
-        order = np.lexsort((sigma_px, place), axis=-1)
+        order = place.argsort(axis=-1, kind="stable")
+        if (place[:, 1:] == place[:, :-1]).any():
+            # Equal peaks, side by side or not: by their deviations.
+            order = np.lexsort((sigma_px, place), axis=-1)
         rows = np.arange(len(place))[:, None]
         sigma = sigma_px[rows, order]
         if merged is None:
@@ -60,7 +63,7 @@ class FramePeaks:
     @cached_property
     def capacity(self) -> dict[int, int]:
         """By ``sensor * K + peak``: how many markers may share it, where that is more than one."""
-        return {int(at): 2 for at in np.flatnonzero(self.shared)}
+        return dict.fromkeys(np.flatnonzero(self.shared).tolist(), 2)
 
     def readings(self, choice: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return readings and deviations of choices (C, S) of peaks; NaN where -1."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import exp, inf, log, pi
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from compute.reconstruction.correspondence.bodies import BodyMatch, body_matches
 from compute.reconstruction.correspondence.candidates import (
-    EXTENT_MM,
     Candidates,
     Chance,
     Choice,
@@ -19,8 +18,9 @@ from compute.reconstruction.correspondence.candidates import (
     solved,
 )
 from compute.reconstruction.correspondence.cover import covering_triples
+from compute.reconstruction.correspondence.doubt import Doubt
 from compute.reconstruction.correspondence.outside import PredictedPoints, predicted_candidates
-from compute.reconstruction.correspondence.packing import pack
+from compute.reconstruction.correspondence.packing import Packing, pack
 from compute.reconstruction.correspondence.peaks import FramePeaks
 from compute.reconstruction.correspondence.predictor import Predictor
 from compute.reconstruction.correspondence.settings import MatchSettings
@@ -32,12 +32,8 @@ MOST_SMALL: Final = 300
 """Combinations, missing peaks included, that are tried all at once rather than step by step."""
 MOST_PLAIN: Final = 20_000
 """Combinations that are tried where nothing predicts readings: 11 markers on four sensors."""
-_UNSEEN: Final = 0.25
-"""Unexplained peaks of a sensor that are expected beside those that are there, and for each
-marker as many more as it has chances to be missed."""
 _FREEZE: Final = 0.5
 """Share of the wrong rate below which a group is taken for good, before all is looked at."""
-_LOG_ROOT_TWO_PI: Final = 0.5 * log(2.0 * pi)
 
 
 @dataclass(frozen=True)
@@ -201,16 +197,17 @@ class Pool:
         scores = self.found.scores(self.settings, self._missed(self.found))
         # Three peaks alone are only looked at as part of a body.
         scores[(self.found.degrees < 1) & (self.found.predicted < 0)] = -inf
-        columns = []
-        for choice, point in zip(
-            self.found.choice.tolist(), self.found.predicted.tolist(), strict=True
-        ):
-            used = [sensor * room + peak for sensor, peak in enumerate(choice) if peak >= 0]
-            if point >= 0:
-                used.append(sensors * room + point)
-            columns.append(tuple(used))
+        first = [sensor * room for sensor in range(sensors)]
+        columns = [
+            tuple([start + peak for start, peak in zip(first, choice, strict=True) if peak >= 0])
+            for choice in self.found.choice.tolist()
+        ]
+        points = 0
+        for at in np.flatnonzero(self.found.predicted >= 0).tolist():
+            point = int(self.found.predicted[at])
+            points = max(points, point + 1)
+            columns[at] = (*columns[at], sensors * room + point)
         values = scores.tolist()
-        points = max([0, *(int(point) + 1 for point in self.found.predicted)])
         for index, match in self.bodies:
             used = [r for row in match.rows if row >= 0 for r in columns[row]]
             columns.append((*used, sensors * room + points + index))
@@ -232,104 +229,45 @@ class Pool:
         packing = pack(
             columns, scores, settings.window, settings.most_hypotheses, self.peaks.capacity
         )
-        left = self.free.sum(axis=1).astype(np.float64)
         room = self.peaks.room
+        peaks = len(self.peaks) * room
+        left = self.free.sum(axis=1).astype(np.float64)
         for index in packing.chosen:
             for resource in columns[index]:
-                if resource < len(self.peaks) * room:
+                if resource < peaks:
                     left[resource // room] -= 1.0
-        markers = max(len(packing.chosen) + len(self.groups), 1)
-        expected = _UNSEEN + markers * (1.0 - settings.detection)
-        unexplained = np.log(np.maximum(left, 0.0) + expected)
-        foreign = self._foreign(packing.chosen, np.exp(unexplained))
+        doubts = self._doubts(packing, left)
         gone: set[int] = set()
-        for index, wrong in zip(packing.chosen, packing.wrong, strict=True):
-            doubt = wrong + self._by_chance(index, columns[index], unexplained, markers)
-            doubt += foreign.get(index, 0.0)
-            if doubt > sure:
-                continue
-            ambiguous = doubt > settings.wrong_rate or self.cut > 0 or self._undetermined(index)
-            self._make(index, ambiguous)
-            gone.update(columns[index])
+        for index, doubt in zip(packing.chosen, doubts, strict=True):
+            if doubt <= sure:
+                self._make(index, doubt > settings.wrong_rate or self.cut > 0)
+                gone.update(columns[index])
+        for resource in gone:
+            if resource < peaks:
+                self.free[divmod(resource, room)] = False
         if sure == inf:
             self.cut += packing.cut
-        if sure < inf and gone:
-            for resource in gone:
-                if resource < len(self.peaks) * room:
-                    self.free[divmod(resource, room)] = False
+        elif gone:
             keep = np.array([gone.isdisjoint(column) for column in columns[: len(self.found)]])
             self.found = self.found.take(keep)
-        elif gone:
-            for resource in gone:
-                if resource < len(self.peaks) * room:
-                    self.free[divmod(resource, room)] = False
 
-    def _by_chance(
-        self, index: int, column: tuple[int, ...], unexplained: Array, markers: int
-    ) -> float:
-        """Return the expected number of wrong combinations that fit as well as this one does.
-
-        Were it wrong, its peaks would be unexplained as well: the more of those, the likelier.
-        """
-        room, settings = self.peaks.room, self.settings
-        used = [resource // room for resource in column if resource < len(self.peaks) * room]
-        # A marker that these sensors saw, and the others not.
-        true = log(markers) + len(used) * log(settings.detection)
-        if index < len(self.found):
-            chi2, degrees = float(self.found.chi2[index]), int(self.found.degrees[index])
-            true += (len(self.seeing) - len(used)) * settings.log_missed
-            near = 0.0
-            if self.found.predicted[index] >= 0:
-                # Three of the misfits are to the prediction, of which there is one.
-                true -= log(markers)
-                degrees -= 3
-                near = 3.0 * (self.predicted_chance.log_density() + _LOG_ROOT_TWO_PI)
-            if degrees > 0:
-                near += degrees * (self.chance.log_density() + _LOG_ROOT_TWO_PI)
-        else:
+    def _doubts(self, packing: Packing, left: Array) -> list[float]:
+        """Return the chances that the chosen columns are wrong, in order."""
+        markers = max(len(packing.chosen) + len(self.groups), 1)
+        known = Doubt(self.solve, self.peaks, self.settings, left, markers)
+        single = [index for index in packing.chosen if index < len(self.found)]
+        of_single = known.of(
+            self.found.take(np.array(single, np.intp)), self.chance, self.predicted_chance
+        ).tolist()
+        by_index = dict(zip(single, of_single, strict=True))
+        for index in packing.chosen[len(single) :]:
             match = self.bodies[index - len(self.found)][1]
-            chi2 = match.chi2
-            near = match.degrees * (self.body_chance.log_density() + _LOG_ROOT_TWO_PI)
-        ways = sum(float(unexplained[sensor]) for sensor in used)
-        log_odds = ways - true + near + 0.5 * chi2
-        return exp(min(log_odds, 0.0))
-
-    def _foreign(self, chosen: tuple[int, ...], unexplained: Array) -> dict[int, float]:
-        """Return the chances that one of a candidate's peaks is not its own, which it missed.
-
-        Its reading is then one of the unexplained peaks near by: as likely as those are dense,
-        against the density of its innovation, by what the other sensors say.
-        """
-        rows = [index for index in chosen if index < len(self.found)]
-        choice = self.found.choice[rows]
-        which, sensor = np.nonzero((choice >= 0) & ((choice >= 0).sum(axis=1) > 3)[:, None])
-        if len(which) == 0:
-            return {}
-        without = choice[which]
-        without[np.arange(len(which)), sensor] = -1
-        fewer = solved(self.solve, self.peaks, without)
-        which, sensor = which[fewer.row], sensor[fewer.row]
-        log_density = self.found.log_fit[rows][which] - fewer.found.log_fit
-        extent = self._extent()
-        known = np.isfinite(extent)
-        density = np.where(known, unexplained / extent, self.settings.false_per_px)
-        odds = (1.0 / self.settings.detection - 1.0) * density[sensor] * np.exp(-log_density)
-        total = np.bincount(which, odds, minlength=len(rows))
-        return dict(zip(rows, total.tolist(), strict=True))
-
-    def _extent(self) -> Array:
-        """Return over how many pixels each sensor's peaks are spread, shape (S,); inf: too few."""
-        place, count = self.peaks.position_px, self.peaks.count
-        last = place[np.arange(len(place)), np.maximum(count - 1, 0)]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            spread = (last - place[:, 0]) * (count + 1) / (count - 1)
-        return np.where(count >= 3, spread, np.inf)
-
-    def _undetermined(self, index: int) -> bool:
-        """Say whether a candidate may be anywhere: what fits everywhere proves nothing."""
-        if index >= len(self.found):
-            return False
-        return float(np.trace(self.found.covariance_mm2[index])) > EXTENT_MM**2
+            members = self.found.take(np.array([row for row in match.rows if row >= 0]))
+            by_index[index] = known.of_body(match, members, self.body_chance)
+        return [
+            wrong + by_index[index]
+            for index, wrong in zip(packing.chosen, packing.wrong, strict=True)
+        ]
 
     def _make(self, index: int, ambiguous: bool) -> None:
         if index < len(self.found):

@@ -1,0 +1,84 @@
+"""Case marker-capacity: a small part of it, and how frames are judged."""
+
+import numpy as np
+import pytest
+
+from validation.all_cases import ALL_CASES
+from validation.marker_capacity import CASE, HELD, held, work_out
+from validation.marker_capacity_figures import SCENES, Scene, Shares, capacity, expose, group
+from validation.marker_capacity_rigs import RIGS
+from validation.progress import listening
+
+THREE, FOUR, EIGHT = 0, 1, 7
+
+
+def test_the_case_is_known_with_its_picture() -> None:
+    assert ALL_CASES["marker-capacity"].work_out is CASE.work_out
+    assert ALL_CASES["marker-capacity"].picture is not None
+
+
+def test_three_sensors_hold_one_marker_and_four_more() -> None:
+    told: list[float] = []
+    with listening(lambda share, _: told.append(share)):
+        tables, findings = work_out((THREE, FOUR, EIGHT), SCENES[:1], (1, 2, 4), 4)
+    assert told == sorted(told)
+    assert len(told) == 9
+    intersections, shares, most = tables
+    assert intersections.rows[1][1] == "8"  # [2.15] for two markers, three sensors
+    assert [row[0] for row in shares.rows] == ["1", "2", "4"]
+    sensors = dict(zip(most.column("configuration"), most.column("sensors"), strict=True))
+    assert sensors == {"dainis-1990-three": "3", "dainis-1990-four": "4", "bar, 8 sensors": "8"}
+    reached = dict(zip(most.column("configuration"), most.column(SCENES[0].label), strict=True))
+    assert reached["dainis-1990-three"] == "1"
+    assert reached["bar, 8 sensors"] == "4"
+    assert " 0 are wrong" in findings[0]
+
+
+def test_predictions_resolve_what_three_sensors_cannot() -> None:
+    alone = capacity(THREE, SCENES[1], 3, 6)
+    assert alone.resolved == 0.0
+    assert alone.doubted == 1.0
+    assert capacity(THREE, SCENES[3], 3, 6).markers > 0.5
+
+
+def test_frames_have_the_peaks_that_the_scene_says() -> None:
+    rig = RIGS[FOUR]()
+    rng = np.random.default_rng(1)
+    there = stray = 0
+    for _ in range(30):
+        frame = expose(rig, Scene("", 0.0, missed=0.2, false=0.1), 10, rng)
+        for sensor, line in enumerate(frame.owners):
+            place = frame.position_px[sensor, : len(line)]
+            assert (np.diff(place) > 0.0).all()
+            for at, owner in enumerate(line):
+                assert frame.merged[sensor, at] == (len(owner) > 1)
+                there += len(owner - {-1})
+                stray += -1 in owner
+                if owner != {-1} and len(owner) == 1:
+                    (marker,) = owner
+                    true = rig.cameras.project(frame.places_mm[[marker]])[0, sensor]
+                    assert abs(place[at] - true) < 6.0 * rig.sigma_px[sensor]
+    assert there == pytest.approx(0.8 * 30 * 40, rel=0.05)
+    assert stray == pytest.approx(0.1 * 30 * 40, rel=0.35)
+
+
+def test_a_group_of_two_markers_peaks_is_wrong() -> None:
+    """The judge, beside groups whose peaks are exchanged on purpose."""
+    rig, rng = RIGS[EIGHT](), np.random.default_rng(2)
+    frame = expose(rig, SCENES[0], 3, rng)
+    found = group(rig, SCENES[0], frame, rng)
+    assert len(found) == 3
+    for choice in found.peaks:
+        owners = [frame.owners[sensor][peak] for sensor, peak in enumerate(choice)]
+        assert len(frozenset.intersection(*owners)) == 1
+    mixed = [frame.owners[s][found.peaks[s % 2, s]] for s in range(8)]
+    assert not frozenset.intersection(*mixed)
+
+
+def test_what_is_held_ends_at_the_first_number_that_is_not() -> None:
+    share = {1: 1.0, 2: HELD, 3: HELD - 0.01, 4: 1.0}
+    figures = {
+        (0, SCENES[0], count): Shares(resolved, 0.0, 0.0, 0.0, 0, 0)
+        for count, resolved in share.items()
+    }
+    assert held(figures, 0, SCENES[0], (1, 2, 3, 4)) == 2

@@ -48,11 +48,13 @@ class FramePeaks:
         position_px: shape (S, K) [px].
         variance_px2: of the positions, shape (S, K).
         usable: which of them there are, and are not in doubt, shape (S, K).
+        all_px: all peaks, those in doubt as well, shape (S, K) [px].
     """
 
     position_px: Array
     variance_px2: Array
     usable: NDArray[np.bool_]
+    all_px: Array
 
     @classmethod
     def of(cls, position_px: Array, sigma_px: Array, peak_flags: NDArray[np.int32]) -> "FramePeaks":
@@ -65,7 +67,9 @@ class FramePeaks:
         if flags.any():
             usable &= (flags & int(UNUSABLE)) == 0
             variance = np.where(flags & int(DOUBTFUL), DOUBTFUL_FACTOR**2 * variance, variance)
-        return cls(np.where(usable, position, np.nan), np.where(usable, variance, 1.0), usable)
+        return cls(
+            np.where(usable, position, np.nan), np.where(usable, variance, 1.0), usable, position
+        )
 
     def single(self) -> tuple[Array, Array]:
         """Return readings and deviations of sensors with one peak, NaN of others, (S,) each."""
@@ -126,7 +130,11 @@ class Look:
 
 
 def associate(
-    model: ReadingModel, looks: list[Look], seen: FramePeaks, gate_probability: float
+    model: ReadingModel,
+    looks: list[Look],
+    seen: FramePeaks,
+    gate_probability: float,
+    merge_px: float,
 ) -> None:
     """Find the peaks of several tools in one frame and update their states; fills ``looks``.
 
@@ -135,6 +143,7 @@ def associate(
         looks: the tools; peaks that they have found before are taken.
         seen: the frame's peaks.
         gate_probability: chance that a right reading is not taken.
+        merge_px: lines nearer to one another may be one peak.
     """
     free = seen.usable.copy()
     for look in looks:
@@ -148,6 +157,8 @@ def associate(
     for _ in range(ROUNDS if active else 0):
         told = _told(model, active, sigma)
         offers = [_offers(*pair, seen, free, gate) for pair in zip(active, told, strict=True)]
+        if len(offers) > 1 or len(offers[0]) > 1:
+            _leave_merged(told, offers, seen, merge_px)
         # A tool that is hardly known any more offers for peaks all over: that does not keep one
         # from its peaks whose gates are narrow.
         every = offers[0] if len(offers) == 1 else np.concatenate(offers)
@@ -221,6 +232,29 @@ def _offers(
         offer = (seen.position_px - value) ** 2 <= gate * variance
     offer &= free & (look.peaks < 0)[..., None]
     return np.where(offer, variance, np.inf)
+
+
+def _leave_merged(
+    told: list[Innovations], offers: list[Array], seen: FramePeaks, merge_px: float
+) -> None:
+    """Withdraw the offers of markers whose lines may be one peak with another marker's.
+
+    Two lines a tenth of a pixel apart are one peak between them that nothing marks as such: it is
+    off by ten times what it states, and still near enough to pass for either. So where more markers
+    than peaks are expected within the width of a line, none of them is read.
+    """
+    sensors = len(seen.all_px)
+    value = np.concatenate([one.value_px.reshape(-1, sensors) for one in told])
+    markers = (np.abs(value[:, None] - value[None]) <= merge_px).sum(axis=1)
+    crowded = markers > 1
+    if not crowded.any():
+        return
+    peaks = (np.abs(seen.all_px - value[..., None]) <= merge_px).sum(axis=2)
+    merged = crowded & (markers > peaks)
+    first = 0
+    for offer in offers:
+        offer[merged[first : first + len(offer)]] = np.inf
+        first += len(offer)
 
 
 def _take(

@@ -90,7 +90,7 @@ def find_lit(
             errors[index],
         )
         looks[index] = Look(frame, np.arange(len(tools[index])), state)
-    associate(model, list(looks.values()), seen, settings.gate_probability)
+    associate(model, list(looks.values()), seen, settings.gate_probability, settings.merge_px)
     starts = []
     for index, tool in enumerate(tools):
         own, look = found.get(index), looks.get(index)

@@ -118,6 +118,7 @@ class ToolTrackerSettings:
         motion: between frames.
         identify: of tools whose markers are lit together.
         gate_probability: chance that a right reading is not taken for its marker.
+        merge_px: lines nearer to one another may be one peak; about twice their width.
         coast_s: longest time that a pose rests on prediction alone; then it is MISSING.
         window_s: exposures of a strobed tool that it is found from are no older.
         most_tip_sd_mm: 3D standard deviation of the tip above which a pose is HIGH_ERROR, of
@@ -130,6 +131,7 @@ class ToolTrackerSettings:
     motion: MotionSettings = MotionSettings()
     identify: IdentifySettings = IdentifySettings()
     gate_probability: float = 1e-5
+    merge_px: float = 4.0
     coast_s: float = 0.1
     window_s: float = 0.25
     most_tip_sd_mm: float = 1.0

@@ -215,7 +215,13 @@ class ToolTracker:
                 continue
             before[index] = tool.state
             looks[index] = Look(tool.frame, tool.lit(marker), state)
-        associate(self.model, list(looks.values()), seen, self.settings.gate_probability)
+        associate(
+            self.model,
+            list(looks.values()),
+            seen,
+            self.settings.gate_probability,
+            self.settings.merge_px,
+        )
         self._again(looks, before, time_ns, seen)
         for index, look in looks.items():
             tool = self._tools[index]
@@ -249,7 +255,13 @@ class ToolTracker:
             )
             for index in weak
         }
-        associate(self.model, list(trials.values()), free, self.settings.gate_probability)
+        associate(
+            self.model,
+            list(trials.values()),
+            free,
+            self.settings.gate_probability,
+            self.settings.merge_px,
+        )
         for index, trial in trials.items():
             if trial.readings > looks[index].readings:
                 looks[index] = trial

@@ -143,10 +143,19 @@ class Scene:
         clutter: Array | None = None,
         *,
         with_points: bool = True,
+        merging: bool = False,
     ) -> tuple[ToolPose, ...]:
-        """The next frame, which lights all markers; ``clutter`` are more peaks, (S, k)."""
+        """The next frame, which lights all markers; ``clutter`` are more peaks, (S, k).
+
+        With ``merging``, lines nearer than a pixel to one another are one peak between them.
+        """
         readings = np.concatenate(self.readings(hidden))
         peaks = readings.T if clutter is None else np.hstack([readings.T, clutter])
+        if merging:
+            peaks = np.sort(peaks, axis=1)
+            for row in peaks:
+                for k in np.flatnonzero(np.diff(row) < 1.0):
+                    row[k : k + 2] = row[k : k + 2].mean(), np.nan
         points = None
         if with_points:
             points = reconstruct(

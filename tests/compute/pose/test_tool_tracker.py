@@ -405,6 +405,29 @@ def test_two_tools_pass_each_other_among_false_peaks() -> None:
     assert worst < 60.0
 
 
+def test_lines_that_merge_are_not_read() -> None:
+    # Two tools whose lines cross all the time; a merged peak lies up to 0.5 px, ten standard
+    # deviations, off both.
+    squares_, merged = [], 0
+    for seed in range(4):
+        one = scene([pointer(), other()], seed=seed)
+        for index, true in enumerate(one.bodies):
+            true.centroid_mm = MIDDLE_MM + np.array([30.0 * index - 15.0, 20.0 * index, 10.0])
+            true.velocity_mm_s = np.array([60.0, 40.0, 0.0]) * (1 - 2 * index)
+            true.turn_rate_rad_s = np.array([0.5, 0.3, 0.7]) * (1 - 2 * index)
+        for _ in range(100):
+            before = [replace(true) for true in one.bodies]
+            poses = one.together(merging=True)
+            for pose, true in zip(poses, before, strict=True):
+                if pose.valid:
+                    squares_.append(normalised(pose, true)[0])
+                    merged += pose.readings_used < 16
+    assert merged > 50
+    assert len(squares_) > 600
+    # One in a hundred thousand of a chi-square of 6 is above 33.
+    assert max(squares_) < 45.0
+
+
 def test_a_sudden_start_is_followed() -> None:
     one = scene([pointer()])
     for _ in range(30):

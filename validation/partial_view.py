@@ -276,6 +276,6 @@ def _rounded(value: float) -> float:
 CASE: Final = TablesCase(
     "partial-view",
     "a tool of four markers, each seen by two of four sensors: its pose beside the bound",
-    "section 6.3: rigid bodies; [2.14], [5.18]",
+    "section 2.4 (planes of light), section 7.2.3, [5.18]",
     work_out,
 )

@@ -34,6 +34,7 @@ class OpenIGTLinkCollector(Collector):
                 "Frames that a newer one replaced before a client could take them.",
                 counts.frames_replaced,
             ),
+            ("frames_stale", "Frames that were too old to be sent.", counts.frames_stale),
             (
                 "poses_withheld",
                 "Poses that are not OK in frames given to clients.",

@@ -184,7 +184,7 @@ class Client(asyncio.Protocol):
             return
         if not self._waiting.fresh:
             self._waiting = None
-            self._counters.frames_replaced += 1
+            self._counters.frames_stale += 1
             return
         # Not the loop's own time, which may have a resolution of milliseconds.
         now = time.monotonic()

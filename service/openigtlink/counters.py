@@ -11,6 +11,7 @@ class Counters:
     Args:
         frames_sent: frames given to clients, of all clients together.
         frames_replaced: frames that a newer one replaced before a client could take them.
+        frames_stale: frames that were too old to be sent.
         poses_withheld: poses that were not OK and not sent, of all clients together.
         received: messages by type; ``other``: those of types that are skipped.
         damaged: messages with a wrong checksum, or content that is none of their type.
@@ -21,6 +22,7 @@ class Counters:
 
     frames_sent: int = 0
     frames_replaced: int = 0
+    frames_stale: int = 0
     poses_withheld: int = 0
     received: Counter[str] = field(default_factory=Counter)
     damaged: int = 0

@@ -214,7 +214,7 @@ class OpenIGTLinkServer:
                 await self.refresh()
                 asked = time.monotonic()
             if self._newest is not None and not self._newest.fresh:
-                age_s = time.monotonic() - self._newest.arrived_s
+                age_s = self._newest.age_s
                 for client in list(self._clients):
                     client.tell_stale(self._newest.entry.device_id, age_s)
 

@@ -91,11 +91,14 @@ class Session:
         return b"".join(parts)
 
     def stale(self, device_id: str, age_s: float) -> bytes:
-        """Return the STATUS for when no frame comes; nothing if the client knows."""
+        """Return the STATUS for when no frame comes in time; nothing if the client knows."""
         if self._stale:
             return b""
         self._stale = True
-        text = f"no frame of device {device_id} for {age_s:.1f} s: it has stopped, or is not there"
+        text = (
+            f"the newest frame of device {device_id} is {age_s:.1f} s old: the device has stopped, "
+            "or the server does not keep up"
+        )
         return self.told(StatusCode.TIME_OUT, "NoFrames", text)
 
     def told(self, code: StatusCode, name: str, text: str, device: str = SERVER) -> bytes:

@@ -82,9 +82,19 @@ class Snapshot:
         return max(STALE_S, _MISSED / rate) if rate > 0.0 else STALE_S
 
     @property
+    def age_s(self) -> float:
+        """How old it is: since its exposure, or since it came, whichever is more [s].
+
+        A server that does not keep up puts up poses that are old already; one whose clock has been
+        set does not know how old.
+        """
+        exposed = (time.time_ns() - self.entry.exposure_ns) * 1e-9
+        return max(exposed, time.monotonic() - self.arrived_s)
+
+    @property
     def fresh(self) -> bool:
         """Whether it is not too old to be sent."""
-        return time.monotonic() - self.arrived_s <= self.stale_s
+        return self.age_s <= self.stale_s
 
     @cached_property
     def poses(self) -> tuple[WirePose, ...]:

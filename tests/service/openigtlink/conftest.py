@@ -5,4 +5,4 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.openigtlink.snapshot.STALE_S", 3600.0)
+    monkeypatch.setattr("service.openigtlink.snapshot.STALE_S", 1e6)

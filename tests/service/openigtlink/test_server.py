@@ -1,6 +1,7 @@
 """The server with clients on real sockets: what they get, unasked and asked, and when it ends."""
 
 import asyncio
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -429,18 +430,40 @@ def test_poses_of_a_device_that_has_stopped_are_not_sent_again(
             peer = await served.joined()
             served.put(1)
             await frame(peer)
+            monkeypatch.setattr("service.openigtlink.server._LOOK_S", 0.01)
             monkeypatch.setattr("service.openigtlink.snapshot.STALE_S", 0.01)
             monkeypatch.setattr("service.openigtlink.snapshot._MISSED", 0.0)
             told = read_status((await peer.of("STATUS")).content)
             assert told.code == StatusCode.TIME_OUT
             assert "sim" in told.text
+            await asyncio.sleep(0.1)  # it is not told again
+            await peer.send(Message("GET_CAPABIL"))
+            assert (await peer.message()).type == "CAPABILITY"
             late = await served.joined()
             for one in (late, peer):
                 found = await one.ask(Message("GET_TRANS", "probeToTracker"), "TRANSFORM")
                 assert found.content == b""
-            monkeypatch.setattr("service.openigtlink.snapshot.STALE_S", 3600.0)
+            monkeypatch.setattr("service.openigtlink.snapshot.STALE_S", 1e6)
             served.put(2)
             assert read_status((await peer.of("STATUS")).content).text == "frames come again"
             await frame(peer)
+
+    run(test)
+
+
+def test_poses_that_come_too_late_are_not_sent(monkeypatch: pytest.MonkeyPatch):
+    async def test() -> None:
+        async with serving() as served:
+            peer = await served.joined()
+            now_ns = entry(0).exposure_ns
+            old = replace(entry(1), exposure_ns=now_ns - 10**16)
+            for _ in range(3):
+                served.board.put(old)
+            told = read_status((await peer.of("STATUS")).content)
+            assert told.code == StatusCode.TIME_OUT
+            served.put(2)
+            probe, _ = await frame(peer)
+            assert probe.time_ns == entry(2).exposure_ns
+            assert served.server.counters.frames_stale == 3
 
     run(test)

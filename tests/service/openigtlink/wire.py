@@ -21,6 +21,8 @@ from service.openigtlink.server import OpenIGTLinkServer
 from service.openigtlink.settings import ServerSettings
 
 LOOPS = {"asyncio": asyncio.new_event_loop, "uvloop": uvloop.new_event_loop}
+START_NS = time.time_ns()
+"""Exposure of frame 0; those of others follow by 1 ns."""
 PATIENCE_S = 60.0
 """How long a test waits for what is to come: nothing is said of how fast it comes."""
 
@@ -78,7 +80,7 @@ def pose(tool: str, number: int = 0, status: PoseStatus = PoseStatus.OK, **more:
         "residual_sigma": 1.25 if there else None,
         "markers_used": 4,
     }
-    exposure_ns = more.pop("exposure_ns", 1_700_000_000_123_456_789 + number)
+    exposure_ns = more.pop("exposure_ns", START_NS + number)
     reason = None if status is PoseStatus.OK else f"{tool} is {status.value}"
     return ToolPose(tool, status, reason, exposure_ns, number, **(members | more))
 
@@ -88,7 +90,7 @@ def entry(
 ) -> BoardEntry:
     given = [pose("probe", number), pose("ref", number)] if poses is None else poses
     by_name = {one.tool: one for one in given}
-    return BoardEntry(device, number, 1_700_000_000_123_456_789 + number, by_name, "first", 200.0)
+    return BoardEntry(device, number, START_NS + number, by_name, "first", 200.0)
 
 
 class Peer:

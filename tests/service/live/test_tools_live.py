@@ -135,6 +135,25 @@ def test_markers_that_are_lit_together_are_tracked():
     assert apart.min(axis=1).max() < 1.0
 
 
+def test_a_tool_goes_on_when_another_is_added():
+    driver = SimulatedDriver("sim", simulation("strobed", 0.06))
+    driver.open()
+    processor = DeviceProcessor("sim", driver.description, "cpu")
+    first, second = tools("strobed")
+    processor.set_tracked(Tracked(False, (first,)))
+    processor.set_calibration("nominal", exact())
+    frames = list(driver.frames())
+    before = motion(processor.process(frames[:40])).poses[-1]
+    assert before.valid
+    processor.set_tracked(Tracked(False, (second, first)))
+    # Found anew it would need each of its markers first.
+    other, after = motion(processor.process(frames[40:41])).poses
+    assert (other.tool, after.tool) == (second.name, first.name)
+    assert after.valid
+    assert not other.valid
+    assert motion(processor.process(frames[41:])).poses[-2].valid
+
+
 def test_a_device_that_follows_nothing_makes_no_motion():
     driver = SimulatedDriver("sim", simulation("strobed", 0.02))
     driver.open()

@@ -127,12 +127,15 @@ def test_points_that_are_lit_together_are_put_in_order():
     shuffled = np.take_along_axis(shown, order[..., None], axis=1)
     shuffled[50, 1] = shuffled[50, 0]  # a frame that shows one marker twice is none to use
     times = np.arange(frames) * 1e-3
-    spread = np.broadcast_to(np.eye(3), (frames, 3, 3))
-    found = same_order([MarkerTrack(times, shuffled[:, n], spread) for n in range(markers)])
+    # Each marker's covariance is told from the others', and goes with it.
+    spread = order[..., None, None] * np.eye(3)
+    found = same_order([MarkerTrack(times, shuffled[:, n], spread[:, n]) for n in range(markers)])
     assert {len(track.time_s) for track in found} == {frames - 1}
     means = np.array([track.position_mm.mean(axis=0) for track in found])
     np.testing.assert_allclose(means, SHAPE[order[0]], atol=0.05)
     assert max(track.position_mm.std(axis=0).max() for track in found) < 0.1
+    for marker, track in zip(order[0], found, strict=True):
+        assert (track.covariance_mm2[:, 0, 0] == marker).all()
 
 
 def test_a_pointer_gets_the_tip_that_it_was_pivoted_about(

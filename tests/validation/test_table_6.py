@@ -1,5 +1,7 @@
 """Tables 6.1 and 6.2: the bar from generated readings, and why the thesis's figures are so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from validation.table_6_2 import (
     moved_p0,
     optimised,
     set_up,
+    spread_of_x,
 )
 from validation.table_6_2 import work_out as table_6_2
 from validation.table_6_bar import (
@@ -120,6 +123,16 @@ def test_principal_points_do_not() -> None:
     # What moves Z by millimetres spreads X by tenths of them.
     assert found[1, 0] > 0.05 * abs(found[0, 2])
     assert printed("6.2", "DLT")[1, 0] < 0.01 * printed("6.2", "DLT")[0, 2]
+
+
+@pytest.mark.parametrize("sensor", range(4))
+def test_whichever_principal_point_moves_z_spreads_x_alike(sensor: int) -> None:
+    of = bar(DISTANCE)
+    cameras = list(set_up())
+    cameras[sensor] = replace(cameras[sensor], p0=cameras[sensor].p0 + 0.01)
+    found = statistics(mismatched(tuple(cameras), of), of)
+    assert found[1, 0] / abs(found[0, 2]) * 8.02 == pytest.approx(spread_of_x(8.02, of), rel=1e-3)
+    assert spread_of_x(8.02, of) > 50.0 * printed("6.2", "DLT")[1, 0]
 
 
 def test_calibrated_alike_any_cameras_give_the_points_back() -> None:

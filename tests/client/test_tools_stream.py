@@ -1,0 +1,104 @@
+"""Tools and tracks of a simulated device: typed in the stream, and the same by request."""
+
+import time
+from collections.abc import Iterator
+
+import httpx
+import numpy as np
+import pytest
+
+from lumiline.client import Client
+from lumiline.client.messages import Frame, ToolPose
+
+MARKERS = [[0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0], [20.0, 15.0, 40.0]]
+
+
+@pytest.fixture(scope="module")
+def tool(server: str) -> Iterator[str]:
+    """A tool at rest, and its markers as tracks, of a device of 100 frames a second."""
+    url = f"{server}/api/v1"
+    scene = {"kind": "moving-tools", "moving": False, "tools": [{"markers_mm": MARKERS}]}
+    settings = {"frame_rate_hz": 100, "scene": scene, "illumination": "strobed"}
+    asked = {
+        "source": {"kind": "simulated", "settings": settings},
+        # At rest: 100 frames a second of four markers in turn would leave the tip of a tool that
+        # may be moved quickly too unsure to be used.
+        "tracking": {
+            "tracks": "with-tools",
+            "tool_acceleration_mm_s2": 10.0,
+            "tool_turn_acceleration_rad_s2": 0.1,
+        },
+    }
+    before = httpx.get(f"{url}/devices/sim").json()
+    httpx.patch(f"{url}/devices/sim", json=asked).raise_for_status()
+    with Client(server) as client:
+        client.create_tool("probe", "sim", [(a, b, c) for a, b, c in MARKERS],
+                           strobe_markers=[0, 1, 2, 3], tip_mm=[0.0, 0.0, 150.0])  # fmt: skip
+        client.start_device("sim")
+        yield "probe"
+        client.delete_tool("probe")
+    back = {"source": before["source"], "tracking": before["tracking"]}
+    httpx.patch(f"{url}/devices/sim", json=back).raise_for_status()
+    httpx.post(f"{url}/devices/sim/start", timeout=60.0).raise_for_status()
+
+
+def test_a_pose_in_the_stream_is_that_of_the_request(server: str, tool: str) -> None:
+    end = time.monotonic() + 60.0
+    with Client(server) as client, client.stream("sim", ("tools", "tracks")) as stream:
+        for frame in stream.frames():
+            assert time.monotonic() < end, "there was no pose and four tracks in a minute"
+            assert frame.tools is not None
+            assert frame.tracks is not None
+            if not frame.tools:
+                continue
+            (streamed,) = frame.tools
+            if streamed.valid and len(frame.tracks) == 4:
+                break
+            assert streamed.valid or streamed.reason
+        asked = client.tool_pose(tool)
+    check(frame, streamed)
+    assert (asked.tool, asked.frame, asked.status) == (tool, "tracker", "OK")
+    # The tool rests: the newest pose is another frame's, of the same place.
+    assert asked.translation_mm == pytest.approx(streamed.translation_mm, abs=0.5)
+    assert asked.tip_mm == pytest.approx(streamed.tip_mm, abs=1.0)
+    assert asked.quaternion_wxyz == pytest.approx(streamed.quaternion_wxyz, abs=0.01)
+
+
+def check(frame: Frame, pose: ToolPose) -> None:
+    rotation, place = np.array(pose.rotation), np.array(pose.translation_mm)
+    assert np.allclose(rotation @ rotation.T, np.eye(3))
+    assert np.allclose(rotation @ [0.0, 0.0, 150.0] + place, pose.tip_mm)
+    assert np.array(pose.covariance).shape == (6, 6)
+    assert pose.markers_used >= 3
+    # The tracks are the tool's markers, each under its number.
+    assert frame.tracks is not None
+    found = {track.marker: track for track in frame.tracks}
+    assert set(found) == {0, 1, 2, 3}
+    for marker, track in found.items():
+        assert marker is not None
+        wanted = rotation @ MARKERS[marker] + place
+        assert np.linalg.norm(np.array(track.position_mm) - wanted) < 2.0
+        assert track.state in {"tentative", "confirmed", "coasting"}
+        assert np.array(track.covariance_mm2).shape == (3, 3)
+
+
+def test_a_registration_gives_a_frame_for_poses(server: str, tool: str) -> None:
+    places = np.array(MARKERS)
+    measured = places + np.array([0.0, 0.0, 1000.0])
+    pairs = {str(one): (a, b) for one, (a, b) in enumerate(zip(places, measured, strict=True))}
+    with Client(server) as client:
+        found = client.register("plan", "sim", pairs, measured_sigma_mm=0.1)
+        try:
+            end = time.monotonic() + 60.0
+            while True:
+                inside, outside = (client.tool_pose(tool, one) for one in ("plan", "tracker"))
+                if inside.translation_mm is not None and outside.translation_mm is not None:
+                    break
+                assert time.monotonic() < end, inside.reason
+                time.sleep(0.05)
+        finally:
+            client.request("DELETE", "/api/v1/registrations/plan")
+    assert found.residual_sigma == pytest.approx(0.0, abs=1e-6)
+    assert inside.frame == "plan"
+    away = np.subtract(outside.translation_mm, inside.translation_mm)
+    assert np.allclose(away, [0.0, 0.0, 1000.0], atol=0.5)

@@ -25,10 +25,18 @@ def play(scene: Play, **options: object) -> None:
     asyncio.run(run())
 
 
+async def until(condition: Callable[[], bool]) -> None:
+    """Wait until something holds; it does, sooner or later, or the test has failed."""
+    async with asyncio.timeout(60.0):
+        while not condition():
+            await asyncio.sleep(0.002)
+
+
 async def gone(talker: Talker) -> bool:
     """Whether the server has ended the connection, once it has."""
     try:
-        return await talker.reader.read() == b""
+        async with asyncio.timeout(60.0):
+            return await talker.reader.read() == b""
     except ConnectionError:
         return True
 
@@ -121,11 +129,9 @@ def test_two_hundred_connections():
         good = await Talker.to(server)
         await good.begin()
         crowd = [await Talker.to(server) for _ in range(200)]
-        while server.counts.connections < 201:
-            await asyncio.sleep(0)
+        await until(lambda: server.counts.connections == 201)
         assert (await good.ask("TX 0001")).startswith("0201")
-        while server.clients > 4:
-            await asyncio.sleep(0)
+        await until(lambda: server.clients == 4)
         assert [await gone(one) for one in crowd[:197]] == [True] * 197
         for one in crowd[197:]:
             assert await one.ask("INIT") == "OKAY"
@@ -152,15 +158,13 @@ def test_who_reads_nothing_is_ended(monkeypatch: pytest.MonkeyPatch):
                 assert held._writer.transport.get_write_buffer_size() < 100_000
         except ConnectionError:
             pass
-        while server.clients:
-            await asyncio.sleep(0.01)
+        await until(lambda: not server.clients)
 
     play(scene)
 
 
 async def _connected(server: NdiServer) -> client_module.Client:
-    while not server._clients:
-        await asyncio.sleep(0)
+    await until(lambda: bool(server._clients))
     return next(iter(server._clients.values()))
 
 

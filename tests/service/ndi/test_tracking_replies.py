@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -57,6 +57,7 @@ class Text:
         return [int(self.take(width)) * 10.0**-decimals for _ in range(count)]
 
 
+@settings(max_examples=50)
 @given(st.lists(reports(), max_size=24), st.integers(0, 0xFFFF), OPTIONS)
 def test_text_is_read_back(given_: list[ToolReport], system: int, options: ReplyOption):
     text = Text(tracking_text(given_, system, options))
@@ -90,6 +91,7 @@ def test_text_is_read_back(given_: list[ToolReport], system: int, options: Reply
     assert text.text == ""
 
 
+@settings(max_examples=50)
 @given(st.lists(reports(), max_size=24), st.integers(0, 0xFFFF), OPTIONS)
 def test_binary_is_read_back(given_: list[ToolReport], system: int, options: ReplyOption):
     data = tracking_binary(given_, system, options)

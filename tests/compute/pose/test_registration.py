@@ -16,9 +16,11 @@ from compute.errors import (
 from compute.pose.registration import Registration, register_points
 from compute.pose.target_error import fitzpatrick_error
 from compute.pose.transform import Transform
+from compute.pose.wrong_pairs import check_pairs
 from tests.compute.pose.motions import Array, check_mean, drawn, point_covariance, transforms
 
 TARGETS = np.array([[10.0, 20.0, 130.0], [0.0, 0.0, 0.0], [-200.0, 50.0, 10.0]])
+AWAY = np.array([300.0, -500.0, 200.0])
 TETRAHEDRON = np.array([[0.0, 0.0, 0.0], [90.0, 0.0, 0.0], [10.0, 70.0, 0.0], [20.0, 15.0, 60.0]])
 
 
@@ -61,10 +63,10 @@ def test_without_noise_it_is_exact(
     assert found.wrong is None
 
 
-@pytest.mark.parametrize("count", [3, 6, 15])
+@pytest.mark.parametrize("count", [3, 5, 15])
 def test_the_covariance_is_what_the_transform_errs_by(count: int) -> None:
     squares, misfits, targets = [], [], []
-    for seed in range(80):
+    for seed in range(60):
         chance = np.random.default_rng(seed)
         truth, source = anywhere(chance), fiducials(chance, count)
         values = np.linalg.svd(source - source.mean(axis=0), compute_uv=False)
@@ -91,7 +93,7 @@ def test_weights_are_worth_having() -> None:
     """Fiducials seen from afar err along the line of sight; weights leave that aside."""
     errors = []
     along = np.diag([0.01, 0.01, 4.0])
-    for seed in range(80):
+    for seed in range(60):
         chance = np.random.default_rng(seed)
         truth, source = anywhere(chance), fiducials(chance, 8)
         covariances = np.broadcast_to(along, (8, 3, 3)).copy()
@@ -144,17 +146,19 @@ def test_fitzpatrick_is_the_same_in_any_frame(seed: int, other: Transform) -> No
 
 def test_the_scale_has_its_share_of_the_error() -> None:
     squares = []
-    for seed in range(80):
+    for seed in range(60):
         chance = np.random.default_rng(seed)
-        truth, source = anywhere(chance), fiducials(chance, 8)
+        # Far from the origin, where turn, shift and scale are entangled.
+        truth, source = anywhere(chance), fiducials(chance, 8) + AWAY
         target = truth.apply(1.01 * source) + 0.3 * chance.normal(size=(8, 3))
         spread = 0.09 * np.eye(3)
         found = register_points(source, target, None, spread, scaled=True)
-        off = found.apply(TARGETS) - truth.apply(1.01 * TARGETS)
-        covariance = found.target_covariance(TARGETS)
+        targets = TARGETS + AWAY
+        off = found.apply(targets) - truth.apply(1.01 * targets)
+        covariance = found.target_covariance(targets)
         squares += [one @ np.linalg.solve(c, one) for one, c in zip(off, covariance, strict=True)]
         without = register_points(source, target, None, spread)
-        assert (without.target_error(TARGETS) <= found.target_error(TARGETS) + 1e-12).all()
+        assert (without.target_error(targets) <= found.target_error(targets) + 1e-12).all()
     # Three targets share an error; they count as one try of 3 x 3.
     check_mean(squares, 3, 0.12)
 
@@ -218,6 +222,14 @@ def test_look_alikes_are_told_before_they_are_exchanged() -> None:
     assert any("another order" in one for one in found.warnings)
     uneven = register_points(TETRAHEDRON, TETRAHEDRON, None, 0.01 * np.eye(3))
     assert uneven.warnings == ()
+
+
+def test_a_mirrored_order_is_no_look_alike() -> None:
+    """A regular tetrahedron is itself in every even order, and its mirror image in odd ones."""
+    corners = 50.0 * np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    _, others = check_pairs(corners, corners, np.full(4, 0.01))
+    assert len(others) == 11
+    assert all(np.isclose(np.linalg.det(np.eye(4)[list(order)]), 1.0) for order in others)
 
 
 def test_covariances_that_are_too_small_are_told() -> None:

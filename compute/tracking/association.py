@@ -214,7 +214,7 @@ class _Work:
             "ti,ti->t", slope, whole.mean[:, :3] - self.place[rows]
         )
         bias = self.bias[rows, sensor]
-        variance = _variance(whole, slope, sensor) + bias[:, sensor]
+        variance = _variance(whole, slope, sensor, bias[:, sensor])
         found = self._claims(sensor, reading, variance)
         most = max((len(own) for own in found), default=0)
         if most == 0:
@@ -284,10 +284,10 @@ class _Work:
         return np.maximum(variance, 0.0)
 
 
-def _variance(whole: Combined, slope: Array, sensor: int) -> Array:
-    """Return the variance of one sensor's predicted readings without its bias's own, (T,)."""
+def _variance(whole: Combined, slope: Array, sensor: int, bias: Array) -> Array:
+    """Return the variance of one sensor's predicted readings, with its bias's own, shape (T,)."""
     variance: Array = np.einsum("ti,tij,tj->t", slope, whole.covariance[:, :3, :3], slope)
-    variance += 2.0 * np.einsum("ti,ti->t", slope, whole.with_bias[:, :3, sensor])
+    variance += 2.0 * np.einsum("ti,ti->t", slope, whole.with_bias[:, :3, sensor]) + bias
     return np.maximum(variance, 0.0)
 
 

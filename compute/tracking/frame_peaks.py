@@ -11,7 +11,7 @@ from compute.tracking.settings import TrackerSettings
 
 Array = NDArray[np.float64]
 
-DOUBTFUL = PeakFlag.SATURATED | PeakFlag.POOR_FIT | PeakFlag.UNFITTED
+DOUBTFUL = PeakFlag.SATURATED | PeakFlag.JOINT | PeakFlag.POOR_FIT | PeakFlag.UNFITTED
 """Their standard deviations are too small."""
 REPORTED = PeakFlag.SATURATED | PeakFlag.CLIPPED
 """What makes a track's ``DOUBTFUL_PEAK``."""
@@ -47,9 +47,9 @@ class FramePeaks:
         """Weigh the flags.
 
         Clipped peaks are not used: they are drawn inwards, by nobody knows how much. Saturated and
-        ill-fitted ones count with ``doubtful_factor``. One with two maxima may be either of two
-        markers; one of a pattern that fits as well elsewhere serves where a track expects it and
-        starts none.
+        ill-fitted ones, and those that overlap, count with ``doubtful_factor``. One with two maxima
+        may be either of two markers; one of a pattern that fits as well elsewhere serves where a
+        track expects it and starts none.
 
         Raises:
             InvalidParameter: other shapes, or a peak's standard deviation is not positive.

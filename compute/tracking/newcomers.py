@@ -88,6 +88,7 @@ class Newcomers:
         self._follow(tracks, tentative[tracks.hits[tentative] > 0], seen, peaks, marker, time_ns)
         last = self._searched_ns.get(marker)
         due = last is None or time_ns - last >= round(self._settings.start_every_s * 1e9)
+        due |= marker is not None and not (tracks.marker == marker).any()
         begun = tentative[tracks.hits[tentative] == 0]
         new: tuple[Tracks, Seen] | None = None
         if due or len(begun):

@@ -28,14 +28,15 @@ class TrackerSettings:
         gate_sigma: readings further than this from their prediction are not a track's.
         search_px: where a reading is predicted less well than this (standard deviation), a track
             is not looked for peak by peak, but by points of at least three sensors [px].
-        doubtful_factor: by which standard deviations of saturated and ill-fitted peaks grow.
+        doubtful_factor: by which standard deviations of saturated, overlapping and ill-fitted peaks
+            grow.
         confirm_hits: exposures that must have seen a track, after its first, before it is a marker.
         confirm_misses: exposures that may miss it until then; with one more it ends. The second one
             must see it.
         false_confirmation: chance that is accepted for a track of false peaks to be confirmed.
         coast_s: how long a confirmed track is predicted without being seen, then it ends [s].
         start_every_s: least time between two searches for new markers in peaks that are left over,
-            of each strobed marker, while none has just begun [s].
+            while none has just begun [s]. A strobed marker without a track is sought at once.
         most_hypotheses: joint hypotheses of one cluster and sensor that are kept.
 
     Raises:

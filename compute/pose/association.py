@@ -154,6 +154,13 @@ def associate(
     gate = chi2_limit(1, gate_probability)
     sigma = float(np.sqrt(seen.variance_px2[free].min()))
     active = [look for look in looks if len(look.lit)]
+    if len(active) == 1 and len(active[0].lit) == 1 and free.shape[1] == 1:
+        # A strobed exposure with one peak on each sensor: there is nothing to choose.
+        (one,) = _told(model, active, sigma)
+        found_at = np.nonzero(_offers(active[0], one, seen, free, gate) < np.inf)
+        if len(found_at[0]):
+            _take(active[0], one, seen, *found_at, gate_probability)
+        return
     for _ in range(ROUNDS if active else 0):
         told = _told(model, active, sigma)
         offers = [_offers(*pair, seen, free, gate) for pair in zip(active, told, strict=True)]

@@ -79,13 +79,15 @@ def report(
     tip_covariance = tip @ here @ tip.T
     tip_sd = float(np.sqrt(np.trace(tip_covariance)))
     limit = settings.most_tip_sd_mm if tool.most_tip_sd_mm is None else tool.most_tip_sd_mm
+    used = int(support.sensors.sum())
+    markers = int(support.sensors.any(axis=1).sum())
     status = PoseStatus.OK
     reason: str | None = None
     if tip_sd > limit:
         status = PoseStatus.HIGH_ERROR
         reason = (
-            f"the tip's standard deviation is {tip_sd:.3g} mm, of {int(support.sensors.sum())} "
-            f"readings of {int(support.sensors.any(axis=1).sum())} of {len(tool)} markers; "
+            f"the tip's standard deviation is {tip_sd:.3g} mm, of {used} readings of "
+            f"{markers} of {len(tool)} markers; "
             f"{limit:.3g} mm is the most"
         )
     elif outside is not None:
@@ -102,8 +104,8 @@ def report(
         state.centroid_mm + state.rotation @ frame.tip_mm,
         tip_covariance,
         support.residual_sigma,
-        int(support.sensors.any(axis=1).sum()),
-        int(support.sensors.sum()),
+        markers,
+        used,
         origin_velocity(state, frame),
         state.turn_rate_rad_s,
     )

@@ -83,11 +83,11 @@ class _Tool:
         self.status, self.reason = status, reason
 
     def support(self) -> Support:
-        return Support(
-            tuple(nis for nis, _, _ in self.last),
-            tuple(readings for _, readings, _ in self.last),
-            np.any([sensors for _, _, sensors in self.last], axis=0),
-        )
+        nis, readings, sensors = zip(*self.last, strict=True)
+        seen = sensors[0].copy()
+        for one in sensors[1:]:
+            seen |= one
+        return Support(nis, readings, seen)
 
 
 class ToolTracker:

@@ -6,9 +6,13 @@ import re
 import shlex
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import httpx
+import numpy as np
 import pytest
 
 from tests.serving import serving
@@ -29,17 +33,8 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 def test_curl_tour(address: str) -> None:
-    (tour,) = blocks("bash")
-    commands = [line for line in tour.splitlines() if line.startswith("curl")]
-    assert len(commands) == 4
-    answers = []
-    for command in commands:
-        assert ADDRESS in command
-        words = shlex.split(command.replace(ADDRESS, address))
-        run = subprocess.run([*words, "--fail-with-body"], cwd=ROOT, capture_output=True, text=True)
-        assert run.returncode == 0, (command, run.stdout, run.stderr)
-        answers.append(json.loads(run.stdout))
-    device, calibration, activated, reconstruction = answers
+    tour, _ = blocks("bash")
+    device, calibration, activated, reconstruction = answers_to(tour, address)
     assert device["id"] == "frame-rig"
     assert calibration["id"] == "frame-at-1-m"
     assert activated["state"] == "active"
@@ -48,6 +43,17 @@ def test_curl_tour(address: str) -> None:
     for point, estimate in zip(said, reconstruction["estimates"], strict=True):
         for given, found in zip(point, estimate["position_mm"], strict=True):
             assert float(given) == pytest.approx(found, abs=15.0)
+
+
+def answers_to(tour: str, address: str) -> list[Any]:
+    answers = []
+    for command in (line for line in tour.splitlines() if line.startswith("curl")):
+        assert ADDRESS in command
+        words = shlex.split(command.replace(ADDRESS, address))
+        run = subprocess.run([*words, "--fail-with-body"], cwd=ROOT, capture_output=True, text=True)
+        assert run.returncode == 0, (command, run.stdout, run.stderr)
+        answers.append(json.loads(run.stdout))
+    return answers
 
 
 def test_websocket_client(address: str) -> None:
@@ -64,6 +70,19 @@ def test_websocket_client(address: str) -> None:
     assert int(sequence) > 900
     assert marker in "01"
     assert len(json.loads(position)) == 3
+
+
+def test_a_tool_in_a_minute(address: str) -> None:
+    _, tour = blocks("bash")
+    _, _, tool, pose = answers_to(tour, address)
+    assert tool["id"] == pose["tool"] == "pointer"
+    end = time.monotonic() + 60.0
+    while pose["status"] != "OK":
+        assert time.monotonic() < end, pose
+        time.sleep(0.1)
+        pose = httpx.get(f"http://{address}/api/v1/tools/pointer/pose").json()
+    # Somewhere in the middle of the volume: the scene's tool swings there.
+    assert np.linalg.norm(np.subtract(pose["tip_mm"], [0.0, 0.0, 1500.0])) < 400.0
 
 
 def test_the_table_of_errors_is_what_the_command_prints() -> None:

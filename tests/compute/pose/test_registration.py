@@ -163,6 +163,31 @@ def test_the_scale_has_its_share_of_the_error() -> None:
     check_mean(squares, 3, 0.12)
 
 
+@settings(max_examples=20)
+@given(transforms(covariance=False), st.booleans(), st.sampled_from(["covariances", "isotropic"]))
+def test_predictions_do_not_depend_on_where_the_origin_is(
+    motion: Transform, scaled: bool, weighting: str
+) -> None:
+    chance = np.random.default_rng(0)
+    source = fiducials(chance, 7)
+    covariances = np.array([point_covariance(chance, 0.3) for _ in source])
+    target = source + drawn(chance, covariances)
+    here, there = (
+        register_points(
+            one,
+            target,
+            None,
+            covariances,
+            weighting=weighting,  # type: ignore[arg-type]
+            scaled=scaled,
+        )
+        for one in (source, motion.apply(source))
+    )
+    one, other = here.target_covariance(TARGETS), there.target_covariance(motion.apply(TARGETS))
+    assert np.allclose(one, other, rtol=1e-4, atol=1e-6)
+    assert here.fre_mm == pytest.approx(there.fre_mm, rel=1e-6)
+
+
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("count", [4, 6, 10])
 def test_exchanged_fiducials_are_named(count: int, known: bool) -> None:

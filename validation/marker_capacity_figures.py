@@ -12,8 +12,8 @@ from validation.marker_capacity_rigs import RIGS, Rig, with_noise
 
 Array = NDArray[np.float64]
 
-MARKERS: Final = (1, 2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 18, 20)
-FRAMES: Final = 25
+MARKERS: Final = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20)
+FRAMES: Final = 16
 MERGED_PX: Final = 1.0
 """Lines nearer than this are one peak, flagged as merged, at their middle."""
 PREDICTED_MM: Final = 2.0

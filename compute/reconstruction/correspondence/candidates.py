@@ -132,7 +132,7 @@ def solved(solve: Solve, peaks: FramePeaks, choice: Choice) -> Tried:
         chi2, freedom, covariance = points.chi2[good], degrees[good], points.covariance_mm2[good]
         log_sigma = np.log(np.where(points.used[good], sigma[good], 1.0)).sum(axis=1)
         rest = -log_sigma - 0.5 * _LOG_TWO_PI * freedom - 0.5 * chi2
-        log_volume, compared = _log_volumes(covariance)
+        log_volume, compared = log_volumes(covariance)
         found = Candidates(
             choice[good],
             points.position_mm[good],
@@ -147,7 +147,7 @@ def solved(solve: Solve, peaks: FramePeaks, choice: Choice) -> Tried:
     return Tried(found, good, points.chi2, degrees)
 
 
-def _log_volumes(covariance: Array) -> tuple[Array, Array]:
+def log_volumes(covariance: Array) -> tuple[Array, Array]:
     """Return log of the root of ``det (C^-1 + 1 / e^2)^-1`` for both extents e, shape (C,)."""
     xx, yy, zz = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 2, 2]
     xy, xz, yz = covariance[:, 0, 1], covariance[:, 0, 2], covariance[:, 1, 2]

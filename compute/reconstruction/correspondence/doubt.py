@@ -80,7 +80,7 @@ class Doubt:
         # Three of the misfits are to the prediction, of which there is one.
         true += np.where(tracked, 0.0, log(self.markers))
         degrees = np.where(tracked, found.degrees - 3, found.degrees)
-        near = degrees * _spread(chance) + np.where(tracked, 3.0 * _spread(predicted), 0.0)
+        near = degrees * spread_of(chance) + np.where(tracked, 3.0 * spread_of(predicted), 0.0)
         ways = used @ np.log(self.unexplained)
         odds: Array = np.exp(np.minimum(ways - true + near + 0.5 * found.chi2, 0.0))
         return odds
@@ -89,7 +89,7 @@ class Doubt:
         """Return the expected number of wrong matches that fit as well as a body's does."""
         ways = float(((members.choice >= 0) @ np.log(self.unexplained)).sum())
         peaks = int((members.choice >= 0).sum())
-        near = match.degrees * _spread(chance) + 0.5 * match.chi2
+        near = match.degrees * spread_of(chance) + 0.5 * match.chi2
         return exp(min(ways - peaks * log(self.settings.detection) + near, 0.0))
 
     def _foreign(self, found: Candidates) -> Array:
@@ -108,11 +108,12 @@ class Doubt:
         which, sensor = which[fewer.row], sensor[fewer.row]
         log_density = found.log_fit[which] - fewer.found.log_fit
         missed = 1.0 / self.settings.detection - 1.0
-        odds = missed * self._density()[sensor] * np.exp(-log_density)
+        odds = missed * self.density[sensor] * np.exp(-log_density)
         total: Array = np.bincount(which, odds, minlength=len(found))
         return total
 
-    def _density(self) -> Array:
+    @property
+    def density(self) -> Array:
         """Return how dense unexplained peaks are, over where the peaks lie, shape (S,) [1/px]."""
         place, count = self.peaks.position_px, self.peaks.count
         last = place[np.arange(len(place)), np.maximum(count - 1, 0)]
@@ -121,7 +122,7 @@ class Doubt:
         return np.where(count >= 3, density, self.settings.false_per_px)
 
 
-def _spread(chance: Chance) -> float:
+def spread_of(chance: Chance) -> float:
     """Log of how many wrong misfits there are for one that noise makes, at zero."""
     # Where nothing was counted nothing was tried, and the figure is not used.
     return max(chance.log_density() + _LOG_ROOT_TWO_PI, _LEAST)

@@ -12,8 +12,9 @@ from compute.reconstruction.correspondence.outside import PredictedPoints
 from compute.reconstruction.correspondence.peaks import FramePeaks
 from compute.reconstruction.correspondence.pool import Pool
 from compute.reconstruction.correspondence.predictor import Predictor
-from compute.reconstruction.correspondence.result import Correspondence
+from compute.reconstruction.correspondence.result import Correspondence, Group
 from compute.reconstruction.correspondence.settings import MatchSettings
+from compute.reconstruction.correspondence.small import small_frame
 
 Array = NDArray[np.float64]
 
@@ -69,6 +70,9 @@ def group_peaks(
     if seeing < 3 or (not outside and (count.max() == 1 or seeing == 3)):
         return _nothing_to_choose(position_px, sigma_px, count)
     peaks = FramePeaks.of(position_px, sigma_px, merged, settings.merged_px)
+    groups = None if outside else small_frame(solve, peaks, settings)
+    if groups is not None:
+        return _result(groups, peaks, 0)
     pool = Pool(solve, peaks, settings, predict)
     if predicted is not None and len(predicted) > 0:
         pool.add_predicted(predicted)
@@ -77,7 +81,7 @@ def group_peaks(
     for index, body in enumerate(bodies_mm):
         pool.add_body(index, np.asarray(body, dtype=np.float64))
     pool.close()
-    return _result(pool, peaks)
+    return _result(pool.groups, peaks, pool.cut)
 
 
 def _nothing_to_choose(
@@ -117,10 +121,10 @@ def _correspondence(sensors: int, cut: int = 0) -> Correspondence:
     )
 
 
-def _result(pool: Pool, peaks: FramePeaks) -> Correspondence:
-    groups = sorted(pool.groups, key=lambda group: group.choice)
+def _result(found: Sequence[Group], peaks: FramePeaks, cut: int) -> Correspondence:
+    groups = sorted(found, key=lambda group: group.choice)
     if not groups:
-        return _correspondence(len(peaks), pool.cut)
+        return _correspondence(len(peaks), cut)
     choice = np.array([group.choice for group in groups])
     readings, sigma = peaks.readings(choice)
     given = np.where(choice < 0, -1, peaks.given[np.arange(len(peaks)), choice])
@@ -132,5 +136,5 @@ def _result(pool: Pool, peaks: FramePeaks) -> Correspondence:
         np.array([group.predicted for group in groups]),
         np.array([group.body for group in groups]),
         np.array([group.body_marker for group in groups]),
-        pool.cut,
+        cut,
     )

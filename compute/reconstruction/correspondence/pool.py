@@ -1,6 +1,5 @@
 """Pool: a frame's candidates, what was decided of them, and the groups that came of it."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 from math import inf
 from typing import Final
@@ -23,6 +22,7 @@ from compute.reconstruction.correspondence.outside import PredictedPoints, predi
 from compute.reconstruction.correspondence.packing import Packing, pack
 from compute.reconstruction.correspondence.peaks import FramePeaks
 from compute.reconstruction.correspondence.predictor import Predictor
+from compute.reconstruction.correspondence.result import Group
 from compute.reconstruction.correspondence.settings import MatchSettings
 from compute.reconstruction.correspondence.stepwise import completed, triples
 
@@ -34,17 +34,6 @@ MOST_PLAIN: Final = 20_000
 """Combinations that are tried where nothing predicts readings: 11 markers on four sensors."""
 _FREEZE: Final = 0.5
 """Share of the wrong rate below which a group is taken for good, before all is looked at."""
-
-
-@dataclass(frozen=True)
-class Group:
-    """A marker's peaks: their indices by sensor, -1: none; see ``Correspondence``."""
-
-    choice: tuple[int, ...]
-    ambiguous: bool
-    predicted: int = -1
-    body: int = -1
-    body_marker: int = -1
 
 
 class Pool:

@@ -37,3 +37,14 @@ class Correspondence:
     def __len__(self) -> int:
         """Return the number of groups."""
         return len(self.readings_px)
+
+
+@dataclass(frozen=True)
+class Group:
+    """A marker's peaks: their indices by sensor, -1: none; see ``Correspondence``."""
+
+    choice: tuple[int, ...]
+    ambiguous: bool
+    predicted: int = -1
+    body: int = -1
+    body_marker: int = -1

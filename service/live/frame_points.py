@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from compute.calibration.result import Calibration
 from compute.mapping.table import CorrectionTable
-from compute.reconstruction.correspondence import group_peaks
+from compute.reconstruction.correspondence import Predictor, group_peaks
 from compute.reconstruction.estimate import PointBatch, PointFlag
 from compute.reconstruction.solver import PointSolver
-from compute.signal.peaks import PeakBatch
+from compute.signal.peaks import PeakBatch, PeakFlag
 from hardware.frame import LineFrame
 from service.live.usable_peaks import PeakUse, UsablePeaks
 
@@ -27,6 +27,8 @@ class ActiveCalibration:
     table_id: str | None
     solver: PointSolver
     table: CorrectionTable | None = None
+    predictor: Predictor | None = None
+    """The cameras forward, for frames with many markers; None: only small ones are grouped."""
 
 
 def no_points(sensors: int) -> PointBatch:
@@ -84,7 +86,13 @@ def points_of(
             owner.append(index)
             ambiguous.append(False)
             continue
-        found = group_peaks(active.solver.solve, position[index], spread[index])
+        found = group_peaks(
+            active.solver.solve,
+            position[index],
+            spread[index],
+            predict=active.predictor,
+            merged=(usable.flags[index] & int(PeakFlag.MERGED)) != 0,
+        )
         rows.extend(found.readings_px)
         sigmas.extend(found.sigma_px)
         owner.extend([index] * len(found.readings_px))

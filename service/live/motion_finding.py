@@ -23,6 +23,7 @@ from service.live.usable_peaks import UsablePeaks
 _log = logging.getLogger(__name__)
 
 NO_CALIBRATION: Final = "the device has no active calibration"
+PASSED_OVER: Final = "the computer does not keep up with the device: frames are passed over"
 NOT_READ: Final = "nothing is known to read the lines of this device"
 
 
@@ -135,6 +136,14 @@ class MotionFinding:
             )
             poses.append(self._follow_tools(frame, *readings, own))
         return Motion.of(tracks, poses, self._sensors)
+
+    def passed_over(
+        self, frames: Sequence[LineFrame], *_: UsablePeaks | PointBatch | NDArray[np.intp] | None
+    ) -> Motion:
+        """Return the motion of frames that are not followed: what comes next must not wait."""
+        tools, status = self._tracked.tools, PoseStatus.MISSING
+        poses = [_without(tools, frame, status, PASSED_OVER) for frame in frames]
+        return Motion.of([TrackBatch.empty(self._sensors)] * len(frames), poses, self._sensors)
 
     def _begin_markers(self, active: ActiveCalibration) -> None:
         """Follow markers anew; their numbers go on where those before ended."""

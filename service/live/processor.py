@@ -7,6 +7,7 @@ import numpy as np
 from compute.calibration.result import Calibration
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
+from compute.reconstruction.correspondence import Predictor
 from compute.reconstruction.solver import PointSolver, load_kernels
 from compute.signal.peaks import PeakBatch
 from hardware.driver import DeviceDescription
@@ -111,6 +112,7 @@ class DeviceProcessor:
             None if table is None else table_id,
             PointSolver(calibration.models, covariance, table, self._compute_device, threads=1),
             table,
+            Predictor.of(calibration.models, covariance, table),
         )
         self._motion.set_calibration(self._active)
 
@@ -118,18 +120,26 @@ class DeviceProcessor:
         """Switch what is followed, between two batches; what cannot be followed says why."""
         self._motion.set_tracked(tracked)
 
-    def process(self, frames: Sequence[LineFrame]) -> FrameBatch:
+    @property
+    def follows(self) -> bool:
+        """Whether markers or tools are followed."""
+        return self._motion.wanted
+
+    def process(self, frames: Sequence[LineFrame], *, follow: bool = True) -> FrameBatch:
         """Find the peaks of up to MAX_FRAMES frames and reconstruct their points.
 
-        A device whose lines nothing is known to read gives neither.
+        A device whose lines nothing is known to read gives neither. Without ``follow`` markers and
+        tools are not looked for in these frames, and the poses say so.
         """
         if len(frames) == 1:
             lines = frames[0].lines
         else:
             lines = np.concatenate([frame.lines for frame in frames])
-        return self.process_peaks(frames, self._finding.find(lines))
+        return self.process_peaks(frames, self._finding.find(lines), follow=follow)
 
-    def process_peaks(self, frames: Sequence[LineFrame], peaks: PeakBatch) -> FrameBatch:
+    def process_peaks(
+        self, frames: Sequence[LineFrame], peaks: PeakBatch, *, follow: bool = True
+    ) -> FrameBatch:
         """Do the rest for frames whose peaks are found; their lines are not looked at."""
         active = self._active
         usable = None
@@ -138,7 +148,10 @@ class DeviceProcessor:
         else:
             usable = usable_peaks(active, frames, peaks, self._finding.use)
             points, owner = points_of(active, frames, usable)
-        motion = self._motion
+        motion = None
+        if self._motion.wanted:
+            find = self._motion.find if follow else self._motion.passed_over
+            motion = find(frames, usable, points, owner)
         return FrameBatch(
             self._device_id,
             self._names,
@@ -148,5 +161,5 @@ class DeviceProcessor:
             peaks,
             points,
             owner,
-            motion.find(frames, usable, points, owner) if motion.wanted else None,
+            motion,
         )

@@ -41,6 +41,8 @@ class Reader:
         self._ring = ring
         self._ended = ended
         self._stopping = False
+        self.waits = bool(getattr(driver, "waits", False))
+        """Whether the source waits for us: a recording that is replayed as fast as it is taken."""
         self._thread = Thread(target=self._run, name=f"reader-{device_id}", daemon=True)
 
         self._link_changed = link_changed
@@ -78,10 +80,8 @@ class Reader:
     def _run(self) -> None:
         in_device(self._device_id)
         try:
-            # A recording as fast as it is taken loses nothing; a device does not wait for us.
-            waits = bool(getattr(self._driver, "waits", False))
             for frame in self._driver.frames():
-                if waits:
+                if self.waits:
                     self._ring.wait_for_room(lambda: self._stopping)
                 self._ring.put(frame)
         except LumilineError as error:

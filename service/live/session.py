@@ -28,6 +28,11 @@ _log = logging.getLogger(__name__)
 
 DeviceState = Literal["stopped", "starting", "running", "disconnected", "ended", "failed"]
 
+BEHIND_SECONDS = 0.1
+"""When frames of so much time wait, markers and tools are not followed: a pose would be as old."""
+CAUGHT_UP_SECONDS = 0.02
+"""When no more than that waits, they are again."""
+
 BOARD_SECONDS = 0.001
 """Least time between two entries of the board: of faster devices not every frame is put up."""
 
@@ -52,6 +57,8 @@ class DeviceStatus:
         frames_processed: frames that were published.
         subscribers: connected streams.
         link: of a device that can be unplugged, how its link stands; None of others.
+        frames_not_followed: frames whose points were made, but in which markers and tools were not
+            followed, because the compute thread did not keep up.
     """
 
     state: DeviceState
@@ -64,6 +71,7 @@ class DeviceStatus:
     frames_processed: int = 0
     subscribers: int = 0
     link: LinkState | None = None
+    frames_not_followed: int = 0
 
 
 class DeviceSession:
@@ -87,6 +95,8 @@ class DeviceSession:
         """Where the newest poses are put up."""
         self.pose_counts = PoseCounts()
         self._board_s = -BOARD_SECONDS
+        self.not_followed = 0
+        self._behind = False
         self.reader: Reader | None = None
         self._taps_lock = Lock()
         self.taps: tuple[Tap, ...] = ()
@@ -109,7 +119,8 @@ class DeviceSession:
             return False
         begin = time.monotonic()
         try:
-            batch = self.processor.process(frames)
+            follow = self._keeps_up(len(frames))
+            batch = self.processor.process(frames, follow=follow)
             if batch.motion is not None and batch.motion.poses:
                 # Before all others: who steers by a pose waits for nothing else.
                 self._put_up(batch, batch.motion)
@@ -124,6 +135,21 @@ class DeviceSession:
         per_frame = (time.monotonic() - begin) / len(frames)
         self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(per_frame, 1e-6))))
         return True
+
+    def _keeps_up(self, taken: int) -> bool:
+        """Return whether markers and tools are followed in the frames that were taken.
+
+        A source that waits for us is never behind.
+        """
+        if not self.processor.follows or self.reader is None or self.reader.waits:
+            return True
+        later = taken + len(self.ring) - 1
+        rate = self.description.frame_rate_hz
+        limit_s = CAUGHT_UP_SECONDS if self._behind else BEHIND_SECONDS
+        self._behind = later > limit_s * rate
+        if self._behind:
+            self.not_followed += taken
+        return not self._behind
 
     def set_tracked(self, tracked: Tracked) -> None:
         """Follow other things from the next batch on; runs in the compute thread."""
@@ -234,4 +260,5 @@ class DeviceSession:
             self.processed,
             self.hub.subscribers(self.device_id),
             link,
+            self.not_followed,
         )

@@ -129,6 +129,11 @@ def _frames(statuses: dict[str, DeviceStatus]) -> Iterator[Metric]:
         "Frames dropped in front of the compute thread, which did not keep up.",
         (((name,), status.frames_dropped_ring) for name, status in here),
     )
+    yield counter(
+        "frames_not_followed",
+        "Frames in which markers and tools were not followed, as the compute thread was behind.",
+        (((name,), status.frames_not_followed) for name, status in here),
+    )
 
 
 def _links(statuses: dict[str, DeviceStatus]) -> Iterator[Metric]:

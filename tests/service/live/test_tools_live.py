@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from compute.calibration.result import Calibration
 from compute.camera.rotation import rotation_vector
 from compute.pose.rigid_body import RigidBody
+from compute.pose.settings import MotionSettings, ToolTrackerSettings
 from compute.pose.tool_pose import ToolPose
 from compute.tracking.track_batch import TrackState
 from hardware.simulated.driver import SimulatedDriver
@@ -19,11 +20,16 @@ from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings
 from service.database.seed import nominal_calibration
 from service.live.batch import FrameBatch
+from service.live.hub import Hub
 from service.live.in_force import InForce
 from service.live.manager import LiveManager
 from service.live.motion import Motion
+from service.live.motion_finding import PASSED_OVER
 from service.live.pose_board import BoardEntry
 from service.live.processor import DeviceProcessor
+from service.live.reader import Reader
+from service.live.ring import FrameRing
+from service.live.session import DeviceSession
 from service.live.tracked import NOTHING_TRACKED, Tracked
 
 POINTER = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (20.0, 15.0, 40.0))
@@ -38,6 +44,10 @@ SCENE = MovingTools(
     )
 )
 NAMES = ("pointer", "patient")
+STILL = ToolTrackerSettings(
+    motion=MotionSettings(acceleration_mm_s2=100.0, turn_acceleration_rad_s2=1.0)
+)
+"""For tools that hardly move: at 200 Hz each of the eight markers is seen every 40 ms."""
 Illumination = Literal["strobed", "simultaneous"]
 
 
@@ -186,8 +196,15 @@ def entry(live: LiveManager) -> BoardEntry | None:
 
 
 def test_the_board_has_the_poses_of_a_running_device_and_of_no_other(live: LiveManager):
-    live.set_tracked("sim", Tracked(False, tools("strobed")))
-    driver = SimulatedDriver("sim", simulation("strobed", None))
+    live.set_tracked("sim", Tracked(False, tools("strobed"), tool_tracker=STILL))
+    # In real time, and slowly: of a device that the server does not keep up with there are none.
+    settings = replace(
+        simulation("strobed", None),
+        scene=replace(SCENE, moving=False),
+        realtime=True,
+        frame_rate_hz=200.0,
+    )
+    driver = SimulatedDriver("sim", settings)
     live.start_device("sim", driver, InForce("nominal", exact()))
 
     def valid() -> bool:
@@ -198,18 +215,18 @@ def test_the_board_has_the_poses_of_a_running_device_and_of_no_other(live: LiveM
     there = entry(live)
     assert there is not None
     assert list(there.poses) == list(NAMES)
-    assert (there.calibration_id, there.frame_rate_hz) == ("nominal", 1000.0)
+    assert (there.calibration_id, there.frame_rate_hz) == ("nominal", 200.0)
     assert {pose.sequence for pose in there.poses.values()} == {there.sequence}
     counts = live.pose_counts()["sim"]
     assert counts["pointer"].frames
     assert counts["pointer"].newest_ns is not None
     # Without its reference, while it runs; with neither there is nothing to put up.
-    live.set_tracked("sim", Tracked(False, tools("strobed")[:1]))
+    live.set_tracked("sim", Tracked(False, tools("strobed")[:1], tool_tracker=STILL))
     wait_for(lambda: (now := entry(live)) is not None and list(now.poses) == ["pointer"])
     assert list(live.pose_counts()["sim"]) == ["pointer"]
     live.set_tracked("sim", NOTHING_TRACKED)
     assert entry(live) is None
-    live.set_tracked("sim", Tracked(False, tools("strobed")))
+    live.set_tracked("sim", Tracked(False, tools("strobed"), tool_tracker=STILL))
     wait_for(valid)
     live.set_calibration("sim", InForce())
     wait_for(lambda: (now := entry(live)) is not None and now.calibration_id is None)
@@ -227,3 +244,51 @@ def test_a_recording_that_ends_leaves_no_pose_behind(live: LiveManager):
     wait_for(lambda: live.status("sim").frames_processed == 50)
     wait_for(lambda: entry(live) is None)
     assert sum(live.pose_counts()["sim"]["pointer"].frames.values()) > 0
+
+
+def test_of_frames_that_waited_too_long_there_are_no_poses():
+    """The compute thread was away for 0.2 s at 1 kHz; its ring has a hundred frames, and more."""
+    driver = SimulatedDriver("sim", simulation("strobed", 0.5))
+    driver.open()
+    processor = DeviceProcessor("sim", driver.description, "cpu")
+    processor.set_tracked(Tracked(True, tools("strobed")))
+    processor.set_calibration("nominal", exact())
+    ring = FrameRing(1000, lambda: None)
+    session = DeviceSession("sim", driver.description, processor, ring, Hub())
+    session.reader = Reader("sim", driver, ring, lambda: None, lambda: None)
+    frames = list(driver.frames())
+    taken: list[FrameBatch] = []
+
+    class Took:
+        def prepare(self, found: InForce) -> None: ...
+
+        def offer(self, batch: FrameBatch) -> None:
+            taken.append(batch)
+
+    session.attach(Took())
+
+    def work(first: int, last: int) -> list[FrameBatch]:
+        taken.clear()
+        for frame in frames[first:last]:
+            ring.put(frame)
+        while session.work():
+            pass
+        return list(taken)
+
+    assert motion(work(0, 60)[-1]).poses[-1].valid  # behind by less than it may be
+    assert session.status().frames_not_followed == 0
+    late = work(60, 260)
+    assert not motion(late[0]).poses[0].valid
+    assert motion(late[0]).poses[0].reason == PASSED_OVER
+    assert len(motion(late[0]).tracks) == 0
+    assert len(late[0].points) == len(late[0].frames)  # points are made all the same
+    told = [motion(batch).poses[0].reason == PASSED_OVER for batch in late]
+    assert sorted(told, reverse=True) == told  # from the first to where it has caught up
+    followed = sum(len(batch.frames) for batch, over in zip(late, told, strict=True) if not over)
+    assert 1 <= followed <= 21  # of 0.02 s
+    assert session.status().frames_not_followed == 200 - followed
+    # It finds them again, and counts no more.
+    assert motion(work(260, 320)[-1]).poses[-1].valid
+    assert session.status().frames_not_followed == 200 - followed
+    session.reader.waits = True  # a recording that is replayed as fast as it can be
+    assert PASSED_OVER not in {pose.reason for one in work(320, 500) for pose in motion(one).poses}

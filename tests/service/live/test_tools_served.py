@@ -15,11 +15,11 @@ from tests.service.live.test_stream import receive, streaming
 
 MARKERS = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (20.0, 15.0, 40.0))
 TIP = (-100.0, 0.0, 0.0)
-PIVOTED = MovingTool(MARKERS, swing_mm=(0.0, 0.0, 0.0), held_mm=TIP, period_s=2.0)
+PIVOTED = MovingTool(MARKERS, swing_mm=(0.0, 0.0, 0.0), held_mm=TIP, period_s=8.0)
 SCENE = {
     "kind": "moving-tools",
     "tools": [
-        {"markers_mm": MARKERS, "swing_mm": [0, 0, 0], "held_mm": TIP, "period_s": 2.0},
+        {"markers_mm": MARKERS, "swing_mm": [0, 0, 0], "held_mm": TIP, "period_s": 8.0},
     ],
 }
 TOOL = {
@@ -42,7 +42,13 @@ def shown(server: str) -> None:
     """The device shows a pointer that is pivoted about its tip."""
     settings = {"scene": SCENE, "frame_rate_hz": 200}
     source = {"kind": "simulated", "settings": settings}
-    changed = {"source": source, "tracking": {"tracks": "with-tools"}}
+    # A marker is seen every 20 ms: that the tool is turned slowly makes its pose known well.
+    tracking = {
+        "tracks": "with-tools",
+        "tool_acceleration_mm_s2": 500,
+        "tool_turn_acceleration_rad_s2": 5,
+    }
+    changed = {"source": source, "tracking": tracking}
     sent("PATCH", f"{server}/api/v1/devices/sim", json=changed)
     sent("POST", f"{server}/api/v1/devices/sim/start")
 

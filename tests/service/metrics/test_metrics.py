@@ -54,7 +54,7 @@ def busy(live: RecordedLive, sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
     link = LinkState("garbled", "noise", counters)
     live.states["bar"] = DeviceStatus(
         "running", frames=100, frames_lost_device=7, frames_dropped_ring=5, frames_processed=90,
-        link=link,
+        link=link, frames_not_followed=8,
     )  # fmt: skip
     latency = Latency()
     for seconds in (0.0004, 0.0011, 0.0012, 99.0, -1.0):
@@ -112,6 +112,7 @@ def test_figures_are_those_of_the_live_side(busy: Any):
         "frames_received_total": 100,
         "exposures_lost_total": 7,
         "frames_dropped_total": 5,
+        "frames_not_followed_total": 8,
         "frames_processed_total": 90,
         "link_received_bytes_total": 12345,
         "link_frames_garbled_total": 2,

@@ -201,8 +201,9 @@ def test_one_wrong_reading_is_left_out_and_named() -> None:
 
 def test_with_hardly_any_redundancy_no_right_reading_is_blamed() -> None:
     rng = np.random.default_rng(8)
-    named = invalid = 0
-    for _ in range(40):
+    named = 0
+    reasons = []
+    for _ in range(60):
         true = somewhere(rng)
         readings = np.where(two_of_four(rng), CAMERAS.project(true.markers_mm), np.nan)
         marker, sensor = np.argwhere(np.isfinite(readings))[rng.integers(8)]
@@ -212,9 +213,10 @@ def test_with_hardly_any_redundancy_no_right_reading_is_blamed() -> None:
             assert found.left_out == ((marker, sensor),)
             named += 1
         else:
-            invalid += found.status is PoseStatus.INVALID
+            reasons.append(str(found.reason))
     assert named > 0
-    assert invalid > 0
+    # With a single reading to spare, another one's absence may mend the fit as well.
+    assert any("not clear which" in reason for reason in reasons)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable
 from compute.pose.pose_filter import predict
+from compute.pose.pose_fit import fit_pose
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import MotionSettings, ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose
@@ -261,6 +262,58 @@ def test_a_tool_that_leaves_is_out_of_view() -> None:
     (pose,) = one.together()
     assert "left the sensors' fields" in str(pose.reason)
     assert pose.rotation is None
+
+
+def test_a_tool_that_is_gone_out_of_view_stays_so() -> None:
+    one = scene([pointer()])
+    one.bodies[0].velocity_mm_s = np.array([3000.0, 0.0, 0.0])
+    everything = tuple((marker, None) for marker in range(4))
+    # Hidden from 500 mm on, heading for where no sensor sees it.
+    poses = [one.together(() if frame < 166 else everything)[0] for frame in range(320)]
+    assert poses[-1].status is PoseStatus.OUT_OF_VIEW
+    assert "nothing was seen of it for 100 ms" in str(poses[-1].reason)
+    one.bodies[0].centroid_mm = MIDDLE_MM
+    one.bodies[0].velocity_mm_s = np.zeros(3)
+    one.together()
+    assert one.together()[0].valid
+
+
+def test_after_a_gap_of_frames_a_tool_is_found_anew() -> None:
+    one = scene([pointer(strobed=True)])
+    for _ in range(40):
+        (pose,) = one.strobed()
+    assert pose.valid
+    one.sequence += 152
+    (pose,) = one.strobed()
+    assert pose.status is PoseStatus.MISSING
+    assert "1 of 4 markers were seen" in str(pose.reason)
+    for _ in range(12):
+        (pose,) = one.strobed()
+    assert pose.valid
+
+
+def test_a_found_tool_knows_its_share_of_the_calibrations_errors() -> None:
+    true = body(pointer(), 5)
+    root = np.sqrt(np.diag(CALIBRATION))
+    tracker = ToolTracker(CAMERAS, [pointer()], parameter_covariance=CALIBRATION)
+    (found,) = Scene([true], tracker, covariance=CALIBRATION).together()
+    assert found.valid
+    state = tracker._tools[0].state
+    assert state is not None
+    columns = tracker.model.common.reshape(28, -1)
+    assert columns @ columns.T == pytest.approx(CALIBRATION, abs=1e-12)
+    for error in range(0, 28, 5):
+        # Cameras that are off by one deviation of this error, and no noise.
+        step = columns[:, error].reshape(4, 7)
+        assert (np.abs(step.ravel()) <= 1.01 * root).all()
+        readings = CAMERAS.moved(step).project(true.markers_mm)
+        fit = fit_pose(tracker.model, true.tool, readings, np.full(4, SIGMA_PX))
+        assert fit.rotation is not None
+        assert fit.translation_mm is not None
+        turn = rotation_vector(true.rotation @ fit.rotation.T)
+        centroid = fit.translation_mm + fit.rotation @ true.tool.markers_mm.mean(axis=0)
+        off = np.concatenate([turn, true.centroid_mm - centroid])
+        assert state.common[:6, error] == pytest.approx(off, rel=0.05, abs=2e-3 * np.abs(off).max())
 
 
 def test_outside_of_the_volume_there_is_a_pose_and_a_status() -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import inspect
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -125,7 +126,7 @@ def test_a_registration_tells_its_errors(ask: Ask) -> None:
 
 
 def test_a_recording_from_its_begin_to_a_file(ask: Ask, tmp_path: Path) -> None:
-    begun = ask("start_recording", "sim", seconds=30.0)
+    begun = ask("start_recording", "sim", seconds=3000.0)
     with pytest.raises(ServerProblem, match="recording-in-progress"):
         ask("download_recording", begun.name, tmp_path / "early.h5")
     ended = ask("stop_recording", begun.name)
@@ -142,6 +143,10 @@ def test_a_recording_from_its_begin_to_a_file(ask: Ask, tmp_path: Path) -> None:
 def test_stop_and_start(ask: Ask) -> None:
     assert ask("stop_device", "sim").state == "stopped"
     assert ask("start_device", "sim").state in {"starting", "running"}
+    end = time.monotonic() + 60.0
+    while ask("device_status", "sim").state != "running":
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 def test_what_is_no_lumiline_document_is_told(ask: Ask) -> None:

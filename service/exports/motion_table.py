@@ -120,5 +120,5 @@ class MotionTable:
     @property
     def time_s(self) -> Array:
         """Times of the frames on the device's clock since the first, shape (F,) [s]."""
-        found: Array = (self.device_ns - self.device_ns[:1]) * 1e-9
-        return found
+        since = (self.device_ns - self.device_ns[:1]).astype(np.float64)
+        return since * 1e-9

@@ -43,10 +43,10 @@ def tool(server: str) -> Iterator[str]:
 
 
 def test_a_pose_in_the_stream_is_that_of_the_request(server: str, tool: str) -> None:
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 120.0
     with Client(server) as client, client.stream("sim", ("tools", "tracks")) as stream:
         for frame in stream.frames():
-            assert time.monotonic() < end, "there was no pose and four tracks in a minute"
+            assert time.monotonic() < end, "there was no pose, and four tracks, in two minutes"
             assert frame.tools is not None
             assert frame.tracks is not None
             if not frame.tools:
@@ -55,9 +55,13 @@ def test_a_pose_in_the_stream_is_that_of_the_request(server: str, tool: str) -> 
             if streamed.valid and len(frame.tracks) == 4:
                 break
             assert streamed.valid or streamed.reason
-        asked = client.tool_pose(tool)
+        # Where the machine is busy a pose may be too old to be one; it says so.
+        while (asked := client.tool_pose(tool)).status != "OK":
+            assert asked.reason
+            assert time.monotonic() < end, asked.reason
+            time.sleep(0.05)
     check(frame, streamed)
-    assert (asked.tool, asked.frame, asked.status) == (tool, "tracker", "OK")
+    assert (asked.tool, asked.frame) == (tool, "tracker")
     # The tool rests: the newest pose is another frame's, of the same place.
     assert asked.translation_mm == pytest.approx(streamed.translation_mm, abs=0.5)
     assert asked.tip_mm == pytest.approx(streamed.tip_mm, abs=1.0)

@@ -119,7 +119,7 @@ def isotropic(seed: int, count: int, sigma_mm: float) -> tuple[Array, Transform,
 
 def test_errors_that_are_the_same_everywhere_are_those_of_the_published_formulas() -> None:
     measured, localised, before = [], [], []
-    for seed in range(200):
+    for seed in range(120):
         source, truth, found = isotropic(seed, 5, 0.4)
         # Fitzpatrick's formula is what the covariance of the transform comes to.
         published = fitzpatrick_error(source, TARGETS, found.fle_mm)
@@ -131,9 +131,9 @@ def test_errors_that_are_the_same_everywhere_are_those_of_the_published_formulas
         before.append(found.fre_mm**2)
     # Sibson: FRE^2 = (1 - 2 / N) FLE^2, here of nine degrees of freedom.
     check_mean(localised, 9)
-    assert np.mean(before) == pytest.approx((1.0 - 2.0 / 5.0) * 3.0 * 0.16, rel=0.08)
+    assert np.mean(before) == pytest.approx((1.0 - 2.0 / 5.0) * 3.0 * 0.16, rel=0.1)
     ratio = np.mean(measured, axis=0)
-    assert np.allclose(ratio, 1.0, atol=4.0 * np.std(measured, axis=0) / np.sqrt(200))
+    assert np.allclose(ratio, 1.0, atol=4.0 * np.std(measured, axis=0) / np.sqrt(120))
 
 
 @given(st.integers(0, 1000), transforms(covariance=False))
@@ -229,8 +229,8 @@ def test_a_fiducial_that_was_moved_is_named(count: int, known: bool) -> None:
 
 
 def test_good_pairs_are_not_accused() -> None:
-    accused = sum(isotropic(seed, 7, 0.5)[2].wrong is not None for seed in range(100))
-    for seed in range(100):
+    accused = sum(isotropic(seed, 7, 0.5)[2].wrong is not None for seed in range(60))
+    for seed in range(60):
         chance = np.random.default_rng(seed)
         source = fiducials(chance, 5)
         target = anywhere(chance).apply(source) + 0.5 * chance.normal(size=source.shape)

@@ -74,6 +74,18 @@ def test_the_nearest_place_is_the_nearest_of_all_triangles(seed: int, scale: int
     assert np.allclose(np.einsum("ni,ni->n", points - places, ways), found, atol=1e-9)
 
 
+def test_a_large_triangle_is_near_also_where_its_middle_is_far() -> None:
+    large = np.array([[0.0, 0.0, 0.0], [900.0, 0.0, 0.0], [0.0, 900.0, 0.0]])
+    small = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    # Thirty small ones above a corner of the large one, which is nearer to the point.
+    every = [large, *(small + np.array([0.0, 0.0, 20.0 + one]) for one in range(30))]
+    surface = TriangleMesh(np.concatenate(every), np.arange(93).reshape(31, 3))
+    places, ways = surface.nearest(np.array([[2.0, 2.0, 3.0], [2.0, 2.0, 60.0]]))
+    assert np.allclose(places[0], [2.0, 2.0, 0.0])
+    assert np.allclose(ways[0], [0.0, 0.0, 1.0])
+    assert np.allclose(places[1], [0.5, 0.5, 49.0])
+
+
 def test_places_on_a_triangle() -> None:
     corners = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
     for point, wanted in (

@@ -99,6 +99,7 @@ def test_a_reading_that_is_certain_is_the_joint_updates() -> None:
     bias = 0.02 * np.eye(SENSORS)
     motion = MotionModels.of(TrackerSettings())
     states = predicted(motion, start(models=2), np.array([0.05]))
+    states.with_bias[..., :3, :] = 0.01 * rng.standard_normal((3, SENSORS))
     used = np.array([False, False, True, False])
     difference = np.zeros((1, 2, SENSORS))
     difference[..., 2] = 0.3
@@ -136,8 +137,6 @@ def test_a_soft_reading_has_the_moments_of_its_mixture() -> None:
         gain = across / (own + noise)
         parts.append((chance, gain * off, states.covariance[0, 0] - np.outer(gain, across)))
     mean = sum(chance * one for chance, one, _ in parts)
-    spread = sum(
-        chance * (cov + np.outer(one - mean, one - mean)) for chance, one, cov in parts
-    )
+    spread = sum(chance * (cov + np.outer(one - mean, one - mean)) for chance, one, cov in parts)
     assert np.allclose(after.mean[0, 0], mean)
     assert np.allclose(after.covariance[0, 0], spread)

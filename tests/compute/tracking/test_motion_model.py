@@ -44,3 +44,5 @@ def test_switching_over_two_times_is_switching_over_their_sum(first: float, seco
     assert np.allclose(one @ two, both)
     assert np.allclose(both.sum(axis=1), 1.0)
     assert (both > 0.0).all()
+    soon = models.switching(np.array([1e-6]))[0]
+    assert soon[0, 1] == pytest.approx(1e-6 / models.switch_s, rel=1e-4)

@@ -78,6 +78,13 @@ def test_constant_errors_are_those_of_reconstruction() -> None:
         assert np.allclose(right, stated[place], rtol=0.02)
 
 
+def test_the_tables_variance_is_a_constant_error() -> None:
+    corrections, places = table(), control_points(5)
+    own = ReadingModel(CameraStack.of(rig()), None, corrections).bias_covariance(places)
+    assert np.allclose(np.diagonal(own, axis1=1, axis2=2), corrections.at(places).variance_px2)
+    assert np.count_nonzero(own) == own.shape[0] * own.shape[1]
+
+
 def test_what_is_out_of_view_is_said_so() -> None:
     model = ReadingModel(CameraStack.of(rig()), pixels=(2048,) * 4)
     predicted = model.predict(np.array([[0.0, 0.0, 1500.0], [0.0, 0.0, -1500.0], [9e3, 0, 1500]]))

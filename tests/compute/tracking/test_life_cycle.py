@@ -1,0 +1,135 @@
+"""The life of tracks: what is confirmed, which lost one a new one is, where a new one begins."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from compute.camera.stack import CameraStack
+from compute.tracking.life_cycle import (
+    WEAK_EXPOSURES,
+    confirmable,
+    count_weak,
+    ended,
+    exchangeable,
+    lost_one,
+    replaced,
+)
+from compute.tracking.motion_model import MotionModels
+from compute.tracking.new_states import new_states
+from compute.tracking.reading_model import ReadingModel
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.states import States
+from compute.tracking.tracks import Tracks
+from tests.compute.tracking.moving_markers import MIDDLE_MM, ring
+
+Array = NDArray[np.float64]
+
+SETTINGS = TrackerSettings(motion="acceleration")
+MOTION = MotionModels.of(SETTINGS)
+SENSORS = 4
+
+
+def tracks_at(places_mm: list[list[float]], velocity_mm_s: list[list[float]]) -> Tracks:
+    """Confirmed tracks with deviations of 1 mm and 10 mm/s."""
+    count = len(places_mm)
+    mean = np.zeros((count, 1, 9))
+    mean[:, 0, :3], mean[:, 0, 3:6] = places_mm, velocity_mm_s
+    covariance = np.diag([1.0] * 3 + [100.0] * 3 + [1e4] * 3)
+    none = Tracks.empty(1, SENSORS)
+    return Tracks(
+        States(
+            mean,
+            np.broadcast_to(covariance, (count, 1, 9, 9)).copy(),
+            np.zeros((count, 1, 9, SENSORS)),
+            np.ones((count, 1)),
+        ),
+        np.arange(1, count + 1, dtype=np.int64),
+        np.full(count, -1, np.int32),
+        np.ones(count, np.bool_),
+        np.zeros(count, np.bool_),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.int64),
+        *(np.zeros(count, getattr(none, name).dtype) for name in ("hits", "vouched", "misses")),
+        np.zeros(count, np.int32),
+        np.zeros(count),
+        np.zeros((count, SENSORS, SENSORS)),
+        mean[:, 0, :3].copy(),
+    )
+
+
+@pytest.mark.parametrize(
+    ("hits", "vouched", "evidence", "confirmed"),
+    [(3, 2, 14.0, True), (2, 2, 50.0, False), (3, 1, 50.0, False), (3, 2, 13.0, False)],
+)
+def test_what_is_confirmed(hits: int, vouched: int, evidence: float, *, confirmed: bool) -> None:
+    tracks = tracks_at([[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]])
+    tracks.confirmed[0] = False
+    tracks.hits[0], tracks.vouched[0], tracks.evidence[0] = hits, vouched, evidence
+    assert (len(confirmable(tracks, SETTINGS)) == 1) is confirmed
+
+
+def test_a_lost_track_is_known_again_by_place_and_velocity() -> None:
+    still = [0.0, 0.0, 0.0]
+    tracks = tracks_at([[2.0, 0.0, 0.0], still, [60.0, 0.0, 0.0]], [still, still, still])
+    assert lost_one(MOTION, tracks, 0, np.array([1, 2])) == (1, False)
+    assert lost_one(MOTION, tracks, 0, np.array([2])) is None
+    tracks.states.mean[1, 0, 3] = 200.0
+    assert lost_one(MOTION, tracks, 0, np.array([1, 2])) is None
+    tracks.states.mean[1, 0, 3] = 0.0
+    tracks.states.mean[2, 0, 0] = 3.0
+    assert lost_one(MOTION, tracks, 0, np.array([1, 2])) == (2, True)
+    tracks.marker[:] = [5, 7, 5]
+    tracks.states.mean[2, 0, 0] = 600.0
+    assert lost_one(MOTION, tracks, 0, np.array([1, 2])) == (2, False)
+
+
+def test_tracks_that_cannot_be_told_apart_are_named() -> None:
+    still = [0.0, 0.0, 0.0]
+    places = [still, [1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [90.0, 0.0, 0.0]]
+    tracks = tracks_at(places, [still, still, [0.0, 300.0, 0.0], still])
+    assert exchangeable(MOTION, tracks, np.arange(4)).tolist() == [0, 1]
+
+
+def test_a_track_at_a_ghost_gives_way() -> None:
+    still = [0.0, 0.0, 0.0]
+    tracks = tracks_at([still, still, still], [still, still, still])
+    rows = np.array([0, 1])
+    for _ in range(WEAK_EXPOSURES):
+        count_weak(tracks, rows, np.array([3.0, 4.0]), np.array([4.0, 4.0]))
+    peaks = np.array([[0, 1, -1, 2], [3, 3, 3, 3], [0, 1, 5, 6]], dtype=np.int32)
+    assert replaced(tracks, peaks, 2, rows) == 0
+    assert replaced(tracks, peaks, 2, np.array([1])) is None
+    for _ in range(WEAK_EXPOSURES):
+        count_weak(tracks, rows, np.array([3.0, 4.0]), np.array([3.0, 4.0]))
+    assert tracks.weak[0] == WEAK_EXPOSURES
+
+
+def test_when_tracks_end() -> None:
+    still = [0.0, 0.0, 0.0]
+    tracks = tracks_at([still] * 4, [still] * 4)
+    tracks.confirmed[1:] = False
+    tracks.hits[:] = [0, 0, 1, 1]
+    tracks.misses[:] = [9, 1, SETTINGS.confirm_misses, SETTINGS.confirm_misses + 1]
+    assert ended(tracks, SETTINGS, 10**9).tolist() == [False, True, False, True]
+    assert ended(tracks, SETTINGS, 10**9 + 1).all()
+
+
+def test_a_new_track_knows_what_the_calibration_does_to_it() -> None:
+    """Place and its covariance with the constant errors, beside weighed solutions of draws."""
+    cameras = CameraStack.of(ring())
+    deviation = np.tile([1.0, 1.0, 2e-4, 2e-4, 2e-4, 0.1, 0.1], SENSORS)
+    model = ReadingModel(cameras, np.diag(deviation**2))
+    place, sigma = MIDDLE_MM[None] + [20.0, -30.0, 10.0], np.full((1, SENSORS), 0.1)
+    states, bias = new_states(model, MOTION, SETTINGS, place, sigma)
+    rng = np.random.default_rng(0)
+    errors = rng.multivariate_normal(np.zeros(SENSORS), bias[0], 40_000)
+    readings = errors + 0.1 * rng.standard_normal(errors.shape)
+    weight = np.linalg.inv(bias[0] + 0.01 * np.eye(SENSORS))
+    slope = model.predict(place).slope[0]
+    found = readings @ (np.linalg.inv(slope.T @ weight @ slope) @ slope.T @ weight).T
+    whole = np.cov(np.concatenate([-found, errors], axis=1).T)
+    scale = np.sqrt(np.diag(whole))
+    apart = (whole[:3, :3] - states.covariance[0, 0, :3, :3]) / np.outer(scale[:3], scale[:3])
+    assert np.abs(apart).max() < 0.03
+    apart = (whole[:3, 3:] - states.with_bias[0, 0, :3]) / np.outer(scale[:3], scale[3:])
+    assert np.abs(apart).max() < 0.03

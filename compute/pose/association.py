@@ -97,6 +97,7 @@ class Look:
         lit: indices of the markers that this exposure lights, shape (m,).
         state: the tool, predicted to the exposure; updated by what is found.
         peaks: which peak of each sensor is which marker's, -1: none, shape (m, S).
+        merged: readings that were not looked for, as their lines may be merged, shape (m, S).
         nis: normalised innovation squared of what was found.
         readings: how many readings were found.
         misfit: readings that were where the tool was expected did not fit it.
@@ -106,6 +107,7 @@ class Look:
     lit: NDArray[np.intp]
     state: PoseState
     peaks: NDArray[np.intp] = field(init=False)
+    merged: NDArray[np.bool_] = field(init=False)
     nis: float = 0.0
     readings: int = 0
     misfit: bool = False
@@ -117,6 +119,19 @@ class Look:
         """Go back to what was predicted: what was found does not fit."""
         self.state, self.nis, self.readings, self.misfit = self._predicted, 0.0, 0, True
         self.peaks[:] = -1
+
+    def contradictions(self, free: NDArray[np.intp]) -> int:
+        """Return how many peaks that nothing explains might be markers that were not found.
+
+        A marker that is hidden leaves nothing. A tool that is believed elsewhere than it is finds
+        some readings by chance, or on the sensors that see no difference, and leaves its true
+        peaks unexplained on the others.
+
+        Args:
+            free: number of unexplained peaks of each sensor, shape (S,).
+        """
+        missed = ((self.peaks < 0) & ~self.merged).sum(axis=0)
+        return int(np.minimum(missed, free).sum())
 
     def readings_px(self, seen: FramePeaks) -> tuple[Array, Array]:
         """Return what was found as readings and deviations of all markers, shapes (M, S)."""
@@ -149,6 +164,7 @@ def associate(
     for look in looks:
         shape = (len(look.lit), model.sensors)
         look.peaks = np.full(shape, -1, dtype=np.intp)
+        look.merged = np.zeros(shape, dtype=np.bool_)
     if not free.any():
         return
     gate = chi2_limit(1, gate_probability)
@@ -157,15 +173,15 @@ def associate(
     if len(active) == 1 and len(active[0].lit) == 1 and free.shape[1] == 1:
         # A strobed exposure with one peak on each sensor: there is nothing to choose.
         (one,) = _told(model, active, sigma)
-        found_at = np.nonzero(_offers(active[0], one, seen, free, gate) < np.inf)
-        if len(found_at[0]):
-            _take(active[0], one, seen, *found_at, gate_probability)
+        row, sensor, peak = np.nonzero(_offers(active[0], one, seen, free, gate) < np.inf)
+        if len(row):
+            _take(active[0], one, seen, row, sensor, peak, gate_probability)
         return
     for _ in range(ROUNDS if active else 0):
         told = _told(model, active, sigma)
         offers = [_offers(*pair, seen, free, gate) for pair in zip(active, told, strict=True)]
         if len(offers) > 1 or len(offers[0]) > 1:
-            _leave_merged(told, offers, seen, merge_px)
+            _leave_merged(active, told, offers, seen, merge_px)
         # A tool that is hardly known any more offers for peaks all over: that does not keep one
         # from its peaks whose gates are narrow.
         every = offers[0] if len(offers) == 1 else np.concatenate(offers)
@@ -242,7 +258,11 @@ def _offers(
 
 
 def _leave_merged(
-    told: list[Innovations], offers: list[Array], seen: FramePeaks, merge_px: float
+    looks: list[Look],
+    told: list[Innovations],
+    offers: list[Array],
+    seen: FramePeaks,
+    merge_px: float,
 ) -> None:
     """Withdraw the offers of markers whose lines may be one peak with another marker's.
 
@@ -259,8 +279,9 @@ def _leave_merged(
     peaks = (np.abs(seen.all_px - value[..., None]) <= merge_px).sum(axis=2)
     merged = crowded & (markers > peaks)
     first = 0
-    for offer in offers:
-        offer[merged[first : first + len(offer)]] = np.inf
+    for look, offer in zip(looks, offers, strict=True):
+        look.merged = merged[first : first + len(offer)]
+        offer[look.merged] = np.inf
         first += len(offer)
 
 

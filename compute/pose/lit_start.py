@@ -91,10 +91,17 @@ def find_lit(
         )
         looks[index] = Look(frame, np.arange(len(tools[index])), state)
     associate(model, list(looks.values()), seen, settings.gate_probability, settings.merge_px)
+    free = seen.without(list(looks.values())).usable.sum(axis=1)
     starts = []
     for index, tool in enumerate(tools):
         own, look = found.get(index), looks.get(index)
-        if own is not None and look is not None:
+        if look is not None and look.contradictions(free) > look.readings:
+            reason = (
+                f"{look.readings} readings are where its geometry among the points puts it, and "
+                f"{look.contradictions(free)} are not where they must be"
+            )
+            starts.append(_without(model, tool, PoseStatus.INVALID, reason, len(place)))
+        elif own is not None and look is not None:
             starts.append(_start(model, tool, errors[index], seen, own, look, len(place), settings))
         else:
             starts.append(_no_start(model, tool, own, len(place), settings))

@@ -47,7 +47,7 @@ class _Tool:
         last: its last updates: time, NIS, readings, which markers and sensors (M, S).
         exposures: the last exposures of a strobed tool that is lost.
         fresh: exposures since it was last looked for in vain.
-        fits: whether its last exposures fitted it; of one that lights all markers, that alone.
+        fits: whether its last exposures fitted it.
         status: of a lost tool.
         reason: why it is lost.
     """
@@ -223,9 +223,10 @@ class ToolTracker:
             self.settings.merge_px,
         )
         self._again(looks, before, time_ns, seen)
+        free = seen.without(list(looks.values())).usable.sum(axis=1)
         for index, look in looks.items():
             tool = self._tools[index]
-            self._judge(tool, look, marker, seen)
+            self._judge(tool, look, marker, seen, free)
             tool.state = look.state
             if look.readings:
                 self._count(tool, look, time_ns)
@@ -266,17 +267,25 @@ class ToolTracker:
             if trial.readings > looks[index].readings:
                 looks[index] = trial
 
-    def _judge(self, tool: _Tool, look: Look, marker: int | None, seen: FramePeaks) -> None:
+    def _judge(
+        self,
+        tool: _Tool,
+        look: Look,
+        marker: int | None,
+        seen: FramePeaks,
+        free: NDArray[np.intp],
+    ) -> None:
         """Note whether what an exposure showed is what it must have shown."""
         if len(look.lit) == 0:
             return
         if marker is None:
-            tool.fits.clear()
+            if look.contradictions(free) > look.readings > 0:
+                look.reject()
         elif look.readings < WEAK_SHARE * seen.usable.any(axis=1).sum():
             # The marker alone was lit, and most of what was seen is not where it must be: what
             # little fits does so by chance.
             look.reject()
-        tool.fits.append(not look.misfit)
+        tool.fits.append(look.readings > 0 or not look.misfit)
         while len(tool.fits) > CYCLES * len(tool.body):
             tool.fits.popleft()
 

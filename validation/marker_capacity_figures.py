@@ -1,5 +1,6 @@
 """Frames of many markers, grouped: how many are resolved, in doubt, or wrong."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Final
@@ -145,6 +146,12 @@ def group(rig: Rig, scene: Scene, frame: Frame, rng: np.random.Generator) -> Cor
     )
 
 
+def whose(frame: Frame, choice: Sequence[int]) -> frozenset[int]:
+    """Return the markers that all of a group's peaks are of: none, if it is wrong."""
+    owners = [frame.owners[sensor][peak] for sensor, peak in enumerate(choice) if peak >= 0]
+    return frozenset.intersection(*owners) - {-1}
+
+
 @cache
 def capacity(rig_index: int, scene: Scene, markers: int, frames: int = FRAMES) -> Shares:
     """Group frames of so many markers; random numbers are by configuration and number."""
@@ -158,10 +165,9 @@ def capacity(rig_index: int, scene: Scene, markers: int, frames: int = FRAMES) -
         for choice, ambiguous in zip(found.peaks.tolist(), found.ambiguous.tolist(), strict=True):
             if ambiguous:
                 continue
-            owners = [frame.owners[s][peak] for s, peak in enumerate(choice) if peak >= 0]
-            common = frozenset.intersection(*owners) - {-1}
-            whole += bool(common)
-            errors += not common
+            right_one = bool(whose(frame, choice))
+            whole += right_one
+            errors += not right_one
         groups += whole + errors
         wrong_groups += errors
         right += whole

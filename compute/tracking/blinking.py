@@ -158,7 +158,7 @@ def identify_blinking(
 def _log_likelihood(on: NDArray[np.bool_], amplitude: Array, model: BlinkModel) -> Array:
     """Return log likelihoods of hypotheses (H, W) for lights (T, S, W), shape (T, H)."""
     present = np.isfinite(amplitude)
-    seen = present.any(axis=2)
+    seen: NDArray[np.bool_] = np.asarray(present.any(axis=2))
     log_amplitude = np.where(present, np.log(np.where(present, amplitude, 1.0)), 0.0)
     # Middle values keep the sums of squares from cancelling.
     centre = log_amplitude.sum(axis=2) / np.maximum(present.sum(axis=2), 1)
@@ -227,7 +227,7 @@ def _errors(on: NDArray[np.bool_], amplitude: Array, model: BlinkModel) -> NDArr
             bright = present & (amplitude > np.sqrt(model.low) * level)
     else:
         bright = present
-    counted = present.any(axis=2)
+    counted: NDArray[np.bool_] = np.asarray(present.any(axis=2))
     # Most of the sensors that see the light at all.
     lit = (bright & counted[..., None]).sum(axis=1) * 2 > counted.sum(axis=1)[:, None]
     wrong = lit != on

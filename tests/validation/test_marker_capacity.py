@@ -5,7 +5,7 @@ import pytest
 
 from validation.all_cases import ALL_CASES
 from validation.marker_capacity import CASE, HELD, held, work_out
-from validation.marker_capacity_figures import SCENES, Scene, Shares, capacity, expose, group
+from validation.marker_capacity_figures import SCENES, Scene, Shares, capacity, expose, group, whose
 from validation.marker_capacity_rigs import RIGS
 from validation.progress import listening
 
@@ -68,11 +68,14 @@ def test_a_group_of_two_markers_peaks_is_wrong() -> None:
     frame = expose(rig, SCENES[0], 3, rng)
     found = group(rig, SCENES[0], frame, rng)
     assert len(found) == 3
-    for choice in found.peaks:
-        owners = [frame.owners[sensor][peak] for sensor, peak in enumerate(choice)]
-        assert len(frozenset.intersection(*owners)) == 1
-    mixed = [frame.owners[s][found.peaks[s % 2, s]] for s in range(8)]
-    assert not frozenset.intersection(*mixed)
+    for choice in found.peaks.tolist():
+        assert len(whose(frame, choice)) == 1
+    mixed = [int(found.peaks[sensor % 2, sensor]) for sensor in range(8)]
+    assert not whose(frame, mixed)
+    # One peak of another's is enough.
+    almost = [*found.peaks[0, :7].tolist(), int(found.peaks[1, 7])]
+    assert not whose(frame, almost)
+    assert whose(frame, [*found.peaks[0, :7].tolist(), -1])
 
 
 def test_what_is_held_ends_at_the_first_number_that_is_not() -> None:

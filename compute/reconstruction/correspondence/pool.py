@@ -119,7 +119,6 @@ class Pool:
         self.cut += cut
         first = len(self.found)
         self.found = self.found.joined(found)
-        self.body_rows = range(first, len(self.found))
         for match in matches:
             rows = tuple(row + first if row >= 0 else -1 for row in match.rows)
             self.bodies.append((index, BodyMatch(rows, match.score, match.chi2, match.degrees)))

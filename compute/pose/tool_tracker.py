@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -13,10 +12,10 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.pose.association import FramePeaks, Look, associate
+from compute.pose.followed import CYCLES, Followed
 from compute.pose.lit_start import find_lit
-from compute.pose.marker_frame import MarkerFrame
 from compute.pose.pose_filter import PoseState, predict
-from compute.pose.pose_report import Support, outside_volume, report, without_pose
+from compute.pose.pose_report import outside_volume, report, without_pose
 from compute.pose.reading_model import ReadingModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ToolTrackerSettings
@@ -27,67 +26,7 @@ from compute.reconstruction.points import chi2_limit
 
 Array = NDArray[np.float64]
 
-CYCLES: Final = 2
-"""Exposures of each marker that a strobed tool is found from."""
-WEAK_SHARE: Final = 0.5
-"""A frame that finds fewer than this share of the readings of the frame before is tried again with
-a manoeuvre."""
 MISFIT: Final = "the readings do not fit it where it was and how it moved"
-
-
-@dataclass(eq=False)
-class _Tool:
-    """A tool and what is known of it.
-
-    Args:
-        body: its markers.
-        errors: number of common errors of its filter.
-        state: of its filter; None: it is lost.
-        seen_ns: when readings last updated it.
-        last: its last updates: time, NIS, readings, which markers and sensors (M, S).
-        exposures: the last exposures of a strobed tool that is lost.
-        fresh: exposures since it was last looked for in vain.
-        fits: whether its last exposures fitted it.
-        status: of a lost tool.
-        reason: why it is lost.
-    """
-
-    body: RigidBody
-    errors: int
-    state: PoseState | None = None
-    seen_ns: int = 0
-    last: deque[tuple[float, int, NDArray[np.bool_]]] = field(default_factory=deque)
-    exposures: deque[Exposure] = field(default_factory=deque)
-    fresh: int = 0
-    fits: deque[bool] = field(default_factory=deque)
-    status: PoseStatus = PoseStatus.UNKNOWN
-    reason: str = "no exposure could have shown it yet"
-
-    @property
-    def frame(self) -> MarkerFrame:
-        return MarkerFrame.of(self.body)
-
-    def lit(self, marker: int | None) -> NDArray[np.intp]:
-        """Return which of its markers an exposure lights."""
-        if marker is None:
-            return np.arange(len(self.body))
-        slots = self.body.strobe_markers or ()
-        return np.array([slots.index(marker)] if marker in slots else [], dtype=np.intp)
-
-    def lose(self, status: PoseStatus, reason: str) -> None:
-        self.state = None
-        self.last.clear()
-        self.exposures.clear()
-        self.fits.clear()
-        self.fresh = 0
-        self.status, self.reason = status, reason
-
-    def support(self) -> Support:
-        nis, readings, sensors = zip(*self.last, strict=True)
-        seen = sensors[0].copy()
-        for one in sensors[1:]:
-            seen |= one
-        return Support(nis, readings, seen)
 
 
 class ToolTracker:
@@ -132,7 +71,7 @@ class ToolTracker:
         self.pixels = pixels
         common = self.model.common.shape[2]
         table = 0 if corrections is None else self.model.sensors
-        self._tools = [_Tool(body, common + table * len(body)) for body in tools]
+        self._tools = [Followed(body, common + table * len(body)) for body in tools]
         self._time_ns: int | None = None
 
     @property
@@ -142,7 +81,7 @@ class ToolTracker:
 
     def reset(self) -> None:
         """Forget where all tools are; needed where time goes back."""
-        self._tools = [_Tool(tool.body, tool.errors) for tool in self._tools]
+        self._tools = [Followed(tool.body, tool.errors) for tool in self._tools]
         self._time_ns = None
 
     def keep(self, other: "ToolTracker") -> None:
@@ -226,10 +165,10 @@ class ToolTracker:
         free = seen.without(list(looks.values())).usable.sum(axis=1)
         for index, look in looks.items():
             tool = self._tools[index]
-            self._judge(tool, look, marker, seen, free)
+            tool.judge(look, marker, seen, free)
             tool.state = look.state
             if look.readings:
-                self._count(tool, look, time_ns)
+                tool.count(look, time_ns)
             if tool.fits.count(False) >= len(tool.body):
                 tool.lose(PoseStatus.INVALID, MISFIT)
         return looks
@@ -242,7 +181,7 @@ class ToolTracker:
         seen: FramePeaks,
     ) -> None:
         """Try tools that moved as they were not expected to again, with a manoeuvre."""
-        weak = [index for index, look in looks.items() if self._is_weak(self._tools[index], look)]
+        weak = [index for index, look in looks.items() if self._tools[index].is_weak(look)]
         if not weak:
             return
         motion = self.settings.motion
@@ -267,45 +206,7 @@ class ToolTracker:
             if trial.readings > looks[index].readings:
                 looks[index] = trial
 
-    def _judge(
-        self,
-        tool: _Tool,
-        look: Look,
-        marker: int | None,
-        seen: FramePeaks,
-        free: NDArray[np.intp],
-    ) -> None:
-        """Note whether what an exposure showed is what it must have shown."""
-        if len(look.lit) == 0:
-            return
-        if marker is None:
-            if look.contradictions(free) > look.readings > 0:
-                look.reject()
-        elif look.readings < WEAK_SHARE * seen.usable.any(axis=1).sum():
-            # The marker alone was lit, and most of what was seen is not where it must be: what
-            # little fits does so by chance.
-            look.reject()
-        tool.fits.append(look.readings > 0 or not look.misfit)
-        while len(tool.fits) > CYCLES * len(tool.body):
-            tool.fits.popleft()
-
-    def _is_weak(self, tool: _Tool, look: Look) -> bool:
-        if len(look.lit) == 0:
-            return False
-        usual = max((readings for _, readings, _ in tool.last), default=0)
-        return look.misfit or look.readings < WEAK_SHARE * usual
-
-    def _count(self, tool: _Tool, look: Look, time_ns: int) -> None:
-        """Keep what the last frames contributed: one where all markers are lit, else one each."""
-        sensors = np.zeros((len(tool.body), self.model.sensors), dtype=np.bool_)
-        sensors[look.lit] = look.peaks >= 0
-        most = 1 if len(look.lit) == len(tool.body) else len(tool.body)
-        tool.last.append((look.nis, look.readings, sensors))
-        while len(tool.last) > most:
-            tool.last.popleft()
-        tool.seen_ns = time_ns
-
-    def _drop(self, tool: _Tool, state: PoseState) -> None:
+    def _drop(self, tool: Followed, state: PoseState) -> None:
         """Give a tool up that was predicted for too long, and say where it went."""
         coast = f"nothing was seen of it for {1e3 * self.settings.coast_s:.3g} ms"
         if tool.fits and not tool.fits[-1]:
@@ -317,7 +218,7 @@ class ToolTracker:
         else:
             tool.lose(PoseStatus.MISSING, coast)
 
-    def _left_view(self, tool: _Tool, state: PoseState) -> str | None:
+    def _left_view(self, tool: Followed, state: PoseState) -> str | None:
         """Return that too few of a tool's readings would be on the pixels, if so."""
         if self.pixels is None:
             return None
@@ -353,7 +254,7 @@ class ToolTracker:
         if together:
             self._identify(together, time_ns, seen, taken, points)
 
-    def _expose(self, tool: _Tool, time_ns: int, marker: int, seen: FramePeaks) -> None:
+    def _expose(self, tool: Followed, time_ns: int, marker: int, seen: FramePeaks) -> None:
         """Keep an exposure of a lost strobed tool, and find it when there are enough."""
         tool.exposures.append(Exposure(time_ns, marker, *seen.single()))
         oldest = time_ns - round(1e9 * self.settings.window_s)
@@ -390,7 +291,7 @@ class ToolTracker:
 
     def _identify(
         self,
-        lost: list[_Tool],
+        lost: list[Followed],
         time_ns: int,
         seen: FramePeaks,
         taken: list[Look],
@@ -420,7 +321,7 @@ class ToolTracker:
             tool.last.clear()
             tool.last.append((one.nis, int(one.sensors.sum()), one.sensors))
 
-    def _report(self, tool: _Tool, time_ns: int, sequence: int) -> ToolPose:
+    def _report(self, tool: Followed, time_ns: int, sequence: int) -> ToolPose:
         if tool.state is None:
             return without_pose(tool.body, tool.status, tool.reason, time_ns, sequence)
         if not all(list(tool.fits)[-len(tool.body) :]):

@@ -1,8 +1,11 @@
 """Case marker-capacity: a small part of it, and how frames are judged."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from validation import marker_capacity_picture
 from validation.all_cases import ALL_CASES
 from validation.marker_capacity import CASE, HELD, held, work_out
 from validation.marker_capacity_figures import SCENES, Scene, Shares, capacity, expose, group, whose
@@ -15,6 +18,12 @@ THREE, FOUR, EIGHT = 0, 1, 7
 def test_the_case_is_known_with_its_picture() -> None:
     assert ALL_CASES["marker-capacity"].work_out is CASE.work_out
     assert ALL_CASES["marker-capacity"].picture is not None
+
+
+def test_the_picture_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(marker_capacity_picture, "MARKERS", (1, 2))
+    marker_capacity_picture.draw(tmp_path / "capacity.png")
+    assert (tmp_path / "capacity.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_three_sensors_hold_one_marker_and_four_more() -> None:

@@ -229,7 +229,8 @@ def _at_rest(points_mm: Array, time_s: float | Array) -> Array:
 
 def _swings(at: Array, rates: tuple[float, ...], phases: tuple[float, ...]) -> Array:
     """Return sines, three of each part of the period (...,), shape (..., 3)."""
-    return np.sin(2.0 * np.pi * (at[..., None] * np.array(rates) + np.array(phases)))
+    found: Array = np.sin(2.0 * np.pi * (at[..., None] * np.array(rates) + np.array(phases)))
+    return found
 
 
 def _rotation(vector_rad: Array) -> Array:
@@ -242,4 +243,5 @@ def _rotation(vector_rad: Array) -> Array:
     # sin(a)/a and (1 - cos(a))/a^2 without a division by zero.
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    return np.eye(3) + first * cross + second * (cross @ cross)
+    found: Array = np.eye(3) + first * cross + second * (cross @ cross)
+    return found

@@ -385,10 +385,12 @@ def test_a_failure_of_the_processing_ends_the_device(
     assert isinstance(hub, RecordingHub)
     process = DeviceProcessor.process
 
-    def fail_after_20(self: DeviceProcessor, frames: Sequence[LineFrame]) -> FrameBatch:
+    def fail_after_20(
+        self: DeviceProcessor, frames: Sequence[LineFrame], *, follow: bool
+    ) -> FrameBatch:
         if frames[-1].sequence > 20:
             raise ArithmeticError("singular")
-        return process(self, frames)
+        return process(self, frames, follow=follow)
 
     monkeypatch.setattr(DeviceProcessor, "process", fail_after_20)
     driver = SimulatedDriver("sim", SimulationSettings())
@@ -411,9 +413,9 @@ def test_a_device_with_slow_frames_takes_few_at_a_time(
     assert isinstance(hub, RecordingHub)
     process = DeviceProcessor.process
 
-    def slow(self: DeviceProcessor, frames: Sequence[LineFrame]) -> FrameBatch:
+    def slow(self: DeviceProcessor, frames: Sequence[LineFrame], *, follow: bool) -> FrameBatch:
         time.sleep(2.0 * BATCH_SECONDS * len(frames))
-        return process(self, frames)
+        return process(self, frames, follow=follow)
 
     monkeypatch.setattr(DeviceProcessor, "process", slow)
     live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), InForce("c1", nominal()))

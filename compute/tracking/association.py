@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 RELINEARISED_MM = 0.3
 """A step as long as this is taken once more, with slopes at its end: 1e-4 px at 1.5 m."""
 MOST_TURNS = 3
+LOST = 4.0
+"""A track is lost when a sensor's reading is predicted worse than so many ``search_px``."""
 GIVEN_UP = 0.01
 """Share of joint hypotheses that were not followed, beyond which a track is ambiguous."""
 DOUBTED_SIGMA = 3.0
@@ -125,7 +127,11 @@ class _Work:
         self.whole = combined(motion, states)
         self.place = self.whole.mean[:, :3]
         self.predicted = model.predict(self.place)
-        self.contested = np.ones(shape, dtype=np.bool_)
+        # A track that some sensor would see anywhere takes peaks that fit by chance.
+        limit = (LOST * settings.search_px) ** 2
+        wide = self._variance(self.whole, self.predicted.slope) > limit
+        narrow = ~(wide & self.predicted.in_view).any(axis=1)
+        self.contested = np.repeat(narrow[:, None], len(model), axis=1)
         self._gain = float(np.log(settings.detection / settings.false_per_px))
 
     def take_decisive(self, *, first: bool) -> None:

@@ -23,6 +23,8 @@ VOUCHING_SENSORS = 4
 """Three planes meet anywhere: the fourth says that they do where a marker is."""
 VOUCHED_HITS = 2
 """Exposures in which so many sensors must have seen a new track."""
+AMBIGUOUS_HITS = 10
+"""In which they must where other points explained its first peaks as well."""
 PATIENCE = 5
 """A track that has been seen this many times as often as it need be, and is none yet, ends."""
 _MOTION = 6
@@ -40,7 +42,7 @@ def confirmable(tracks: Tracks, settings: TrackerSettings) -> NDArray[np.intp]:
     enough = log((1.0 - settings.false_confirmation) / settings.false_confirmation)
     good = ~tracks.confirmed & (tracks.hits >= settings.confirm_hits)
     good &= tracks.evidence >= enough
-    good &= tracks.vouched >= VOUCHED_HITS
+    good &= tracks.vouched >= np.where(tracks.uncertain, AMBIGUOUS_HITS, VOUCHED_HITS)
     return np.flatnonzero(good)
 
 

@@ -26,8 +26,9 @@ class TrackerSettings:
         false_per_px: expected number of false peaks per pixel and exposure.
         merge_px: distance of two peaks at which every second pair is found as one peak [px].
         gate_sigma: readings further than this from their prediction are not a track's.
-        search_px: where a reading is predicted less well than this (standard deviation), a track
-            is not looked for peak by peak, but by points of at least three sensors [px].
+        search_px: where a sensor's reading is predicted less well than this (standard deviation),
+            a track takes no peak of it; where one is four times as bad, it takes no single peaks
+            at all, but points of three sensors or more [px].
         doubtful_factor: by which standard deviations of saturated, overlapping and ill-fitted peaks
             grow.
         confirm_hits: exposures that must have seen a track, after its first, before it is a marker.

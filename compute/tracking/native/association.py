@@ -8,6 +8,7 @@ from compute.reconstruction.native.table import TABLE
 from compute.tracking.association import (
     DOUBTED_SIGMA,
     GIVEN_UP,
+    LOST,
     MOST_TURNS,
     RELINEARISED_MM,
     SEEN,
@@ -22,7 +23,7 @@ _CONSTANTS: Final = f"""
     const double share_spread = {SHARE_VARIANCE!r}, negligible = {NEGLIGIBLE!r};
     const double least_merged = {LEAST_MERGED!r}, doubted = {DOUBTED_SIGMA!r};
     const double relinearised = {RELINEARISED_MM!r}, given_up_limit = {GIVEN_UP!r};
-    const double seen = {SEEN!r}, reach_of = {REACH!r};
+    const double lost = {LOST!r}, seen = {SEEN!r}, reach_of = {REACH!r};
     const double least_probability = {LEAST_PROBABILITY!r};
     const int most_turns = {MOST_TURNS};
 """
@@ -279,10 +280,15 @@ _FRAME: Final = """
         mix(t);
         for (int i = 0; i < 3; ++i) place(t)[i] = whole(t)[i];
         predict(t);
+        bool narrow = true;
         for (int s = 0; s < S; ++s) {
-            contested[t * S + s] = 1;
+            look(t, s);
+            narrow = narrow
+                && !(visible[t * S + s]
+                     && expected_variance(t)[s] > lost * job.search_px * (lost * job.search_px));
             job.choice[t * S + s] = -1;
         }
+        for (int s = 0; s < S; ++s) contested[t * S + s] = narrow;
     }
     for (int i = 0; i < S * K; ++i) taken[i] = 0;
     if (T > most_all || M > 8) {

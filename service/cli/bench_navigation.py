@@ -98,7 +98,8 @@ def _tip_errors(
     tips fit best.
     """
     tip = np.array(TIP_MM)
-    rotation, origin = scene.pose(0, (np.arange(cycle) + 0.5) / rate_hz)
+    times: NDArray[np.float64] = (np.arange(cycle, dtype=np.float64) + 0.5) / rate_hz
+    rotation, origin = scene.pose(0, times)
     truth = rotation @ tip + origin
     matrices = np.array([one.matrix for one in received])
     found = matrices[:, :, :3] @ tip + matrices[:, :, 3]

@@ -96,7 +96,9 @@ class Candidates:
             missed: how many sensors should have a peak of it and have none, shape (C,).
         """
         seen = (self.choice >= 0).sum(axis=1)
-        density = np.where(self.predicted < 0, log(settings.markers_per_mm3), self.log_density)
+        # Were it not the predicted point, that would have been missed, by all sensors at once.
+        tracked = self.log_density - settings.log_missed
+        density = np.where(self.predicted < 0, log(settings.markers_per_mm3), tracked)
         score: Array = (
             density + self.log_compared + seen * settings.log_seen + missed * settings.log_missed
         )
@@ -239,4 +241,5 @@ class Chance:
 def _log_balls(degrees: int) -> Array:
     """Return the log volumes of the bands as balls of so many dimensions, in deviations."""
     log_ball = 0.5 * degrees * log(pi) - lgamma(0.5 * degrees + 1.0)
-    return log_ball + degrees * (0.5 * log(_limit(degrees)) + np.log(BANDS))
+    volumes: Array = log_ball + degrees * (0.5 * log(_limit(degrees)) + np.log(BANDS))
+    return volumes

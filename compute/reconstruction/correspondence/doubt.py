@@ -15,6 +15,7 @@ from compute.reconstruction.correspondence.candidates import (
     Solve,
     solved,
 )
+from compute.reconstruction.correspondence.outside import PredictedPoints, log_density_of
 from compute.reconstruction.correspondence.peaks import FramePeaks
 from compute.reconstruction.correspondence.settings import MatchSettings
 
@@ -37,6 +38,7 @@ class Doubt:
         settings: the model.
         left: peaks of each sensor that the set does not explain, shape (S,).
         markers: how many the set has.
+        predicted: where markers are expected; None: nothing is known.
     """
 
     solve: Solve
@@ -44,6 +46,7 @@ class Doubt:
     settings: MatchSettings
     left: Array
     markers: int
+    predicted: PredictedPoints | None = None
 
     @property
     def unexplained(self) -> Array:
@@ -107,6 +110,12 @@ class Doubt:
         fewer = solved(self.solve, self.peaks, without)
         which, sensor = which[fewer.row], sensor[fewer.row]
         log_density = found.log_fit[which] - fewer.found.log_fit
+        of = found.predicted[which]
+        tracked = np.flatnonzero(of >= 0)
+        if self.predicted is not None and len(tracked):
+            # What the prediction says is one more observation, with the peak and without.
+            alone = log_density_of(fewer.found.take(tracked), self.predicted, of[tracked])
+            log_density[tracked] += found.log_density[which[tracked]] - alone
         missed = 1.0 / self.settings.detection - 1.0
         odds = missed * self.density[sensor] * np.exp(-log_density)
         total: Array = np.bincount(which, odds, minlength=len(found))

@@ -22,6 +22,7 @@ from compute.reconstruction.correspondence.stepwise import extended, gates
 from compute.reconstruction.points import chi2_limit
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 _LEAST: Final = 3
 
@@ -86,16 +87,13 @@ def predicted_candidates(
         return no_candidates(len(peaks)), cut
     meets = solved(solve, peaks, np.unique(choice, axis=0)).found
     # Each of them for each prediction that it lies near.
-    away = meets.position_mm[:, None] - place
-    whole = meets.covariance_mm2[:, None] + spread
-    chi2 = np.einsum("cti,cti->ct", away, np.linalg.solve(whole, away[..., None])[..., 0])
+    chi2, log_density = _distances(
+        meets.position_mm[:, None] - place, meets.covariance_mm2[:, None] + spread
+    )
     degrees = meets.degrees + 3
     limits = np.array([chi2_limit(freedom, FALSE_REJECTION) for freedom in range(len(peaks) + 1)])
     row, point = np.nonzero(meets.chi2[:, None] + chi2 <= limits[degrees][:, None])
     near = meets.take(row)
-    log_density = -0.5 * (
-        3.0 * log(2.0 * pi) + np.log(np.linalg.det(whole[row, point])) + chi2[row, point]
-    )
     return (
         Candidates(
             near.choice,
@@ -106,7 +104,27 @@ def predicted_candidates(
             near.log_fit,
             near.log_compared,
             point.astype(np.intp),
-            log_density,
+            log_density[row, point],
         ),
         cut,
     )
+
+
+def log_density_of(found: Candidates, predicted: PredictedPoints, index: Indices) -> Array:
+    """Return the log of predicted points' densities at candidates, shape (C,) [1/mm^3].
+
+    Args:
+        found: C candidates.
+        predicted: the points.
+        index: which of them for each candidate, shape (C,).
+    """
+    away = found.position_mm - predicted.position_mm[index]
+    return _distances(away, found.covariance_mm2 + predicted.covariance_mm2[index])[1]
+
+
+def _distances(away_mm: Array, covariance_mm2: Array) -> tuple[Array, Array]:
+    """Return chi2 of differences (..., 3) and the log of their densities, shape (...)."""
+    solution = np.linalg.solve(covariance_mm2, away_mm[..., None])[..., 0]
+    chi2 = (away_mm * solution).sum(axis=-1)
+    spread = 3.0 * log(2.0 * pi) + np.log(np.linalg.det(covariance_mm2))
+    return chi2, -0.5 * (spread + chi2)

@@ -55,6 +55,7 @@ class Pool:
         self.found = no_candidates(len(peaks))
         self.chance = Chance()
         self.predicted_chance = Chance()
+        self.predicted: PredictedPoints | None = None
         self.body_chance = Chance()
         self.bodies: list[tuple[int, BodyMatch]] = []
         self.groups: list[Group] = []
@@ -64,6 +65,7 @@ class Pool:
     def add_predicted(self, predicted: PredictedPoints) -> None:
         """Add the combinations that may be predicted points."""
         assert self.predict is not None
+        self.predicted = predicted
         found, cut = predicted_candidates(
             self.solve,
             self.predict,
@@ -108,7 +110,7 @@ class Pool:
         if self.predict is not None:
             seen = self.predict(found.position_mm)
             # A ghost that a sensor would have to read beyond its ends is none.
-            found = found.take((seen.in_view | (found.choice < 0)).all(axis=1))
+            found = found.take(np.flatnonzero((seen.in_view | (found.choice < 0)).all(axis=1)))
         matches, cut = body_matches(
             markers_mm,
             found,
@@ -178,7 +180,8 @@ class Pool:
         none = found.choice < 0
         if self.predict is not None and none.any():
             none &= self.predict(found.position_mm).in_view
-        return none.sum(axis=1)
+        missed: NDArray[np.intp] = none.sum(axis=1)
+        return missed
 
     def _columns(self) -> tuple[list[tuple[int, ...]], list[float]]:
         room, sensors = self.peaks.room, len(self.peaks)
@@ -242,7 +245,7 @@ class Pool:
     def _doubts(self, packing: Packing, left: Array) -> list[float]:
         """Return the chances that the chosen columns are wrong, in order."""
         markers = max(len(packing.chosen) + len(self.groups), 1)
-        known = Doubt(self.solve, self.peaks, self.settings, left, markers)
+        known = Doubt(self.solve, self.peaks, self.settings, left, markers, self.predicted)
         single = [index for index in packing.chosen if index < len(self.found)]
         of_single = known.of(
             self.found.take(np.array(single, np.intp)), self.chance, self.predicted_chance

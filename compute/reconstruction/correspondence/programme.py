@@ -72,7 +72,7 @@ class Programme:
         for index in chosen:
             most = np.ones(len(self.cluster))
             most[self.cluster.index(index)] = 0.0
-            bounds = np.column_stack([np.zeros(len(most)), most])
+            bounds: Any = np.column_stack([np.zeros(len(most)), most])
             other = linprog(
                 self.cost, A_ub=self.matrix, b_ub=self.limits, bounds=bounds, method="highs-ds"
             )

@@ -57,7 +57,7 @@ class Associated:
     nis: Array
     evidence: Array
     doubtful: NDArray[np.bool_]
-    in_view: NDArray[np.intp]
+    in_view: NDArray[np.int32]
 
 
 def associate(
@@ -96,7 +96,7 @@ def associate(
         work.nis,
         work.evidence,
         work.doubtful,
-        work.predicted.in_view.sum(axis=1),
+        work.predicted.in_view.sum(axis=1, dtype=np.int32),
     )
 
 
@@ -130,7 +130,7 @@ class _Work:
         # A track that some sensor would see anywhere takes peaks that fit by chance.
         limit = (LOST * settings.search_px) ** 2
         wide = self._variance(self.whole, self.predicted.slope) > limit
-        narrow = ~(wide & self.predicted.in_view).any(axis=1)
+        narrow: NDArray[np.bool_] = np.logical_not((wide & self.predicted.in_view).any(axis=1))
         self.contested = np.repeat(narrow[:, None], len(model), axis=1)
         self._gain = float(np.log(settings.detection / settings.false_per_px))
 
@@ -278,7 +278,8 @@ class _Work:
     def _readings(self) -> Array:
         """Return the predicted readings at the states' present means, shape (T, S)."""
         apart = self.whole.mean[:, :3] - self.place
-        return self.predicted.reading_px + np.einsum("tsi,ti->ts", self.predicted.slope, apart)
+        moved: Array = np.einsum("tsi,ti->ts", self.predicted.slope, apart)
+        return self.predicted.reading_px + moved
 
     def _variance(self, whole: Combined, slope: Array) -> Array:
         """Return the variance of predicted readings, constant errors included, shape (T, S)."""
@@ -287,14 +288,14 @@ class _Work:
         variance: Array = (half * slope).sum(axis=2)
         variance += 2.0 * np.einsum("tsi,tis->ts", slope, whole.with_bias[:, :3])
         variance += self.bias[:, diagonal, diagonal]
-        return np.maximum(variance, 0.0)
+        return np.asarray(np.maximum(variance, 0.0))
 
 
 def _variance(whole: Combined, slope: Array, sensor: int, bias: Array) -> Array:
     """Return the variance of one sensor's predicted readings, with its bias's own, shape (T,)."""
     variance: Array = np.einsum("ti,tij,tj->t", slope, whole.covariance[:, :3, :3], slope)
     variance += 2.0 * np.einsum("ti,ti->t", slope, whole.with_bias[:, :3, sensor]) + bias
-    return np.maximum(variance, 0.0)
+    return np.asarray(np.maximum(variance, 0.0))
 
 
 def _decisive(

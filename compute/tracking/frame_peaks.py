@@ -11,10 +11,14 @@ from compute.tracking.settings import TrackerSettings
 
 Array = NDArray[np.float64]
 
-DOUBTFUL = PeakFlag.SATURATED | PeakFlag.JOINT | PeakFlag.POOR_FIT | PeakFlag.UNFITTED
+# As numbers: an IntFlag's own operations take as long as an array's.
+DOUBTFUL = int(PeakFlag.SATURATED | PeakFlag.JOINT | PeakFlag.POOR_FIT | PeakFlag.UNFITTED)
 """Their standard deviations are too small."""
-REPORTED = PeakFlag.SATURATED | PeakFlag.CLIPPED
+REPORTED = int(PeakFlag.SATURATED | PeakFlag.CLIPPED)
 """What makes a track's ``DOUBTFUL_PEAK``."""
+
+_MERGED, _CLIPPED = int(PeakFlag.MERGED), int(PeakFlag.CLIPPED)
+_NO_START = int(PeakFlag.AMBIGUOUS | PeakFlag.UNFITTED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +80,10 @@ class FramePeaks:
         # A peak of infinite standard deviation says nothing.
         there &= np.isfinite(sigma)
         variance = np.where(there, sigma, 1.0) ** 2
+        starts = there
         if marks.any():
             variance[(marks & DOUBTFUL) != 0] *= settings.doubtful_factor**2
-            variance[(marks & PeakFlag.MERGED) != 0] += settings.merge_px**2 / 12.0
-            there &= (marks & PeakFlag.CLIPPED) == 0
-        starts = there & ((marks & (PeakFlag.AMBIGUOUS | PeakFlag.UNFITTED)) == 0)
+            variance[(marks & _MERGED) != 0] += settings.merge_px**2 / 12.0
+            there &= (marks & _CLIPPED) == 0
+            starts = there & ((marks & _NO_START) == 0)
         return cls(position, variance, there, starts, marks)

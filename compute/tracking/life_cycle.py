@@ -46,7 +46,12 @@ def confirmable(tracks: Tracks, settings: TrackerSettings) -> NDArray[np.intp]:
     return np.flatnonzero(good)
 
 
-def count_weak(tracks: Tracks, rows: NDArray[np.intp], degrees: Array, in_view: Array) -> None:
+def count_weak(
+    tracks: Tracks,
+    rows: NDArray[np.intp],
+    degrees: NDArray[np.integer],
+    in_view: NDArray[np.integer],
+) -> None:
     """Count, for these tracks, exposures of fewer sensors than vouch for a place; forget others.
 
     Args:

@@ -47,7 +47,8 @@ class MotionModels:
 
     def steps(self, step_s: Array) -> tuple[Array, Array]:
         """Return transitions and noise covariances over T times [s], each (T, M, 9, 9)."""
-        each = [_step(self, float(step)) for step in step_s]
+        kind = self.with_acceleration, self.density
+        each = [_step(kind, step) for step in step_s.tolist()]
         if not each:
             return np.empty((0, len(self), STATES, STATES)), np.empty(
                 (0, len(self), STATES, STATES)
@@ -73,11 +74,11 @@ class MotionModels:
 
 
 @lru_cache(maxsize=256)
-def _step(models: MotionModels, t: float) -> tuple[Array, Array]:
+def _step(kind: tuple[tuple[bool, ...], tuple[float, ...]], t: float) -> tuple[Array, Array]:
     """Return transitions and noise covariances over t [s], each (M, 9, 9)."""
     parts = [
         acceleration_step(t, density) if with_acceleration else velocity_step(t, density)
-        for with_acceleration, density in zip(models.with_acceleration, models.density, strict=True)
+        for with_acceleration, density in zip(*kind, strict=True)
     ]
     axes = np.eye(3)
     return (

@@ -37,7 +37,8 @@ class Seen:
 
     def degrees(self) -> NDArray[np.int32]:
         """Return how many sensors saw each track, shape (T,)."""
-        return (self.peaks >= 0).sum(axis=1).astype(np.int32)
+        count: NDArray[np.int32] = (self.peaks >= 0).sum(axis=1).astype(np.int32)
+        return count
 
     def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Self:
         """Return a copy of some tracks' part."""

@@ -169,7 +169,7 @@ class Tracker:
         tracks = self._tracks
         if len(rows) == 0:
             return
-        step = (time_ns - tracks.time_ns[rows]) * 1e-9
+        step = np.asarray((time_ns - tracks.time_ns[rows]) * 1e-9, dtype=np.float64)
         states = predicted(self.motion, tracks.states.rows(rows), step)
         tracks.time_ns[rows] = time_ns
         if not self.model.exact:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import exp, log, pi
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,8 +118,8 @@ class Doubt:
             log_density[tracked] += found.log_density[which[tracked]] - alone
         missed = 1.0 / self.settings.detection - 1.0
         odds = missed * self.density[sensor] * np.exp(-log_density)
-        total: Array = np.bincount(which, odds, minlength=len(found))
-        return total
+        total: Any = np.bincount(which, odds, minlength=len(found))
+        return np.asarray(total, dtype=np.float64)
 
     @property
     def density(self) -> Array:

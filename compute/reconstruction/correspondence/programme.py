@@ -73,7 +73,7 @@ class Programme:
             most = np.ones(len(self.cluster))
             most[self.cluster.index(index)] = 0.0
             bounds: Any = np.column_stack([np.zeros(len(most)), most])
-            other = linprog(
+            other: Any = linprog(
                 self.cost, A_ub=self.matrix, b_ub=self.limits, bounds=bounds, method="highs-ds"
             )
             lost = score + float(other.fun) if other.status == 0 else 0.0

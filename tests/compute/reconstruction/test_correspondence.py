@@ -163,15 +163,15 @@ def test_twenty_markers_on_eight_sensors() -> None:
     """With 5 % of the lines missed and as many false ones."""
     cameras = CameraStack.of(rig(8))
     right = unmarked = wrong = 0
-    for seed in range(3):
+    for seed in range(2):
         scene = random_scene(cameras, 20, seed, missed=0.05, false=0.05)
         found = match_peaks(cameras, scene.position_px, scene.sigma_px)
         for owner, ambiguous in zip(scene.owners(found), found.ambiguous, strict=True):
             right += owner is not None
             unmarked += owner is not None and not ambiguous
             wrong += owner is None and not ambiguous
-    assert right >= 58
-    assert unmarked >= 48
+    assert right >= 38
+    assert unmarked >= 32
     assert wrong <= 1
 
 

@@ -214,7 +214,8 @@ def track(cameras: CameraStack, *, strobed: bool) -> Steps:
     for index, frame in enumerate(made):
         peaks = frame.peaks_px
         points = None
-        if index == 0 and frame.readings_px is not None:
+        # Where lines cross a tool may not be found in the first frame.
+        if index < len(made) // 4 and frame.readings_px is not None:
             points = reconstruct(cameras, frame.readings_px, SIGMA[0])
         flags = np.zeros(peaks.shape, dtype=np.int32)
         sigma = np.full(peaks.shape, SIGMA_PX)

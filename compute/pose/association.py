@@ -316,13 +316,13 @@ def robust_update(
     """Update a state by n readings, without those that contradict the others.
 
     The reading that the misfit blames most, by ``(S^-1 r)^2 / (S^-1)_ii``, is left out until the
-    rest fit; None where that takes more than a quarter of them (but one of four).
+    rest fit; None where that takes more than a quarter of them (but one of three).
     """
     found = update(state, told, residual_px, sigma_px)
     if found.nis <= chi2_limit(len(residual_px), probability):
         return found
     index = np.arange(len(residual_px))
-    for _ in range(len(index) // 4):
+    for _ in range((len(index) + 1) // 4):
         whole = told.covariance[np.ix_(index, index)] + np.diag(sigma_px[index] ** 2)
         inverse = np.linalg.inv(whole)
         blame = (inverse @ residual_px[index]) ** 2 / inverse.diagonal()

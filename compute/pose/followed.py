@@ -35,6 +35,8 @@ class Followed:
         exposures: the last exposures of a strobed tool that is lost.
         fresh: exposures since it was last looked for in vain.
         fits: whether its last exposures fitted it.
+        to_confirm: exposures that must fit, in a row, before a strobed tool that was just found is
+            believed: it may have been found from a false peak.
         status: of a lost tool.
         reason: why it is lost.
     """
@@ -47,6 +49,7 @@ class Followed:
     exposures: deque[Exposure] = field(default_factory=deque)
     fresh: int = 0
     fits: deque[bool] = field(default_factory=deque)
+    to_confirm: int = 0
     status: PoseStatus = PoseStatus.UNKNOWN
     reason: str = "no exposure could have shown it yet"
 
@@ -68,7 +71,7 @@ class Followed:
         self.last.clear()
         self.exposures.clear()
         self.fits.clear()
-        self.fresh = 0
+        self.fresh = self.to_confirm = 0
         self.status, self.reason = status, reason
 
     def support(self) -> Support:
@@ -97,8 +100,16 @@ class Followed:
             # little fits does so by chance.
             look.reject()
         self.fits.append(look.readings > 0 or not look.misfit)
+        self.to_confirm = max(0, self.to_confirm - (look.readings > 0))
         while len(self.fits) > CYCLES * len(self.body):
             self.fits.popleft()
+
+    @property
+    def refuted(self) -> bool:
+        """Whether what the last exposures showed is not where the tool is believed to be."""
+        if self.to_confirm:
+            return not all(self.fits)
+        return self.fits.count(False) >= len(self.body)
 
     def is_weak(self, look: Look) -> bool:
         """Return whether a frame found so little that the tool may have moved unexpectedly."""

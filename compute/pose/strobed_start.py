@@ -17,6 +17,7 @@ from compute.pose.marker_frame import MarkerFrame
 from compute.pose.observability import missing_readings
 from compute.pose.pose_equations import PoseEquations
 from compute.pose.pose_filter import (
+    STATES,
     PoseState,
     Update,
     innovations,
@@ -38,6 +39,8 @@ CANDIDATES: Final = 4
 BROAD_RAD: Final = 0.2
 BROAD_SHARE: Final = 0.5
 """Deviation of a start's place as a share of the markers' radius, besides what the motion adds."""
+AGREEING_SHARE: Final = 0.8
+"""Of the readings, that must fit: with more left out the rest may fit by chance."""
 SAME_SHARE: Final = 0.02
 """States whose markers lie nearer than this share of the radius are one: passes end near, not at,
 the same place."""
@@ -95,6 +98,13 @@ def find_strobed(
         errors: number of common errors that the state is to carry.
         settings: of fits and motion.
     """
+    count = sum(int(np.isfinite(one.readings_px).sum()) for one in exposures)
+    if count < STATES + settings.fit.least_redundancy:
+        return StrobedStart(
+            None,
+            f"{count} readings so far; pose and velocity take {STATES} and "
+            f"{settings.fit.least_redundancy} more to check them",
+        )
     readings, sigma, age_s = _last_of_each(exposures, len(frame.markers_mm), model.sensors)
     reason = missing_readings(frame, np.isfinite(readings), settings.fit)
     if reason is not None:
@@ -118,7 +128,6 @@ def find_strobed(
         )
         if one is not None:
             settled.append(one)
-    count = int(np.sum([np.isfinite(one.readings_px).sum() for one in exposures]))
     if not settled:
         return StrobedStart(
             None, f"{count} readings of {len(exposures)} exposures do not fit the tool", unfit=True
@@ -181,6 +190,7 @@ def _settle(
     broad = np.diag([BROAD_RAD**2] * 3 + [place_sd**2] * 3)
     begin, end = exposures[0].time_ns, exposures[-1].time_ns
     state = resting_state(begin, rotation, centroid_mm, broad, motion, errors)
+    offered = sum(int(np.isfinite(one.readings_px).sum()) for one in exposures)
     for turn in range(PASSES):
         passed = _passed(model, frame, exposures, state, settings, robust=turn > 1)
         found = None if passed is None else passed.state
@@ -188,7 +198,8 @@ def _settle(
             return None
         if turn == PASSES - 1:
             limit = chi2_limit(passed.readings - 6, settings.fit.inconsistent_probability)
-            enough = passed.readings >= settings.fit.least_readings
+            enough = passed.readings >= STATES + settings.fit.least_redundancy
+            enough &= passed.readings >= AGREEING_SHARE * offered
             return passed if enough and passed.nis <= limit else None
         # Where the next pass is linearised; what is known in advance stays next to nothing.
         state = replace(

@@ -26,6 +26,8 @@ from compute.reconstruction.points import chi2_limit
 
 Array = NDArray[np.float64]
 
+LEAST_EXPOSURES: Final = 8
+"""That are kept to find a strobed tool from: enough of three markers, too, that two sensors see."""
 MISFIT: Final = "the readings do not fit it where it was and how it moved"
 
 
@@ -95,7 +97,7 @@ class ToolTracker:
             if same and before.body.strobe_markers == tool.body.strobe_markers:
                 tool.state, tool.seen_ns, tool.fresh = before.state, before.seen_ns, before.fresh
                 tool.last, tool.fits = deque(before.last), deque(before.fits)
-                tool.exposures = deque(before.exposures)
+                tool.exposures, tool.to_confirm = deque(before.exposures), before.to_confirm
                 tool.status, tool.reason = before.status, before.reason
         self._time_ns = other._time_ns
 
@@ -169,7 +171,7 @@ class ToolTracker:
             tool.state = look.state
             if look.readings:
                 tool.count(look, time_ns)
-            if tool.fits.count(False) >= len(tool.body):
+            if tool.refuted:
                 tool.lose(PoseStatus.INVALID, MISFIT)
         return looks
 
@@ -257,15 +259,16 @@ class ToolTracker:
     def _expose(self, tool: Followed, time_ns: int, marker: int, seen: FramePeaks) -> None:
         """Keep an exposure of a lost strobed tool, and find it when there are enough."""
         tool.exposures.append(Exposure(time_ns, marker, *seen.single()))
+        most = max(CYCLES * len(tool.body), LEAST_EXPOSURES)
         oldest = time_ns - round(1e9 * self.settings.window_s)
-        while tool.exposures[0].time_ns < oldest or len(tool.exposures) > CYCLES * len(tool.body):
+        while tool.exposures[0].time_ns < oldest or len(tool.exposures) > most:
             tool.exposures.popleft()
         tool.fresh += 1
         shown = [one for one in tool.exposures if np.isfinite(one.readings_px).any()]
         markers = len({one.marker for one in shown})
         if not shown and tool.status is PoseStatus.OUT_OF_VIEW:
             return
-        if tool.status is not PoseStatus.INVALID or markers < 3:
+        if tool.status is not PoseStatus.INVALID or not shown:
             tool.status = PoseStatus.MISSING
             tool.reason = (
                 f"{markers} of {len(tool.body)} markers were seen in the last "
@@ -275,12 +278,14 @@ class ToolTracker:
         if tool.fresh < len(tool.body) or not shown or shown[-1].time_ns != time_ns:
             return
         found = find_strobed(self.model, tool.frame, shown, tool.errors, self.settings)
-        tool.fresh = 0
         if found.state is None:
+            # Too few readings may be enough with the next exposure.
+            tool.fresh = 0 if found.unfit else tool.fresh
             tool.status = PoseStatus.INVALID if found.unfit else PoseStatus.MISSING
             tool.reason = str(found.reason)
             return
         tool.state, tool.seen_ns = found.state, time_ns
+        tool.to_confirm = len(tool.body)
         tool.exposures.clear()
         tool.fits.clear()
         tool.last.clear()
@@ -316,7 +321,7 @@ class ToolTracker:
                 if not nothing:
                     tool.status, tool.reason = one.status, one.reason
                 continue
-            tool.state, tool.seen_ns = one.state, time_ns
+            tool.state, tool.seen_ns, tool.to_confirm = one.state, time_ns, 0
             tool.fits.clear()
             tool.last.clear()
             tool.last.append((one.nis, int(one.sensors.sum()), one.sensors))
@@ -326,6 +331,14 @@ class ToolTracker:
             return without_pose(tool.body, tool.status, tool.reason, time_ns, sequence)
         if not all(list(tool.fits)[-len(tool.body) :]):
             return without_pose(tool.body, PoseStatus.INVALID, MISFIT, time_ns, sequence)
+        if tool.to_confirm and tool.status is PoseStatus.INVALID:
+            return without_pose(tool.body, tool.status, tool.reason, time_ns, sequence)
+        if tool.to_confirm:
+            reason = (
+                f"it was just found; {tool.to_confirm} more exposure"
+                f"{'' if tool.to_confirm == 1 else 's'} must fit before it is believed"
+            )
+            return without_pose(tool.body, PoseStatus.MISSING, reason, time_ns, sequence)
         support = tool.support()
         most = max(support.readings)
         limit = chi2_limit(most, self.settings.fit.inconsistent_probability) / most

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,11 @@ from hardware.frame import LineFrame
 from service.live.usable_peaks import PeakUse, UsablePeaks
 
 Array = NDArray[np.float64]
+
+
+MOST_TOGETHER: Final = 12
+"""Peaks of a sensor up to which markers lit together are told apart, in some milliseconds a frame.
+On four sensors more of them are mostly ambiguous, and take longer than frames come."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +85,7 @@ def points_of(
     brightest = np.where(np.isfinite(position), amplitude, -1.0).argmax(axis=2)[..., None]
     strobed = np.take_along_axis(position, brightest, axis=2)[..., 0]
     strobed_sigma = np.take_along_axis(spread, brightest, axis=2)[..., 0]
+    few = (np.isfinite(position).sum(axis=2).max(axis=1) <= MOST_TOGETHER).tolist()
     for index, frame in enumerate(frames):
         if frame.marker is not None:
             rows.append(strobed[index])
@@ -90,7 +97,7 @@ def points_of(
             active.solver.solve,
             position[index],
             spread[index],
-            predict=active.predictor,
+            predict=active.predictor if few[index] else None,
             merged=(usable.flags[index] & int(PeakFlag.MERGED)) != 0,
         )
         rows.extend(found.readings_px)

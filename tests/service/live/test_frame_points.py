@@ -24,8 +24,10 @@ from compute.signal.peaks import PeakBatch, PeakFlag
 from hardware.driver import DeviceDescription
 from hardware.frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver
+from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
-from service.live.frame_points import ActiveCalibration, frame_points
+from service.database.seed import nominal_calibration
+from service.live.frame_points import MOST_TOGETHER, ActiveCalibration, frame_points
 from service.live.processor import DeviceProcessor
 from service.live.usable_peaks import PeakUse
 from tests.compute.rig import control_points, geometry, project, rig
@@ -228,3 +230,23 @@ def test_a_doubtful_peak_concerns_the_points_of_its_own_frame() -> None:
         found, owner = frame_points(active, frames_of(2, strobed), peaks, USE)
         assert owner.tolist() == [0, 1]
         assert (found.flags & PointFlag.DOUBTFUL_PEAK > 0).tolist() == [False, True]
+
+
+@pytest.mark.parametrize(("markers", "found"), [(8, 8), (MOST_TOGETHER, MOST_TOGETHER), (14, 0)])
+def test_markers_lit_together_are_told_apart_up_to_what_time_allows(
+    markers: int, found: int
+) -> None:
+    places = np.random.default_rng(markers).uniform(-150.0, 150.0, (markers, 3))
+    places[:, 2] += 1500.0
+    scene = StillPoints(tuple(map(tuple, places.tolist())))
+    settings = SimulationSettings(
+        scene=scene, illumination="simultaneous", realtime=False, duration_s=0.001
+    )
+    driver = SimulatedDriver("sim", settings)
+    driver.open()
+    processor = DeviceProcessor("sim", driver.description, "cpu")
+    processor.set_calibration("nominal", nominal_calibration())
+    batch = processor.process(list(driver.frames()))
+    assert len(batch.points) == found
+    for place in places if found else ():
+        assert np.linalg.norm(batch.points.position_mm - place, axis=1).min() < 1.0

@@ -246,8 +246,8 @@ def test_a_recording_that_ends_leaves_no_pose_behind(live: LiveManager):
 
 
 def test_of_frames_that_waited_too_long_there_are_no_poses():
-    """The compute thread was away for 0.2 s at 1 kHz; its ring has a hundred frames, and more."""
-    driver = SimulatedDriver("sim", simulation("strobed", 0.5))
+    """The compute thread was away for 0.2 s at 1 kHz, however many frames it then takes at once."""
+    driver = SimulatedDriver("sim", simulation("strobed", 0.6))
     driver.open()
     processor = DeviceProcessor("sim", driver.description, "cpu")
     processor.set_tracked(Tracked(True, tools("strobed")))
@@ -284,10 +284,11 @@ def test_of_frames_that_waited_too_long_there_are_no_poses():
     told = [motion(batch).poses[0].reason == PASSED_OVER for batch in late]
     assert sorted(told, reverse=True) == told  # from the first to where it has caught up
     followed = sum(len(batch.frames) for batch, over in zip(late, told, strict=True) if not over)
-    assert 1 <= followed <= 21  # of 0.02 s
+    assert followed <= 21  # of 0.02 s
     assert session.status().frames_not_followed == 200 - followed
-    # It finds them again, and counts no more.
-    assert motion(work(260, 320)[-1]).poses[-1].valid
+    # A few at a time it keeps up: it finds them again, and counts no more.
+    batches = [batch for first in range(260, 400, 10) for batch in work(first, first + 10)]
+    assert motion(batches[-1]).poses[-1].valid
     assert session.status().frames_not_followed == 200 - followed
     session.reader.waits = True  # a recording that is replayed as fast as it can be
-    assert PASSED_OVER not in {pose.reason for one in work(320, 500) for pose in motion(one).poses}
+    assert PASSED_OVER not in {pose.reason for one in work(400, 600) for pose in motion(one).poses}

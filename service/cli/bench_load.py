@@ -4,7 +4,6 @@ import contextlib
 import json
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,13 +15,20 @@ from typing import Any, Final
 import httpx
 from rich.table import Table
 
-from service.cli.output import console, fail, print_json, progress
+from service.cli.bench_service import (
+    DEVICE,
+    answer,
+    device_status,
+    read_device,
+    run_benchmark,
+    wait_for_frames,
+)
+from service.cli.output import console, progress
 from service.cli.spawn import service_process, simulated_device
 
 TITLE: Final = (
     "4 sensors x 2048 pixels over the serial protocol, a recorder, 50 clients of which five stalled"
 )
-DEVICE: Final = "sim"
 SAMPLE_S: Final = 1.0
 PAGE_BYTES: Final = 4096
 
@@ -53,15 +59,9 @@ class Memory:
 
 def run(rate_hz: float, seconds: float, *, as_json: bool) -> None:
     """Measure, and print what was lost where, latencies and memory."""
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            figures = _measure(Path(folder), rate_hz, seconds, quiet=as_json)
-        except RuntimeError as error:
-            raise fail(str(error)) from error
-    if as_json:
-        print_json(figures)
-        return
-    _show(figures)
+    run_benchmark(
+        lambda folder: _measure(folder, rate_hz, seconds, quiet=as_json), _show, as_json=as_json
+    )
 
 
 def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> dict[str, Any]:
@@ -72,16 +72,16 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
             source = stack.enter_context(simulated_device(folder, rate_hz, cycle=500))
             service = stack.enter_context(service_process(folder / "service"))
         with httpx.Client(base_url=service.url, timeout=60.0) as client:
-            _ok(client.patch(f"/api/v1/devices/{DEVICE}", json={"source": source}))
-            _ok(client.post(f"/api/v1/devices/{DEVICE}/start"))
-            _wait_for_frames(client)
-            recording = _ok(client.post(f"/api/v1/devices/{DEVICE}/recordings", json={}))
+            read_device(client, source)
+            answer(client.post(f"/api/v1/devices/{DEVICE}/start"))
+            wait_for_frames(client, 1)
+            recording = answer(client.post(f"/api/v1/devices/{DEVICE}/recordings", json={}))
             echo = stack.enter_context(running_bare_echo())
             memory = stack.enter_context(_watched(service.pid))
-            before = _status(client)
+            before = device_status(client)
             received = _received(service.url, echo, seconds, quiet=quiet)
-            after = _status(client)
-            recorded = _ok(client.post(f"/api/v1/recordings/{recording['name']}/stop"))
+            after = device_status(client)
+            recorded = answer(client.post(f"/api/v1/recordings/{recording['name']}/stop"))
     return {
         "rate_hz": rate_hz,
         "seconds": seconds,
@@ -111,25 +111,6 @@ def _received(url: str, echo: str, seconds: float, *, quiet: bool) -> dict[str, 
         raise RuntimeError("the clients failed; see above")
     received: dict[str, Any] = json.loads(output)
     return received
-
-
-def _wait_for_frames(client: httpx.Client) -> None:
-    end = time.monotonic() + 60.0
-    while _status(client)["frames_processed"] == 0:
-        if time.monotonic() > end:
-            raise RuntimeError(f"no frame comes: {_status(client)}")
-        time.sleep(0.1)
-
-
-def _status(client: httpx.Client) -> dict[str, Any]:
-    found: dict[str, Any] = _ok(client.get(f"/api/v1/devices/{DEVICE}/status"))["status"]
-    return found
-
-
-def _ok(answer: httpx.Response) -> Any:
-    if not answer.is_success:
-        raise RuntimeError(f"{answer.request.method} {answer.request.url.path}: {answer.text}")
-    return answer.json()
 
 
 @contextmanager

@@ -1,7 +1,5 @@
 """`lumiline bench navigation`: simulated optics to OpenIGTLink, latency, jitter and tip errors."""
 
-import tempfile
-import time
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
@@ -13,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from service.cli.output import console, fail, print_json, progress
+from service.cli.bench_service import (
+    DEVICE,
+    answer,
+    device_status,
+    read_device,
+    run_benchmark,
+    wait_for_frames,
+)
+from service.cli.output import console, progress
 from service.cli.spawn import free_port, service_process, simulated_device
 
 if TYPE_CHECKING:
@@ -22,7 +28,6 @@ if TYPE_CHECKING:
 
 TITLE: Final = "a tool of four strobed markers, 4 sensors x 2048 pixels, to an OpenIGTLink client"
 TOOL: Final = "pointer"
-DEVICE: Final = "sim"
 MARKERS_MM: Final = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (20.0, 15.0, 40.0))
 TIP_MM: Final = (-150.0, 0.0, 0.0)
 BARE_SECONDS: Final = 10.0
@@ -30,15 +35,9 @@ BARE_SECONDS: Final = 10.0
 
 def run(rate_hz: float, seconds: float, *, as_json: bool) -> None:
     """Measure, and print the figures beside those of a bare server."""
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            figures = _measure(Path(folder), rate_hz, seconds, quiet=as_json)
-        except RuntimeError as error:
-            raise fail(str(error)) from error
-    if as_json:
-        print_json(figures)
-        return
-    _show(figures)
+    run_benchmark(
+        lambda folder: _measure(folder, rate_hz, seconds, quiet=as_json), _show, as_json=as_json
+    )
 
 
 def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> dict[str, Any]:
@@ -57,12 +56,12 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
             service = stack.enter_context(service_process(folder / "service", settings))
             with httpx.Client(base_url=service.url, timeout=60.0) as client:
                 _start(client, source)
-                _wait_for_a_cycle(client, cycle)
-                before = _status(client)
+                wait_for_frames(client, cycle)
+                before = device_status(client)
         with progress("receiving", seconds, quiet=quiet) as done:
             received = list(transforms("127.0.0.1", port, seconds, done))
         with httpx.Client(base_url=service.url, timeout=60.0) as client:
-            after = _status(client)
+            after = device_status(client)
         stack.close()
         with (
             progress("a bare server beside it", BARE_SECONDS, quiet=quiet) as done,
@@ -114,24 +113,9 @@ def _tip_errors(
     return np.asarray(best)
 
 
-def _wait_for_a_cycle(client: httpx.Client, frames: int) -> None:
-    """Wait until the device has rendered all that it repeats."""
-    end = time.monotonic() + 120.0
-    while _status(client)["frames"] < frames:
-        if time.monotonic() > end:
-            raise RuntimeError(f"too few frames come: {_status(client)}")
-        time.sleep(0.1)
-
-
-def _status(client: httpx.Client) -> dict[str, Any]:
-    found: dict[str, Any] = _ok(client.get(f"/api/v1/devices/{DEVICE}/status"))["status"]
-    return found
-
-
 def _start(client: httpx.Client, source: dict[str, Any]) -> None:
     """Have the device read, and tell the server of the tool."""
-    _ok(client.post(f"/api/v1/devices/{DEVICE}/stop"))
-    _ok(client.patch(f"/api/v1/devices/{DEVICE}", json={"source": source}))
+    read_device(client, source)
     tool = {
         "id": TOOL,
         "device": DEVICE,
@@ -140,14 +124,8 @@ def _start(client: httpx.Client, source: dict[str, Any]) -> None:
         "strobe_markers": list(range(len(MARKERS_MM))),
         "tip_mm": TIP_MM,
     }
-    _ok(client.post("/api/v1/tools", json=tool))
-    _ok(client.post(f"/api/v1/devices/{DEVICE}/start"))
-
-
-def _ok(answer: httpx.Response) -> Any:
-    if not answer.is_success:
-        raise RuntimeError(f"{answer.request.url.path}: {answer.text}")
-    return answer.json()
+    answer(client.post("/api/v1/tools", json=tool))
+    answer(client.post(f"/api/v1/devices/{DEVICE}/start"))
 
 
 def _show(figures: dict[str, Any]) -> None:

@@ -71,7 +71,9 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
             assert address.hostname is not None
             assert address.port is not None
             bare = list(transforms(address.hostname, address.port, BARE_SECONDS, done))
-    own = [one for one in received if one.device == f"{TOOL}ToTracker"]
+    # The first may be of header version 1, before the server knows better: it has no number.
+    name = f"{TOOL}ToTracker"
+    own = [one for one in received if one.device == name and one.sequence >= 0]
     errors = _tip_errors(own, scene, rate_hz, cycle)
     return {
         "rate_hz": rate_hz,

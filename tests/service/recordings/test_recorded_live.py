@@ -118,10 +118,14 @@ def record(
             processed_before = live.status("sim").frames_processed
             wait_for(lambda seen=processed_before: live.status("sim").frames_processed > seen + 50)
         done = recordings.stop("r.h5")
+        # A busy machine may lose exposures: then somebody has counted them.
+        lost = live.status("sim").frames_lost_device
     finally:
         live.stop_device("sim")
     assert (done.state, done.reason) == ("complete", "stopped by request")
-    assert done.frames_missing == done.frames_refused == 0
+    assert done.frames_refused == 0
+    dropped = (done.frames_dropped_compute or 0) + (done.frames_dropped_writer or 0)
+    assert (done.frames_missing or 0) <= lost + dropped
     assert [(one.calibration, one.table) for one in done.calibrations] == [
         ("c1", None),
         ("c2", "t1"),

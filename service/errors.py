@@ -393,6 +393,12 @@ class TooManyTools(LumilineError):
     code = "too-many-tools"
 
 
+class ToolReplaced(LumilineError):
+    """The tool was deleted and created again while it was measured; measure it again."""
+
+    code = "tool-replaced"
+
+
 class MarkersTaken(LumilineError):
     """Another tool of the device has a strobed marker of this number."""
 

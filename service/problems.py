@@ -32,6 +32,7 @@ _STATUS: Final[dict[str, int]] = {
     own.ToolExists.code: 409,
     own.ToolInUse.code: 409,
     own.TooManyTools.code: 409,
+    own.ToolReplaced.code: 409,
     own.MarkersTaken.code: 409,
     own.RegistrationExists.code: 409,
     own.NoSuchFigure.code: 404,

@@ -102,7 +102,7 @@ class NewDevice(Given):
 
 
 class DeviceChange(Given):
-    """What may be changed of a device; a field left out stays as it is."""
+    """What may be changed of a device; a field left out stays as it is, of `tracking` too."""
 
     title: Text200 = absent()
     source: Source = absent()

@@ -103,7 +103,7 @@ def change_device(
     if "autostart" in given:
         row.autostart = change.autostart
     if "tracking" in given:
-        row.tracking = _stored(change.tracking)
+        row.tracking = _stored(_merged(tracking_of(row), change.tracking))
     if "source" in given and sensors is not None:
         described = _SENSORS.dump_python(sensors, mode="json")
         if described != row.sensors:
@@ -204,6 +204,12 @@ def source_of(row: DeviceRow) -> Source:
 def tracking_of(row: DeviceRow) -> Tracking:
     """Return how the device is tracked; by default while nobody has said."""
     return Tracking() if row.tracking is None else Tracking.model_validate(row.tracking)
+
+
+def _merged(tracking: Tracking, change: Tracking) -> Tracking:
+    """Return settings with the members that a request gives; the others stay."""
+    given = {name: getattr(change, name) for name in change.model_fields_set}
+    return tracking.model_copy(update=given)
 
 
 def _stored(tracking: Tracking) -> dict[str, Any] | None:

@@ -4,7 +4,7 @@ import time
 from threading import Event
 from typing import Final
 
-from service.errors import DeviceNotRunning
+from service.errors import DeviceNotRunning, NotReady
 from service.live.manager import LiveManager
 from service.live.session import DeviceSession
 from service.live.tap import Tap
@@ -19,11 +19,18 @@ def gather(
 
     Raises:
         DeviceNotRunning: the device stops or is lost meanwhile.
+        NotReady: the server stops meanwhile.
     """
     live.attach(session, tap)
     try:
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0 and not ended.wait(min(_LOOK_S, left)):
+            if live.hub.closed is not None:
+                raise NotReady(
+                    f"{live.hub.closed}; what was measured so far is not kept, do it again when it "
+                    "is up again",
+                    part="server",
+                )
             if not session.connected:
                 raise DeviceNotRunning(
                     f'device "{session.device_id}" stopped or was lost while it was measured; '

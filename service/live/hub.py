@@ -29,6 +29,8 @@ class Hub:
         self._logs: dict[str, StreamLog] = {}
         self._clients: dict[str, tuple[Subscription, ...]] = {}
         self._lock = Lock()
+        self.closed: str | None = None
+        """Why all streams have ended; None: they have not."""
 
     def log(self, device_id: str) -> StreamLog:
         """Return the device's log, made when it is first asked for."""
@@ -76,6 +78,7 @@ class Hub:
 
     def close(self, reason: str) -> None:
         """End all streams at once: their devices go on and would never come to an end."""
+        self.closed = reason
         for device_id in tuple(self._clients):
             self._tell(device_id, partial(_end, reason, True))
 

@@ -42,8 +42,8 @@ CAPTURED_TOOLS: Final[dict[str, Any]] = {
     },
 }
 CHANGES: Final[dict[str, Any]] = {
-    "relative": {
-        "summary": "Poses relative to the patient, and a limit",
+    "limit": {
+        "summary": "Poses relative to the tracker, and a limit",
         "value": {"reference": None, "limits": {"tip_sd_mm": 0.5}},
     },
 }

@@ -20,6 +20,7 @@ def in_frame(
     reference: ToolPose | None = None,
     frame_from: Transform | None = None,
     tip_covariance_mm2: Array | None = None,
+    most_tip_sd_mm: float | None = None,
 ) -> ToolPose:
     """Return a pose in another frame than the tracker's.
 
@@ -32,6 +33,8 @@ def in_frame(
         reference: pose of the reference tool at the same instant; None: the tracker.
         frame_from: transform to the frame from the reference's; None: that itself.
         tip_covariance_mm2: of the tip in the tool's coordinates, shape (3, 3) [mm^2]; None: exact.
+        most_tip_sd_mm: standard deviation of the tip in the frame above which the pose is
+            HIGH_ERROR [mm]; None: only the two poses are judged, each by itself.
 
     Returns:
         The pose, without velocities, which are the tracker's; of one that is not known, or whose
@@ -52,9 +55,19 @@ def in_frame(
     status, reason = pose.status, pose.reason
     if reference is not None and _worth(reference.status) > _worth(status):
         status, reason = reference.status, f'its reference "{reference.tool}": {reference.reason}'
-    tip = None
+    tip = spread = None
     if pose.tip_mm is not None:
         tip = own.rotation.T @ (pose.tip_mm - own.translation_mm)
+        if found.covariance is not None:
+            spread = found.point_covariance(tip, tip_covariance_mm2)
+    if spread is not None and most_tip_sd_mm is not None and status in _BY_WORTH[:-1]:
+        sd_mm = float(np.sqrt(np.trace(spread)))
+        if sd_mm > most_tip_sd_mm:
+            status = PoseStatus.HIGH_ERROR
+            reason = (
+                f"the tip's standard deviation in this frame is {sd_mm:.3g} mm; "
+                f"{most_tip_sd_mm:.3g} mm is the most"
+            )
     return replace(
         moved,
         status=status,
@@ -63,11 +76,7 @@ def in_frame(
         translation_mm=found.translation_mm,
         covariance=found.covariance,
         tip_mm=None if tip is None else found.apply(tip),
-        tip_covariance_mm2=(
-            None
-            if tip is None or found.covariance is None
-            else found.point_covariance(tip, tip_covariance_mm2)
-        ),
+        tip_covariance_mm2=spread,
     )
 
 

@@ -12,6 +12,7 @@ from compute.errors import InvalidParameter
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.transform import Transform
 from service.database.models import RegistrationRow, ToolRow
+from service.devices.store import get_device, tracking_of
 from service.errors import UnknownTool
 from service.live.manager import LiveManager
 from service.live.motion_messages import pose_message
@@ -19,7 +20,7 @@ from service.live.pose_board import BoardEntry
 from service.tools.bodies import tip_of
 from service.tools.frames import in_frame
 from service.tools.registrations import frame_from_measured
-from service.tools.schema import TRACKER, Pose
+from service.tools.schema import TRACKER, Pose, ToolLimits
 
 STALE_S: Final = 1.0
 """A pose older than this is none, or than this many frames where they come more slowly:"""
@@ -34,11 +35,37 @@ class Frame:
         name: of it.
         reference: the tool that it goes with; None: it stays in the tracker's.
         frame_from: the transform to it from that tool's; None: it is that tool's.
+        fixed: whether it was measured in the tracker's world, that of a calibration.
+        calibration: that one; None: none was active then.
     """
 
     name: str
     reference: str | None = None
     frame_from: Transform | None = None
+    fixed: bool = False
+    calibration: str | None = None
+
+    def why_not_with(self, calibration: str) -> str | None:
+        """Return why poses made with a calibration cannot be given in it; None: they can."""
+        if not self.fixed or self.calibration == calibration:
+            return None
+        measured = (
+            "without an active calibration"
+            if self.calibration is None
+            else f'with calibration "{self.calibration}"'
+        )
+        return (
+            f'registration "{self.name}" was measured {measured}, and "{calibration}" is in force: '
+            "its world may be another; register again"
+        )
+
+
+def limit_of(session: Session, tool: ToolRow) -> float:
+    """Return the standard deviation of the tip above which a pose is HIGH_ERROR [mm]."""
+    own = ToolLimits.model_validate(tool.limits).tip_sd_mm
+    if own is not None:
+        return own
+    return tracking_of(get_device(session, tool.device_id)).tool_tip_sd_mm
 
 
 def frame_of(session: Session, tool: ToolRow, wanted: str | None) -> Frame:
@@ -66,14 +93,27 @@ def frame_of(session: Session, tool: ToolRow, wanted: str | None) -> Frame:
             frame=name,
         )
     if isinstance(found, RegistrationRow):
-        return Frame(name, found.reference_id, frame_from_measured(found))
+        return Frame(
+            name,
+            found.reference_id,
+            frame_from_measured(found),
+            fixed=found.reference_id is None,
+            calibration=found.result.get("calibration"),
+        )
     if name == tool.id:
         raise InvalidParameter(f'frame "{name}" is the tool\'s own; ask for another', frame=name)
     return Frame(name, name)
 
 
-def newest_pose(live: LiveManager, tool: ToolRow, frame: Frame) -> Pose:
-    """Return the newest pose of a tool, or why there is none; what is stale is none."""
+def newest_pose(live: LiveManager, tool: ToolRow, frame: Frame, most_tip_sd_mm: float) -> Pose:
+    """Return the newest pose of a tool, or why there is none; what is stale is none.
+
+    Args:
+        live: the running devices.
+        tool: the tool.
+        frame: that the pose is to be in.
+        most_tip_sd_mm: standard deviation of the tip there above which it is HIGH_ERROR [mm].
+    """
     entry = live.poses.newest().get(tool.device_id)
     now_ns = time.time_ns()
     pose = _of_board(live, tool.id, tool.device_id, entry, now_ns)
@@ -82,8 +122,16 @@ def newest_pose(live: LiveManager, tool: ToolRow, frame: Frame) -> Pose:
         reference = _of_board(live, frame.reference, tool.device_id, entry, now_ns)
     spread = tip_of(tool).covariance_mm2
     moved = in_frame(
-        pose, reference, frame.frame_from, None if spread is None else np.array(spread)
+        pose,
+        reference,
+        frame.frame_from,
+        None if spread is None else np.array(spread),
+        most_tip_sd_mm,
     )
+    if entry is not None and entry.calibration_id is not None:
+        why = frame.why_not_with(entry.calibration_id)
+        if why is not None:
+            moved = ToolPose(tool.id, PoseStatus.INVALID, why, moved.exposure_ns, moved.sequence)
     seen = entry is not None
     members: dict[str, Any] = pose_message(moved) | {
         "device": tool.device_id,

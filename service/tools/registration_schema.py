@@ -81,6 +81,11 @@ class Registration(Document):
     id: str
     device: str
     reference: str | None
+    calibration: str | None = Field(
+        default=None,
+        description="Active when it was made. Without a `reference` the frame is one of its world: "
+        "while another is in force, poses in it are `INVALID`.",
+    )
     matrix: tuple[tuple[float, float, float, float], ...] = Field(
         description="From the frame to where points were measured, 4 x 4, row by row."
     )

@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
 from compute.pose.transform import Transform
+from service.calibrations.activation import active
 from service.database.engine import insert
 from service.database.models import RegistrationRow, ToolRow
 from service.errors import RegistrationExists, UnknownRegistration
@@ -105,7 +106,7 @@ def _measured_covariance(request: NewRegistration) -> Array | None:
 def add_registration(
     session: Session, request: NewRegistration, result: dict[str, Any]
 ) -> RegistrationRow:
-    """Store a registration; the device's row is locked.
+    """Store a registration with the calibration that is active; the device's row is locked.
 
     Raises:
         RegistrationExists: the id is taken, by a registration or by a tool.
@@ -130,12 +131,13 @@ def add_registration(
                 f'"{request.device}"',
                 reference=tool.id,
             )
+    pointer = active(session, request.device)
     row = RegistrationRow(
         id=request.id,
         device_id=request.device,
         reference_id=request.reference,
         asked=request.model_dump(mode="json", exclude={"note"}),
-        result=result,
+        result=result | {"calibration": None if pointer is None else pointer.calibration_id},
         note=request.note,
         created_at=datetime.now(UTC),
     )

@@ -21,6 +21,7 @@ from service.dependencies import DatabaseDep, LiveDep, OperationDep
 from service.devices.operation import Operation
 from service.devices.store import get_device
 from service.errors import (
+    Busy,
     CalibrationSwitched,
     DeviceNotRunning,
     MarkersTaken,
@@ -28,6 +29,7 @@ from service.errors import (
     NothingSeen,
     ToolExists,
     ToolInUse,
+    ToolReplaced,
     TooManyTools,
     UnknownDevice,
     UnknownTool,
@@ -47,7 +49,7 @@ from service.tools.examples import (
     TOOL_IDS,
 )
 from service.tools.geometry import GEOMETRY, check_geometry
-from service.tools.poses import frame_of, newest_pose
+from service.tools.poses import frame_of, limit_of, newest_pose
 from service.tools.schema import (
     NewCapturedTool,
     NewTool,
@@ -58,6 +60,7 @@ from service.tools.schema import (
     ToolCalibration,
     ToolChange,
 )
+from service.tools.waiting import waiting
 
 router = APIRouter(prefix="/api/v1", tags=["tools"], route_class=JsonRoute)
 
@@ -118,6 +121,7 @@ def create_tool(request: NewToolBody, operation: OperationDep, response: Respons
         ToolExists,
         TooManyTools,
         MarkersTaken,
+        Busy,
         DeviceNotRunning,
         NoActiveCalibration,
         CalibrationSwitched,
@@ -144,7 +148,8 @@ def capture_tool(
     with database.read() as session:
         get_device(session, request.device)
         store.check_new(session, request, request.strobe_markers)
-    body, origin = captured(live, request)
+    with waiting():
+        body, origin = captured(live, request)
     return _add(operation, request, body, origin, response)
 
 
@@ -237,11 +242,13 @@ def get_tool_pose(
     with database.read() as session:
         tool = store.get_tool(session, tool_id)
         wanted = frame_of(session, tool, frame)
-        return newest_pose(live, tool, wanted)
+        return newest_pose(live, tool, wanted, limit_of(session, tool))
 
 
 _PROBLEMS_OF_CALIBRATION: Final[Sequence[type[LumilineError]]] = (
     UnknownTool,
+    ToolReplaced,
+    Busy,
     DeviceNotRunning,
     CalibrationSwitched,
     TooFewPoses,
@@ -304,10 +311,11 @@ def _calibrated(
 
     with database.read() as session:
         tool = store.get_tool(session, tool_id)
-        device, reference = tool.device_id, tool.reference_id
-    result = calibrate(live, device, tool_id, reference, kind, request)
+        device, reference, created = tool.device_id, tool.reference_id, tool.created_at
+    with waiting():
+        result = calibrate(live, device, tool_id, reference, kind, request)
     with operation.tools_change(device) as session:
-        tool = store.get_tool(session, tool_id)
+        tool = store.get_same_tool(session, tool_id, created)
         made = store.add_calibration(session, tool, kind, request, result)
         return store.calibration_document(made)
 

@@ -17,6 +17,7 @@ from service.errors import (
     MarkersTaken,
     ToolExists,
     ToolInUse,
+    ToolReplaced,
     TooManyTools,
     UnknownTool,
 )
@@ -46,6 +47,18 @@ def get_tool(session: Session, tool_id: str) -> ToolRow:
     if row is None:
         raise UnknownTool(
             f'there is no tool "{tool_id}"; GET /api/v1/tools lists them', tool=tool_id
+        )
+    return row
+
+
+def get_same_tool(session: Session, tool_id: str, created_at: datetime) -> ToolRow:
+    """Return a tool that was measured; raises UnknownTool, or ToolReplaced when it is another."""
+    row = get_tool(session, tool_id)
+    if row.created_at != created_at:
+        raise ToolReplaced(
+            f'tool "{tool_id}" was deleted and created again while it was measured; what was found '
+            "is of the former one and was not kept; do it again",
+            tool=tool_id,
         )
     return row
 
@@ -121,6 +134,17 @@ def _check_reference(session: Session, tool_id: str, device_id: str, reference: 
             f'device, "{device_id}"',
             reference=reference,
         )
+    chain = [reference]
+    while (further := other.reference_id) is not None and further not in chain:
+        chain.append(further)
+        if further == tool_id:
+            listed = " to ".join(f'"{one}"' for one in (tool_id, *chain))
+            raise InvalidParameter(
+                f"tools would be relative to one another: {listed}; name a reference that does "
+                "not lead back",
+                reference=reference,
+            )
+        other = get_tool(session, further)
 
 
 def add_tool(

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
@@ -19,6 +20,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from hardware.recording_reader import read_recording
 from service.runs.examples import NEW_CALIBRATION_RUNS
+from service.tools.examples import NEW_TOOLS
+from service.tools.waiting import AT_ONCE
 
 # As `lumiline serve`; tells on its output that it came to its end.
 PROGRAM = """
@@ -116,6 +119,36 @@ def test_a_server_that_is_told_to_stop(tmp_path: Path):
         assert database.execute("SELECT state FROM runs").fetchall() == [("interrupted",)]
     database.close()
     assert read_recording(tmp_path / "recordings" / "a.h5").complete
+
+
+def test_calibrations_of_tools_that_wait_when_it_is_told(tmp_path: Path):
+    """As many wait as may, which the answer to one more shows; each is answered at the end."""
+    body = NEW_TOOLS["pointer"]["value"]
+
+    def pivot(api: str) -> httpx.Response:
+        path = f"{api}/tools/{body['id']}/pivot-calibrations"
+        return httpx.post(path, json={"seconds": 120}, timeout=END_S)
+
+    with (
+        server(tmp_path) as (process, port),
+        ThreadPoolExecutor(AT_ONCE + 1) as clients,
+    ):
+        api = f"http://127.0.0.1:{port}/api/v1"
+        assert httpx.post(f"{api}/tools", json=body).status_code == 201
+        asked = [clients.submit(pivot, api) for _ in range(AT_ONCE + 1)]
+        (refused, *others), waiting = wait(asked, END_S, FIRST_COMPLETED)
+        assert not others
+        assert refused.result().json()["type"] == "/problems/busy"
+        assert httpx.get(f"{api}/tools").status_code == 200
+        process.send_signal(signal.SIGTERM)
+        for answer in (one.result() for one in waiting):
+            assert answer.status_code == 503
+            assert answer.json()["type"] == "/problems/not-ready"
+            assert "the server is stopping" in answer.json()["detail"]
+        output, log = process.communicate(timeout=END_S)
+    assert (process.returncode, output) == (0, "after\n"), log
+    assert "ERROR" not in log
+    assert "Traceback" not in log
 
 
 def test_a_second_signal_ends_it_at_once(tmp_path: Path):

@@ -132,3 +132,33 @@ def test_without_its_reference_there_is_no_pose(status: PoseStatus):
     # One that is lost itself says so, whatever its reference does.
     own = in_frame(ToolPose("tool", PoseStatus.OUT_OF_VIEW, "it left", 123, 4), lost)
     assert (own.status, own.reason) == (PoseStatus.OUT_OF_VIEW, "it left")
+
+
+def test_the_limit_judges_the_tip_in_the_frame():
+    """A reference that is well known, and far away: its turn moves the tip by more."""
+    tool = pose("tool", np.zeros(3), np.zeros(3))
+    far = pose("ref", np.zeros(3), np.array([1500.0, 0.0, 0.0]))
+
+    def sd(one: ToolPose) -> float:
+        assert one.tip_covariance_mm2 is not None
+        return float(np.sqrt(np.trace(one.tip_covariance_mm2)))
+
+    alone, relative = sd(in_frame(tool)), sd(in_frame(tool, far))
+    limit = (alone + relative) / 2
+    assert alone < limit < relative
+    assert in_frame(tool, most_tip_sd_mm=limit).status is PoseStatus.OK
+    found = in_frame(tool, far, most_tip_sd_mm=limit)
+    assert found.status is PoseStatus.HIGH_ERROR
+    assert found.reason is not None
+    assert f"{relative:.3g} mm; {limit:.3g} mm" in found.reason
+    assert found.rotation is not None
+    assert in_frame(tool, far, most_tip_sd_mm=relative * 1.001).status is PoseStatus.OK
+    # What is worth less already keeps its reason; so does what is not seen.
+    bad = in_frame(
+        pose("tool", *[np.zeros(3)] * 2, status=PoseStatus.HIGH_ERROR), far, None, None, limit
+    )
+    assert (bad.status, bad.reason) == (PoseStatus.HIGH_ERROR, "tool is HIGH_ERROR")
+    outside = in_frame(
+        pose("tool", *[np.zeros(3)] * 2, status=PoseStatus.OUT_OF_VOLUME), far, None, None, limit
+    )
+    assert outside.status is PoseStatus.HIGH_ERROR

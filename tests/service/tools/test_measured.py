@@ -1,5 +1,6 @@
 """Tools captured, pivoted and spun from what a device shows; registrations of paired points."""
 
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +15,7 @@ from compute.quality.point_to_point import MarkerTrack
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings
-from service.tools import calibrate
+from service.tools import calibrate, waiting
 from service.tools.capture import principal_axes, same_order
 from tests.service.recorded_live import RecordedLive
 from tests.service.tools.batches import TIP_MM, pivoting, spinning, tool_batch
@@ -331,3 +332,53 @@ def test_a_registration_is_not_called_like_a_tool(sqlite_client: Any):
     assert made(sqlite_client, POINTER).status_code == 201
     answer = sqlite_client.post("/api/v1/registrations", json=registration(IMAGE, id="pointer"))
     assert code(answer) == (409, "registration-exists")
+
+
+def test_a_tool_made_anew_meanwhile_is_not_given_the_formers_tip(
+    sqlite_client: Any, running: RecordedLive, soon: None, monkeypatch: pytest.MonkeyPatch
+):
+    assert made(sqlite_client, POINTER).status_code == 201
+    running.batches = [tool_batch([pivoting("pointer", 100)])]
+
+    def replaced(*asked: Any) -> dict[str, Any]:
+        found = measured(*asked)
+        assert sqlite_client.delete("/api/v1/tools/pointer").status_code == 204
+        assert made(sqlite_client, POINTER, tip_mm=None).status_code == 201
+        return found
+
+    measured = calibrate.calibrate
+    monkeypatch.setattr(calibrate, "calibrate", replaced)
+    answer = sqlite_client.post("/api/v1/tools/pointer/pivot-calibrations", json={})
+    assert code(answer) == (409, "tool-replaced"), answer.text
+    assert "created again" in answer.json()["detail"]
+    assert sqlite_client.get("/api/v1/tools/pointer").json()["tip"]["position_mm"] is None
+    assert sqlite_client.get("/api/v1/tools/pointer/calibrations").json()["items"] == []
+
+
+@pytest.mark.parametrize("path", ["tools/pointer/pivot-calibrations", "tool-captures"])
+def test_no_more_wait_at_once_than_may(sqlite_client: Any, running: RecordedLive, path: str):
+    assert made(sqlite_client, POINTER).status_code == 201
+    running.batches = [tool_batch([pivoting("pointer", 5)])]
+    body = ASKED | {"strobe_markers": [5, 6, 7]} if path == "tool-captures" else {}
+    request = body | {"seconds": 0.05}
+    with ExitStack() as others:
+        for _ in range(waiting.AT_ONCE):
+            others.enter_context(waiting.waiting())
+        refused = sqlite_client.post(f"/api/v1/{path}", json=request)
+        assert code(refused) == (503, "busy"), refused.text
+        assert f"{waiting.AT_ONCE} captures and calibrations" in refused.json()["detail"]
+        assert sqlite_client.get("/api/v1/tools/pointer").status_code == 200
+    # However the measurement ends, its place is free again.
+    for _ in range(waiting.AT_ONCE + 1):
+        answer = sqlite_client.post(f"/api/v1/{path}", json=request)
+        assert answer.status_code in (409, 422), answer.text
+
+
+def test_a_server_that_stops_says_so_at_once(sqlite_client: Any, running: RecordedLive):
+    """It would wait for two minutes."""
+    assert made(sqlite_client, POINTER).status_code == 201
+    running.hub.close("the server is stopping")
+    path = "/api/v1/tools/pointer/pivot-calibrations"
+    answer = sqlite_client.post(path, json={"seconds": 120})
+    assert code(answer) == (503, "not-ready"), answer.text
+    assert "the server is stopping" in answer.json()["detail"]

@@ -19,10 +19,16 @@ TURN = rotation_matrix(np.array([0.3, -0.4, 0.5]))
 AT = np.array([100.0, -50.0, 1500.0])
 
 
-def put(live: RecordedLive, *poses: ToolPose, age_s: float = 0.0, rate_hz: float = 100.0) -> None:
+def put(
+    live: RecordedLive,
+    *poses: ToolPose,
+    age_s: float = 0.0,
+    rate_hz: float = 100.0,
+    calibration: str = "sim-nominal",
+) -> None:
     now = time.time_ns() - int(age_s * 1e9)
     poses = tuple(replace(one, exposure_ns=now) for one in poses)
-    entry = BoardEntry("sim", 7, now, {one.tool: one for one in poses}, "sim-nominal", rate_hz)
+    entry = BoardEntry("sim", 7, now, {one.tool: one for one in poses}, calibration, rate_hz)
     live.poses.put(entry)
 
 
@@ -140,3 +146,55 @@ def test_a_frame_that_there_is_not(tools: Any):
         answer = tools.get("/api/v1/tools/pointer/pose", params={"frame": frame})
         assert code(answer) == expected
     assert code(tools.get("/api/v1/tools/nothing/pose")) == (404, "unknown-tool")
+
+
+def registered(client: Any, **members: Any) -> Any:
+    points = [[0, 0, 0], [100, 0, 0], [0, 100, 0], [0, 0, 100]]
+    pairs = [{"name": str(n), "frame_mm": one, "measured_mm": one} for n, one in enumerate(points)]
+    request = {"id": "ct", "device": "sim", "fiducials": pairs, "measured_sigma_mm": 0.01}
+    answer = client.post("/api/v1/registrations", json=request | members)
+    assert answer.status_code == 201, answer.text
+    return answer.json()
+
+
+def test_a_frame_in_the_world_of_another_calibration_is_none(tools: Any, live: RecordedLive):
+    assert registered(tools)["calibration"] == "sim-nominal"
+    assert tools.get("/api/v1/registrations/ct").json()["calibration"] == "sim-nominal"
+    close = TURN @ np.array([150.0, 0.0, 0.0])
+    put(live, pose("pointer", 7, TURN, close), pose("patient", 7, TURN, close))
+    assert asked(tools, frame="ct")["status"] == "OK"
+    put(live, pose("pointer", 8, TURN, close), calibration="moved")
+    found = asked(tools, frame="ct")
+    assert (found["status"], found["sequence"]) == ("INVALID", 8)
+    assert '"sim-nominal"' in found["reason"]
+    assert '"moved"' in found["reason"]
+    assert found["matrix"] is found["translation_mm"] is found["tip_mm"] is None
+    # In the frame of the new calibration there is a pose, and again with the old one.
+    assert asked(tools, frame="tracker")["status"] == "OK"
+    put(live, pose("pointer", 9, TURN, close))
+    assert asked(tools, frame="ct")["status"] == "OK"
+
+
+def test_a_frame_that_goes_with_a_tool_outlives_the_calibration(tools: Any, live: RecordedLive):
+    registered(tools, reference="patient")
+    at = TURN @ np.array([150.0, 0.0, 0.0])
+    poses = pose("pointer", 7, TURN, at), pose("patient", 7, TURN, at)
+    put(live, *poses, calibration="moved")
+    assert asked(tools, frame="ct")["status"] == "OK"
+
+
+def test_the_limit_holds_in_the_frame_that_is_asked_for(tools: Any, live: RecordedLive):
+    """The reference is 1.5 m away, and known to 0.2 mrad: 0.4 mm at the pointer's tip."""
+    put(live, pose("pointer", 7, TURN, AT), pose("patient", 7, TURN, np.zeros(3)))
+    assert asked(tools)["status"] == "OK"  # the default is 1 mm
+    change = tools.patch("/api/v1/tools/pointer", json={"limits": {"tip_sd_mm": 0.2}})
+    assert change.status_code == 200, change.text
+    found = asked(tools)
+    assert found["status"] == "HIGH_ERROR"
+    sd = float(np.sqrt(np.trace(found["tip_covariance_mm2"])))
+    assert f"{sd:.3g} mm; 0.2 mm" in found["reason"]
+    assert asked(tools, frame="tracker")["status"] == "OK"
+    tools.patch("/api/v1/tools/pointer", json={"limits": {}})
+    assert asked(tools)["status"] == "OK"
+    tools.patch("/api/v1/devices/sim", json={"tracking": {"tool_tip_sd_mm": 0.2}})
+    assert asked(tools)["status"] == "HIGH_ERROR"

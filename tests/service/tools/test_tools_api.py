@@ -191,7 +191,7 @@ def test_how_a_device_is_tracked_is_its_setting(client: Any, live: RecordedLive)
     assert now.tool_tracker is not None
     assert (now.tracker.coast_s, now.tool_tracker.most_tip_sd_mm) == (0.5, 0.7)
     again = client.patch("/api/v1/devices/sim", json={"tracking": {"tracks": "with-tools"}})
-    assert again.json()["tracking"]["coast_s"] == device["tracking"]["coast_s"]
+    assert again.json()["tracking"]["coast_s"] == 0.5  # left out: it stays
     assert not live.tracked["sim"].tracks
     made(client, POINTER)
     assert live.tracked["sim"].tracks
@@ -201,3 +201,34 @@ def test_how_a_device_is_tracked_is_its_setting(client: Any, live: RecordedLive)
     wrong = {"tracking": {"volume_mm": [[0, 0, 0], [1, 1, 0]]}}
     assert code(client.patch("/api/v1/devices/sim", json=wrong)) == (422, "invalid-parameter")
     assert client.get("/api/v1/devices/sim").json()["tracking"]["tracks"] == "with-tools"
+
+
+def test_references_do_not_lead_back(sqlite_client: Any):
+    assert made(sqlite_client, PATIENT).status_code == 201
+    assert made(sqlite_client, POINTER, reference="patient").status_code == 201
+    base = PATIENT | {"markers_mm": [[0, 0, 0], [150, 0, 0], [0, 95, 0], [20, 60, 65]]}
+    assert made(sqlite_client, base, id="table").status_code == 201
+    answer = sqlite_client.patch("/api/v1/tools/patient", json={"reference": "pointer"})
+    assert code(answer) == (422, "invalid-parameter")
+    assert '"patient" to "pointer" to "patient"' in answer.json()["detail"]
+    further = sqlite_client.patch("/api/v1/tools/patient", json={"reference": "table"})
+    assert further.status_code == 200, further.text
+    back = sqlite_client.patch("/api/v1/tools/table", json={"reference": "pointer"})
+    assert code(back) == (422, "invalid-parameter")
+    assert sqlite_client.get("/api/v1/tools/table").json()["reference"] is None
+
+
+def test_what_a_change_of_tracking_leaves_out_stays(client: Any, live: RecordedLive):
+    path = "/api/v1/devices/sim"
+    first = {"tracks": "always", "coast_s": 0.25, "tool_tip_sd_mm": 0.5}
+    assert client.patch(path, json={"tracking": first}).status_code == 200
+    changed = client.patch(path, json={"tracking": {"coast_s": 0.5}}).json()["tracking"]
+    assert changed.items() >= (first | {"coast_s": 0.5}).items()
+    assert live.tracked["sim"].tracks
+    (entry, *_) = client.get("/api/v1/audit", params={"limit": 1}).json()["items"]
+    assert entry["before"]["tracking"] == first
+    assert entry["after"]["tracking"] == first | {"coast_s": 0.5}
+    # A default that is given takes its place; an empty change changes nothing.
+    given = client.patch(path, json={"tracking": {"tracks": "never"}}).json()["tracking"]
+    assert (given["tracks"], given["coast_s"]) == ("never", 0.5)
+    assert client.patch(path, json={"tracking": {}}).json()["tracking"] == given

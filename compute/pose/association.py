@@ -36,6 +36,11 @@ UNUSABLE: Final = PeakFlag.CLIPPED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakF
 DOUBTFUL: Final = PeakFlag.SATURATED | PeakFlag.JOINT | PeakFlag.POOR_FIT
 """Peaks whose standard deviation is too small: their shape is not what was fitted to them, or a
 neighbour's light is in it."""
+NEAR_PX: Final = 8.0
+"""A peak that nothing explains so near to where a marker must be is likely the marker's: farther
+off a false peak beside a hidden marker is more likely."""
+LEFT_OUT_MOST: Final = 25.0
+"""Square that a reading that was left out counts with at most: one alone may be anything."""
 DOUBTFUL_FACTOR: Final = 3.0
 """On the standard deviations of these."""
 
@@ -119,6 +124,31 @@ class Look:
         """Go back to what was predicted: what was found does not fit."""
         self.state, self.nis, self.readings, self.misfit = self._predicted, 0.0, 0, True
         self.peaks[:] = -1
+
+    def left_out(self, model: ReadingModel, free: FramePeaks, gate_probability: float) -> Array:
+        """Return the squares by which readings that were left out are off, shape (m, S).
+
+        That is where nothing was taken for a marker though a peak that nothing explains lies near
+        where it must be; in units of its variance, LEFT_OUT_MOST at most, 0 elsewhere.
+
+        Args:
+            model: the cameras.
+            free: the peaks that are no tool's.
+            gate_probability: chance that a right reading is not taken.
+        """
+        off = np.zeros(self.peaks.shape)
+        asked = (self.peaks < 0) & ~self.merged & free.usable.any(axis=1)
+        if not asked.any():
+            return off
+        (told,) = _told(model, [self], float(np.sqrt(free.variance_px2[free.usable].min())))
+        value = told.value_px.reshape(*off.shape, 1)
+        variance = told.covariance.diagonal().reshape(*off.shape, 1) + free.variance_px2
+        distance = np.where(free.usable, np.abs(free.position_px - value), np.inf)
+        square = np.where(distance <= NEAR_PX, distance**2 / variance, np.inf).min(axis=2)
+        # One within the gate fits: it was only not clear whose it is.
+        near = asked & (square < np.inf) & (square > chi2_limit(1, gate_probability))
+        off[near] = np.minimum(square[near], LEFT_OUT_MOST)
+        return off
 
     def contradictions(self, free: NDArray[np.intp]) -> int:
         """Return how many peaks that nothing explains might be markers that were not found.

@@ -7,16 +7,23 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.association import FramePeaks, Look
+from compute.pose.association import LEFT_OUT_MOST, FramePeaks, Look
 from compute.pose.marker_frame import MarkerFrame
 from compute.pose.pose_filter import PoseState
 from compute.pose.pose_report import Support
+from compute.pose.reading_model import ReadingModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.strobed_start import Exposure
 from compute.pose.tool_pose import PoseStatus
+from compute.reconstruction.points import chi2_limit
 
 CYCLES: Final = 2
 """Exposures of each marker that a strobed tool is found from."""
+OFFERED_CYCLES: Final = 4
+"""Exposures of each marker over which all readings that were offered are judged, also those that
+were left out of the pose."""
+OFTEN: Final = 3
+"""Of the exposures of OFFERED_CYCLES: readings left out so often do not fit by more than chance."""
 WEAK_SHARE: Final = 0.5
 """A frame that finds fewer than this share of the readings of the frame before is tried again with
 a manoeuvre."""
@@ -32,6 +39,8 @@ class Followed:
         state: of its filter; None: it is lost.
         seen_ns: when readings last updated it.
         last: its last updates: time, NIS, readings, which markers and sensors (M, S).
+        offered: of its last exposures, what its readings are off, those that were left out as
+            well: sum of squares, readings, and how many were left out of each marker (M,).
         exposures: the last exposures of a strobed tool that is lost.
         fresh: exposures since it was last looked for in vain.
         fits: whether its last exposures fitted it.
@@ -46,6 +55,7 @@ class Followed:
     state: PoseState | None = None
     seen_ns: int = 0
     last: deque[tuple[float, int, NDArray[np.bool_]]] = field(default_factory=deque)
+    offered: deque[tuple[float, int, NDArray[np.intp]]] = field(default_factory=deque)
     exposures: deque[Exposure] = field(default_factory=deque)
     fresh: int = 0
     fits: deque[bool] = field(default_factory=deque)
@@ -71,6 +81,9 @@ class Followed:
         self.last.clear()
         self.exposures.clear()
         self.fits.clear()
+        if status is not PoseStatus.INVALID:
+            # A tool that is found again although it does not fit has to fit for a while first.
+            self.offered.clear()
         self.fresh = self.to_confirm = 0
         self.status, self.reason = status, reason
 
@@ -87,22 +100,76 @@ class Followed:
         look: Look,
         marker: int | None,
         seen: FramePeaks,
-        free: NDArray[np.intp],
+        model: ReadingModel,
+        free: FramePeaks,
+        gate_probability: float,
     ) -> None:
         """Note whether what an exposure showed is what it must have shown."""
         if len(look.lit) == 0:
             return
+        off = look.left_out(model, free, gate_probability)
+        square, left_out = float(off.sum()), (off > 0.0).sum(axis=1)
+        count = int(left_out.sum())
         if marker is None:
-            if look.contradictions(free) > look.readings > 0:
+            against = look.contradictions(free.usable.sum(axis=1))
+            if against and against >= look.readings > 0:
+                square, count = LEFT_OUT_MOST * against, against
                 look.reject()
         elif look.readings < WEAK_SHARE * seen.usable.any(axis=1).sum():
             # The marker alone was lit, and most of what was seen is not where it must be: what
-            # little fits does so by chance.
+            # little fits does so by chance. That it did not fit is noted, which says enough.
+            square, count = 0.0, 0
             look.reject()
+        if look.readings + count:
+            of_markers = np.zeros(len(self.body), dtype=np.intp)
+            of_markers[look.lit] = left_out
+            self._offer(look.nis + square, look.readings + count, of_markers, marker)
         self.fits.append(look.readings > 0 or not look.misfit)
         self.to_confirm = max(0, self.to_confirm - (look.readings > 0))
         while len(self.fits) > CYCLES * len(self.body):
             self.fits.popleft()
+
+    def _offer(
+        self, square: float, count: int, left_out: NDArray[np.intp], marker: int | None
+    ) -> None:
+        """Keep what the readings that an exposure offered are off."""
+        self.offered.append((square, count, left_out))
+        cycle = 1 if marker is None else len(self.body)
+        while len(self.offered) > OFFERED_CYCLES * cycle:
+            self.offered.popleft()
+
+    def unfit(self, probability: float) -> str | None:
+        """Return that its readings do not fit it, those that were left out of it as well.
+
+        All that its last exposures offered is judged, of one cycle of its markers and of
+        OFFERED_CYCLES: a marker that is bent has its readings left out frame after frame, and what
+        is left agrees with a pose that is wrong.
+
+        Args:
+            probability: chance that right readings are taken for wrong ones.
+        """
+        nothing = np.zeros(len(self.body), dtype=np.intp)
+        exposures = sum(((one[2] > 0).astype(np.intp) for one in self.offered), nothing)
+        whole = len(self.offered) <= OFFERED_CYCLES
+        times = sum(bool(one[2].any()) for one in self.offered) if whole else exposures.max()
+        if times >= OFTEN:
+            return (
+                f"marker {exposures.argmax() + 1} does not fit the tool's geometry, or another "
+                f"does not: in {times} of its last {OFFERED_CYCLES} exposures readings were left "
+                "out of the pose"
+            )
+        cycle = list(self.offered)[-max(1, len(self.last)) :]
+        # An error of the calibration is the same in all of them: they do not average it away.
+        for of in (cycle,) if self.errors else (cycle, self.offered):
+            square, count = sum(one[0] for one in of), sum(one[1] for one in of)
+            limit = chi2_limit(count, probability)
+            if square > limit:
+                return (
+                    f"its last {count} readings do not fit it: they are "
+                    f"{(square / count) ** 0.5:.3g} deviations off, RMS; "
+                    f"{(limit / count) ** 0.5:.3g} is the most"
+                )
+        return None
 
     @property
     def refuted(self) -> bool:

@@ -1,7 +1,7 @@
 """Lit start: tools whose markers are lit together, found among the points of a frame."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ class LitStart:
         seen: how many points there were that are not of tracked tools.
         nis: misfit of its readings.
         sensors: which readings it was found from, shape (M, S).
+        left_out: how many readings of each marker did not fit the others, shape (M,).
     """
 
     state: PoseState | None
@@ -45,6 +46,7 @@ class LitStart:
     seen: int
     nis: float
     sensors: NDArray[np.bool_]
+    left_out: NDArray[np.intp]
 
 
 def find_lit(
@@ -91,7 +93,8 @@ def find_lit(
         )
         looks[index] = Look(frame, np.arange(len(tools[index])), state)
     associate(model, list(looks.values()), seen, settings.gate_probability, settings.merge_px)
-    free = seen.without(list(looks.values())).usable.sum(axis=1)
+    rest = seen.without(list(looks.values()))
+    free = rest.usable.sum(axis=1)
     starts = []
     for index, tool in enumerate(tools):
         own, look = found.get(index), looks.get(index)
@@ -102,7 +105,9 @@ def find_lit(
             )
             starts.append(_without(model, tool, PoseStatus.INVALID, reason, len(place)))
         elif own is not None and look is not None:
-            starts.append(_start(model, tool, errors[index], seen, own, look, len(place), settings))
+            start = _start(model, tool, errors[index], seen, own, look, len(place), settings)
+            off = look.left_out(model, rest, settings.gate_probability)
+            starts.append(replace(start, left_out=start.left_out + (off > 0.0).sum(axis=1)))
         else:
             starts.append(_no_start(model, tool, own, len(place), settings))
     return starts
@@ -150,7 +155,7 @@ def _without(
     model: ReadingModel, tool: RigidBody, status: PoseStatus, reason: str, points: int
 ) -> LitStart:
     nothing = np.zeros((len(tool), model.sensors), dtype=np.bool_)
-    return LitStart(None, status, reason, points, 0.0, nothing)
+    return LitStart(None, status, reason, points, 0.0, nothing, nothing.sum(axis=1))
 
 
 def _start(
@@ -174,7 +179,8 @@ def _start(
         return _without(model, tool, fit.status, str(fit.reason), points)
     assert fit.chi2 is not None
     state = _fitted_state(model, frame, fit, readings, sigma, errors, look.state.time_ns, settings)
-    return LitStart(state, PoseStatus.OK, "", points, fit.chi2, fit.used)
+    left_out = (np.isfinite(readings) & ~fit.used).sum(axis=1)
+    return LitStart(state, PoseStatus.OK, "", points, fit.chi2, fit.used, left_out)
 
 
 def _fitted_state(

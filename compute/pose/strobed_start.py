@@ -41,6 +41,8 @@ BROAD_SHARE: Final = 0.5
 """Deviation of a start's place as a share of the markers' radius, besides what the motion adds."""
 AGREEING_SHARE: Final = 0.8
 """Of the readings, that must fit: with more left out the rest may fit by chance."""
+LEAST_SENSORS: Final = 3
+"""That find a moving tool whatever the sensors' places; two do only of some."""
 SAME_SHARE: Final = 0.02
 """States whose markers lie nearer than this share of the radius are one: passes end near, not at,
 the same place."""
@@ -114,6 +116,8 @@ def find_strobed(
         return StrobedStart(None, "the readings' planes tell no place")
     equations = PoseEquations(model, frame, readings, smeared)
     starts = starts_from_readings(model, frame, readings, smeared)
+    if not len(starts[0]):
+        return StrobedStart(None, _too_few_sensors(exposures) or "the readings tell no turn")
     found = solutions(equations, *starts)
     settled: list[StrobedStart] = []
     for candidate in range(min(CANDIDATES, len(found.chi2))):
@@ -129,6 +133,9 @@ def find_strobed(
         if one is not None:
             settled.append(one)
     if not settled:
+        reason = _too_few_sensors(exposures)
+        if reason is not None:
+            return StrobedStart(None, reason)
         return StrobedStart(
             None, f"{count} readings of {len(exposures)} exposures do not fit the tool", unfit=True
         )
@@ -147,6 +154,23 @@ def find_strobed(
             unfit=True,
         )
     return best
+
+
+def _too_few_sensors(exposures: Sequence[Exposure]) -> str | None:
+    """Return that no more than two sensors saw the tool, if so.
+
+    A moving tool of which two sensors see each marker is often not found, right as its readings
+    are: what it did between the exposures is too much beside what they tell.
+    """
+    seen = np.isfinite([one.readings_px for one in exposures]).any(axis=0)
+    which = np.flatnonzero(seen) + 1
+    if len(which) > LEAST_SENSORS - 1:
+        return None
+    names = " and ".join(str(one) for one in which)
+    return (
+        f"only sensor{'' if len(which) == 1 else 's'} {names} of {len(seen)} saw it; its readings "
+        f"do not tell where it is, {LEAST_SENSORS} sensors are needed to find it"
+    )
 
 
 def _last_of_each(

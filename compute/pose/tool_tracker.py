@@ -11,7 +11,7 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
-from compute.pose.association import FramePeaks, Look, associate
+from compute.pose.association import LEFT_OUT_MOST, FramePeaks, Look, associate
 from compute.pose.followed import CYCLES, Followed
 from compute.pose.lit_start import find_lit
 from compute.pose.pose_filter import PoseState, predict
@@ -22,7 +22,6 @@ from compute.pose.settings import ToolTrackerSettings
 from compute.pose.strobed_start import Exposure, find_strobed
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.reconstruction.estimate import PointBatch
-from compute.reconstruction.points import chi2_limit
 
 Array = NDArray[np.float64]
 
@@ -97,6 +96,7 @@ class ToolTracker:
             if same and before.body.strobe_markers == tool.body.strobe_markers:
                 tool.state, tool.seen_ns, tool.fresh = before.state, before.seen_ns, before.fresh
                 tool.last, tool.fits = deque(before.last), deque(before.fits)
+                tool.offered = deque(before.offered)
                 tool.exposures, tool.to_confirm = deque(before.exposures), before.to_confirm
                 tool.status, tool.reason = before.status, before.reason
         self._time_ns = other._time_ns
@@ -164,10 +164,10 @@ class ToolTracker:
             self.settings.merge_px,
         )
         self._again(looks, before, time_ns, seen)
-        free = seen.without(list(looks.values())).usable.sum(axis=1)
+        free = seen.without(list(looks.values()))
         for index, look in looks.items():
             tool = self._tools[index]
-            tool.judge(look, marker, seen, free)
+            tool.judge(look, marker, seen, self.model, free, self.settings.gate_probability)
             tool.state = look.state
             if look.readings:
                 tool.count(look, time_ns)
@@ -293,6 +293,7 @@ class ToolTracker:
         for one in shown:
             sensors[one.marker] = np.isfinite(one.readings_px)
         tool.last.append((found.nis, found.readings, sensors))
+        tool.offered.append((found.nis, found.readings, np.zeros(len(tool.body), dtype=np.intp)))
 
     def _identify(
         self,
@@ -325,6 +326,9 @@ class ToolTracker:
             tool.fits.clear()
             tool.last.clear()
             tool.last.append((one.nis, int(one.sensors.sum()), one.sensors))
+            off = one.nis + LEFT_OUT_MOST * int(one.left_out.sum())
+            number = int(one.sensors.sum() + one.left_out.sum())
+            tool.offered.append((off, number, one.left_out))
 
     def _report(self, tool: Followed, time_ns: int, sequence: int) -> ToolPose:
         if tool.state is None:
@@ -340,15 +344,9 @@ class ToolTracker:
             )
             return without_pose(tool.body, PoseStatus.MISSING, reason, time_ns, sequence)
         support = tool.support()
-        most = max(support.readings)
-        limit = chi2_limit(most, self.settings.fit.inconsistent_probability) / most
-        residual = support.residual_sigma
-        if residual is not None and residual**2 > limit:
-            reason = (
-                f"its last {sum(support.readings)} readings do not fit it: they are "
-                f"{residual:.3g} deviations off, RMS; {limit**0.5:.3g} is the most"
-            )
-            return without_pose(tool.body, PoseStatus.INVALID, reason, time_ns, sequence)
+        unfit = tool.unfit(self.settings.fit.inconsistent_probability)
+        if unfit is not None:
+            return without_pose(tool.body, PoseStatus.INVALID, unfit, time_ns, sequence)
         outside = outside_volume(self.model, tool.body, tool.state, support, self.settings)
         pose = report(tool.body, tool.state, support, sequence, outside, self.settings)
         if pose.status is PoseStatus.MISSING:

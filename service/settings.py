@@ -5,7 +5,7 @@ import os
 from dataclasses import dataclass
 from ipaddress import ip_network
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
@@ -17,6 +17,8 @@ from pydantic_settings import (
 )
 
 from service.navigation.allow_list import AllowList
+
+_OF_CLIENTS: Final = frozenset({"LUMILINE_URL", "LUMILINE_KEY"})
 
 
 def default_data_dir() -> Path:
@@ -213,9 +215,9 @@ def _check_reach(protocol: str, host: str, allow: tuple[str, ...]) -> None:
 def _check_environment(settings: set[str]) -> None:
     """Refuse variables that look like settings and are none: one may be misspelt.
 
-    Those of tests are left alone.
+    Those of tests are left alone, and those by which commands that are clients find a server.
     """
-    known = settings | {"LUMILINE_CONFIG"}
+    known = settings | {"LUMILINE_CONFIG"} | _OF_CLIENTS
     for name in sorted(os.environ):
         given = name.upper()
         if not given.startswith("LUMILINE_") or given.startswith("LUMILINE_TEST_"):

@@ -249,13 +249,14 @@ class AsyncClient:
         """End a recording."""
         return await self._one(calls.stop_recording(name))
 
-    async def download_recording(self, name: str, path: Path) -> Path:
+    async def download_recording(self, name: str, path: Path | str) -> Path:
         """Write a recording that is complete to a file, which is there only when it is whole.
 
         Raises:
             ServerProblem: there is no such recording, or it is still written.
             NotReached: the connection was lost before the end.
         """
+        path = Path(path)
         part = path.with_name(f"{path.name}.part")
         try:
             async with self._http.stream("GET", calls.recording_file(name)) as answer:

@@ -247,13 +247,14 @@ class Client:
         """End a recording."""
         return self._one(calls.stop_recording(name))
 
-    def download_recording(self, name: str, path: Path) -> Path:
+    def download_recording(self, name: str, path: Path | str) -> Path:
         """Write a recording that is complete to a file, which is there only when it is whole.
 
         Raises:
             ServerProblem: there is no such recording, or it is still written.
             NotReached: the connection was lost before the end.
         """
+        path = Path(path)
         part = path.with_name(f"{path.name}.part")
         try:
             with self._http.stream("GET", calls.recording_file(name)) as answer:

@@ -277,6 +277,13 @@ def export_motion(
     tools: Annotated[
         Path | None, typer.Option(help="Tools as JSON, as GET /api/v1/tools sends them.")
     ] = None,
+    device: Annotated[
+        Path | None,
+        typer.Option(
+            help="The device as JSON, as GET /api/v1/devices/{id} sends it: its `tracking`, and "
+            "only its tools; left out: defaults, and all tools."
+        ),
+    ] = None,
     calibration: Annotated[
         Path | None,
         typer.Option(help="Calibration as JSON, from `calibrate`; left out: the recorded ones."),
@@ -294,7 +301,7 @@ def export_motion(
     """Write points, tracks and tool poses for other programs: C3D, TRC, CSV, Parquet, PLUS."""
     from service.cli.export import ExportOptions, run
 
-    run(source, to, ExportOptions(tools, calibration, table, predicted, points))
+    run(source, to, ExportOptions(tools, calibration, table, predicted, points, device))
 
 
 @app.command("simulate-serial")

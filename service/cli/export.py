@@ -7,6 +7,7 @@ from compute.errors import InvalidParameter, LumilineError
 from service.cli.in_force_files import read_in_force
 from service.cli.output import console, fail, progress
 from service.exports.captured import SUFFIXES, captured_table
+from service.exports.device_file import read_device
 from service.exports.formats import suffix_of, write_export
 from service.exports.motion_table import MotionTable
 from service.exports.tool_file import read_tools
@@ -22,6 +23,7 @@ class ExportOptions:
         table: correction table of that calibration.
         predicted: keep positions of tracks where nothing was seen.
         points: strobed markers' points in the tracks' place.
+        device: JSON file of the device, whose tracking is taken; None: by default.
     """
 
     tools: Path | None = None
@@ -29,6 +31,7 @@ class ExportOptions:
     table: Path | None = None
     predicted: bool = False
     points: bool = False
+    device: Path | None = None
 
 
 def run(source: Path, output: Path, options: ExportOptions) -> None:
@@ -55,7 +58,7 @@ def run(source: Path, output: Path, options: ExportOptions) -> None:
 
 
 def _captured(source: Path, options: ExportOptions) -> MotionTable:
-    for name in ("tools", "calibration", "table"):
+    for name in ("tools", "device", "calibration", "table"):
         if getattr(options, name) is not None:
             raise InvalidParameter(
                 f"--{name} is for recordings; a captured stream has what was found when it was live"
@@ -67,7 +70,9 @@ def _recorded(source: Path, options: ExportOptions) -> MotionTable:
     from hardware.recording_reader import RecordingReader
     from service.exports.recorded import recorded_table
 
-    tools = () if options.tools is None else read_tools(options.tools)
+    device = None if options.device is None else read_device(options.device)
+    of, tracking = (None, None) if device is None else (device.id, device.tracking)
+    tools = () if options.tools is None else read_tools(options.tools, of)
     given = read_in_force(options.calibration, options.table)
     with RecordingReader(source) as reader, progress("exporting", reader.info.frames) as done:
-        return recorded_table(reader, tools, given, done)
+        return recorded_table(reader, tools, given, done, tracking)

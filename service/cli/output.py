@@ -8,6 +8,7 @@ from typing import Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -53,7 +54,8 @@ def _plain(value: Any) -> Any:
 
 def fail(message: str) -> typer.Exit:
     """Print an error and return what ends the command: ``raise fail(...)``."""
-    Console(stderr=True).print(f"[red]error:[/red] {message}", highlight=False)
+    # What looks like markup in a message is none: [export], a path with brackets.
+    Console(stderr=True).print(f"[red]error:[/red] {escape(message)}", highlight=False)
     return typer.Exit(2)
 
 

@@ -24,9 +24,11 @@ def run(**given: Any) -> None:
     from service import graceful
     from service.app import create_app
     from service.cli.first_key import first_key
+    from service.cli.ports import check_ports
     from service.cli.start_check import check_start
     from service.logs.setup import logging_as
 
+    check_ports(settings)
     with logging_as(settings):
         check_start(settings)
         first_key(settings)
@@ -83,6 +85,8 @@ def load_settings(**given: Any) -> Settings:
 
 def _complaint(item: ErrorDetails) -> str:
     """Say what is wrong with a setting; values that may hold a password are not shown."""
+    if not item["loc"]:  # of several settings together; what was given is all of them
+        return f"settings: {item['msg'].removeprefix('Value error, ')}"
     name = ".".join(str(part) for part in item["loc"])
     if item["type"] == "extra_forbidden":
         return f"setting {name}: there is no such setting; there are {', '.join(_KNOWN)}"

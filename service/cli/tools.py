@@ -7,8 +7,10 @@ from math import sqrt
 from typing import Final
 
 import typer
+from rich.console import Group
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from lumiline.client import Client
 from lumiline.client.documents import Pose, Tool
@@ -72,11 +74,13 @@ def watch(
     """Show the poses of all tools until the time is over."""
     end = None if seconds is None else now() + seconds
     with _server(url, key) as client:
+        if device is not None:
+            client.device(device)  # to be told that there is none, not that it has no tools
         tools = client.tools(device)
         if not tools:
             raise fail("there are no tools; POST /api/v1/tools makes one (docs/tools.md)")
 
-        def poses() -> Table:
+        def poses() -> Group:
             # In the frame of a tool that tool itself is left out: it is where it is.
             others = (tool for tool in tools if tool.id != frame)
             return _poses(client.tool_pose(tool.id, frame) for tool in others)
@@ -90,22 +94,24 @@ def watch(
             return
 
 
-def _poses(poses: Iterable[Pose]) -> Table:
+def _poses(poses: Iterable[Pose]) -> Group:
+    """Return a table, and below it, as wide as the terminal, why poses are not OK."""
+    reasons: list[Text] = []
     table = Table()
     table.add_column("tool")
     table.add_column("in")
     table.add_column("status")
     for heading in ("tip [mm]", "sd [mm]", "age [s]"):
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("reason", overflow="fold")
     for pose in poses:
         style = _STYLES.get(pose.status, "red")
         table.add_row(
             pose.tool, pose.frame, f"[{style}]{pose.status}[/{style}]", _vector(pose.tip_mm),
             _deviation(pose), "-" if pose.age_s is None else f"{pose.age_s:.2f}",
-            pose.reason or "",
         )  # fmt: skip
-    return table
+        if pose.reason:
+            reasons.append(Text(f"{pose.tool}: {pose.reason}"))
+    return Group(table, *reasons)
 
 
 def _strobed(tool: Tool) -> str:

@@ -12,6 +12,7 @@ from hardware.frame import FrameFlag, LineFrame
 from hardware.recording_block import FrameBlock
 from hardware.recording_layout import NO_MARKER
 from hardware.recording_reader import RecordingReader
+from service.devices.tracking import Tracking
 from service.exports.motion_table import MotionTable
 from service.exports.table_builder import TableBuilder
 from service.live.batch import FrameBatch
@@ -36,6 +37,7 @@ def recorded_table(
     tools: Sequence[RigidBody] = (),
     given: InForce | None = None,
     done: Callable[[int], None] = lambda _: None,
+    tracking: Tracking | None = None,
 ) -> MotionTable:
     """Return what was found, or is found now, in a recording's frames.
 
@@ -47,6 +49,7 @@ def recorded_table(
         tools: whose poses are wanted.
         given: what to reconstruct with; None: what was in force, frame by frame.
         done: called with the number of frames that are done.
+        tracking: how markers and tools are followed; None: by default.
 
     Raises:
         InvalidRecording: it holds no calibration and none is given, or something is damaged.
@@ -57,7 +60,9 @@ def recorded_table(
         raise InvalidRecording("the recording holds no calibration; give one with --calibration")
     description = info.description
     processor = DeviceProcessor("export", description, "cpu")
-    processor.set_tracked(Tracked(tracks=True, tools=tuple(tools)))
+    how = Tracking() if tracking is None else tracking
+    # Tracks always, whether there were any live: they change neither points nor poses.
+    processor.set_tracked(Tracked(True, tuple(tools), how.tracker(), how.tool_tracker()))
     builder = TableBuilder(
         description.name, description.frame_rate_hz, [tool.name for tool in tools]
     )

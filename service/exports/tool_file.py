@@ -11,6 +11,7 @@ from compute.errors import InvalidParameter
 from compute.pose.geometry import check_look_alikes, check_tool
 from compute.pose.rigid_body import RigidBody
 from service.schema import Position, Slug
+from service.tools.schema import ToolLimits
 
 
 class _Tip(BaseModel):
@@ -23,16 +24,23 @@ class _Tool(BaseModel):
     strobe_markers: list[int] | None = None
     tip_mm: Position | None = None
     tip: _Tip | None = None
+    limits: ToolLimits = Field(default_factory=ToolLimits)
+    device: Slug | None = None
 
 
 _TOOLS: TypeAdapter[list[_Tool]] = TypeAdapter(list[_Tool])
 
 
-def read_tools(path: Path) -> tuple[RigidBody, ...]:
+def read_tools(path: Path, device: str | None = None) -> tuple[RigidBody, ...]:
     """Return the tools in a file: a list of them, or an object with the list ``items``.
 
-    A tool has ``id``, ``markers_mm`` and, if it has them, ``strobe_markers`` and ``tip_mm``; what
-    else ``GET /api/v1/tools`` sends of it is not looked at.
+    A tool has ``id``, ``markers_mm`` and, if it has them, ``strobe_markers``, ``tip_mm`` and
+    ``limits``; what else ``GET /api/v1/tools`` sends of it is not looked at.
+
+    Args:
+        path: the file.
+        device: whose tools are wanted; those that say that they are another's are left out. None:
+            all.
 
     Raises:
         InvalidParameter: the file cannot be read, or holds no tools.
@@ -53,9 +61,10 @@ def read_tools(path: Path) -> tuple[RigidBody, ...]:
         place = ".".join(map(str, first["loc"])) or "the whole"
         raise InvalidParameter(
             f'{path} holds no tools: {place}: {first["msg"]}; a tool is {{"id": "probe", '
-            '"markers_mm": [[0, 0, 0], ...]}, with "strobe_markers" and "tip_mm" if it has them'
+            '"markers_mm": [[0, 0, 0], ...]}, with "strobe_markers", "tip_mm" and "limits" if it '
+            "has them"
         ) from error
-    tools = tuple(_body(one) for one in found)
+    tools = tuple(_body(one) for one in found if device is None or one.device in (None, device))
     names = [one.name for one in tools]
     if len(set(names)) < len(names):
         raise InvalidParameter(f"{path} has tools of one name: {', '.join(names)}")
@@ -78,4 +87,5 @@ def _body(tool: _Tool) -> RigidBody:
         np.array(tool.markers_mm, np.float64).reshape(-1, 3),
         None if tool.strobe_markers is None else tuple(tool.strobe_markers),
         tip,
+        tool.limits.tip_sd_mm,
     )

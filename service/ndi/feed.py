@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Final
 
@@ -21,6 +21,14 @@ MarkersOf = Callable[[str, str], NDArray[np.float64] | None]
 """Returns the markers of a device's tool in its own coordinates [mm]; None: they are not known."""
 
 
+Known = Callable[[], Mapping[str, Sequence[str]]]
+"""Returns the tools of every device that has any, running or not, by device."""
+
+
+def _none() -> Mapping[str, Sequence[str]]:
+    return {}
+
+
 def _unknown(_device: str, _tool: str) -> None:
     return None
 
@@ -35,6 +43,7 @@ class PoseFeed:
         age_s: see AGE_S.
         now: a clock that never goes back [s].
         wall_ns: the clock of the exposures, as time.time_ns.
+        known: the tools of devices that do not run; by default none.
     """
 
     def __init__(
@@ -45,6 +54,7 @@ class PoseFeed:
         age_s: float = AGE_S,
         now: Callable[[], float] = time.monotonic,
         wall_ns: Callable[[], int] = time.time_ns,
+        known: Known = _none,
     ) -> None:
         self._board = board
         self._chosen = device
@@ -52,22 +62,28 @@ class PoseFeed:
         self._age_s = age_s
         self._now = now
         self._wall_ns = wall_ns
+        self._known = known
         self._came: dict[str, float] = dict.fromkeys(board.newest(), now())
         self._waiting: set[asyncio.Event] = set()
         self._end = board.listen(self._told)
 
     def look(self, device: str | None) -> View:
-        """Return what a session sees: of this device; None: of the one that has tools."""
+        """Return what a session sees: of this device; None: of the one that has tools.
+
+        Tools of a device that does not run are there, without poses.
+        """
         newest = self._board.newest()
         wanted = device or self._chosen
         if wanted is None:
             having = [name for name, entry in newest.items() if entry.poses]
+            having = having or [name for name, tools in self._known().items() if tools]
             if len(having) != 1:
                 return View(several=len(having) > 1)
             wanted = having[0]
         entry = newest.get(wanted)
         if entry is None:
-            return View(wanted)
+            tools = tuple(sorted(self._known().get(wanted, ())))
+            return View(wanted, tools=tools, markers=partial(self._markers, wanted))
         fresh = self._fresh(entry)
         return View(
             device_id=wanted,

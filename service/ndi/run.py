@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from service.metrics.ndi import NdiCollector
 from service.navigation.allow_list import AllowList
 from service.ndi.feed import PoseFeed
+from service.ndi.known_tools import KnownTools
 from service.ndi.server import NdiOptions, NdiServer
 from service.settings import Settings
 from service.version import package_version
@@ -27,7 +28,7 @@ async def ndi_running(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     """Run it; with no port set, do nothing.
 
     Args:
-        app: with the live side and the metrics in its state; gets ``ndi``.
+        app: with the database, the live side and the metrics in its state; gets ``ndi``.
         settings: of the service.
 
     Raises:
@@ -51,10 +52,14 @@ async def ndi_running(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
         tools = live.tracked(device_id).tools
         return next((one.markers_mm for one in tools if one.name == tool), None)
 
-    server = NdiServer(options, PoseFeed(live.poses, settings.ndi_device, markers))
+    known = KnownTools(app.state.database)
+    feed = PoseFeed(live.poses, settings.ndi_device, markers, known=known)
+    server = NdiServer(options, feed)
     try:
+        await known.start()
         await server.start()
     except OSError as error:
+        await known.close()
         _log.critical("NDI clients on %s port %d: %s", options.host, options.port, error)
         raise
     app.state.metrics.add(NdiCollector(server))
@@ -62,4 +67,5 @@ async def ndi_running(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     try:
         yield
     finally:
+        await known.close()
         await server.close()

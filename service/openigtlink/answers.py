@@ -135,6 +135,10 @@ class Answers:
         found = session.pose_status(snapshot, message.device)
         if found is not None:
             return found
+        if message.device not in ("", SERVER, snapshot.entry.device_id):
+            known = ", ".join(pose.name.short for pose in snapshot.poses) or "none"
+            text = f'there is no transform "{message.device}"; there are: {known}'
+            return session.status(StatusCode.NOT_FOUND, "NotFound", text, message.device)
         seen = sum(pose.valid for pose in snapshot.poses)
         text = (
             f"device {snapshot.entry.device_id}: {seen} of {len(snapshot.poses)} tools are seen in "

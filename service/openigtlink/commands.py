@@ -16,7 +16,6 @@ from service.openigtlink.snapshot import Snapshot
 from service.openigtlink.transforms import (
     NamedTransform,
     Transforms,
-    opposite_name,
     read_date,
     read_error,
     read_matrix,
@@ -139,8 +138,7 @@ class Commands:
         snapshot = self._newest()
         if snapshot is None:
             return None
-        for wanted, inverted in ((name, False), (opposite_name(name), True)):
-            pose = snapshot.find(wanted)
+        for pose, inverted in ((snapshot.find(name), False), (snapshot.find_inverse(name), True)):
             if pose is not None and pose.valid and pose.placed is not None:
                 matrix = np.eye(4)
                 matrix[:3, :3], matrix[:3, 3] = pose.placed
@@ -179,7 +177,7 @@ class Commands:
     async def _set_transform(self, asked: Asked) -> Reply:
         name = read_name(_required(asked, "TransformName"))
         snapshot = self._newest()
-        if snapshot is not None and (snapshot.find(name) or snapshot.find(opposite_name(name))):
+        if snapshot is not None and (snapshot.find(name) or snapshot.find_inverse(name)):
             raise CommandRefused(f"UpdateTransform ({name}): it is tracked, and cannot be set")
         found = NamedTransform(
             read_matrix(_required(asked, "TransformValue")),

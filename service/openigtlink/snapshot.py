@@ -20,6 +20,7 @@ from service.openigtlink.pose_contents import (
     write_tracking,
     write_transform,
 )
+from service.openigtlink.transforms import inverse_of
 
 Array = NDArray[np.float64]
 
@@ -193,6 +194,12 @@ class Snapshot:
             if name in (pose.name.short, pose.name.full):
                 return pose
         return None
+
+    def find_inverse(self, name: str) -> WirePose | None:
+        """Return the pose of which a name is the inverse's: ``TrackerToProbe``."""
+        names = (one for pose in self.poses for one in (pose.name.short, pose.name.full))
+        found = inverse_of(name, names)
+        return None if found is None else self.find(found)
 
     def _tool_of(self, frame: str) -> str | None:
         if frame == TRACKER:

@@ -1,6 +1,7 @@
 """Transforms that clients have set by name, beside those that are tracked."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -49,9 +50,10 @@ class Transforms:
         found = self._named.get(name)
         if found is not None:
             return found
-        opposite = self._named.get(opposite_name(name))
-        if opposite is None:
+        wanted = inverse_of(name, self._named)
+        if wanted is None:
             return None
+        opposite = self._named[wanted]
         try:
             inverse = np.linalg.inv(opposite.matrix).astype(np.float64)
         except np.linalg.LinAlgError:
@@ -73,6 +75,23 @@ def opposite_name(name: str) -> str:
     """Return the name of the inverse; of what is no name, itself."""
     first, _, second = name.partition("To")
     return f"{second}To{first}" if second else name
+
+
+def inverse_of(name: str, known: Iterable[str]) -> str | None:
+    """Return that of the known names whose inverse is wanted; None: there is none, or several.
+
+    A frame that has a capital behind "To" may have none before it: of ``probeToTracker`` both
+    ``TrackerToProbe`` and ``TrackerToprobe`` are the inverse.
+    """
+    wanted = opposite_name(name)
+    alike = {one for one in known if one == wanted or _capital(one) == _capital(wanted)}
+    if wanted in alike:
+        return wanted
+    return alike.pop() if len(alike) == 1 else None
+
+
+def _capital(name: str) -> tuple[str, ...]:
+    return tuple(frame[:1].upper() + frame[1:] for frame in name.split("To", maxsplit=1))
 
 
 def read_matrix(text: str) -> Array:

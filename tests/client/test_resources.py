@@ -135,6 +135,7 @@ def test_a_recording_from_its_begin_to_a_file(ask: Ask, tmp_path: Path) -> None:
     file = ask("download_recording", begun.name, tmp_path / "bench.h5")
     assert file.stat().st_size == ask("recording", begun.name).size_bytes
     assert file.read_bytes()[:8] == b"\x89HDF\r\n\x1a\n"
+    assert ask("download_recording", begun.name, str(file)) == file
     # Neither of a refused download nor of a complete one is a part left.
     assert [one.name for one in tmp_path.iterdir()] == ["bench.h5"]
     ask("request", "DELETE", f"/api/v1/recordings/{begun.name}")

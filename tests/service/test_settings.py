@@ -53,6 +53,15 @@ def test_the_file_may_be_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
         Settings()
 
 
+def test_variables_of_clients_are_left_alone(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("LUMILINE_URL", "http://127.0.0.1:8000")
+    monkeypatch.setenv("LUMILINE_KEY", "key")
+    Settings()
+    monkeypatch.setenv("LUMILINE_URI", "x")
+    with pytest.raises(ValueError, match="LUMILINE_URI"):
+        Settings()
+
+
 @pytest.mark.parametrize("text", ["colour = 1", "port = 70000", 'log_level = "loud"'])
 def test_what_does_not_fit_is_refused(tmp_path: Path, text: str):
     (tmp_path / "lumiline.toml").write_text(text)

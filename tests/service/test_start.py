@@ -23,6 +23,7 @@ def nothing_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("LUMILINE_CONFIG", raising=False)
     monkeypatch.delenv("LUMILINE_DATABASE_URL", raising=False)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("LUMILINE_PORT", "0")
     monkeypatch.setattr("service.graceful.run_server", lambda *_, **__: None)
 
 
@@ -71,6 +72,36 @@ def test_a_database_that_is_not_there(
     url = make_url(database_url).set(database="nowhere", password=SECRET, query={})
     result = serve(tmp_path, monkeypatch, url.render_as_string(hide_password=False))
     assert_one_line(result, 1, "/nowhere cannot be used", 'database "nowhere" does not exist')
+
+
+@pytest.mark.parametrize(
+    ("setting", "host"),
+    [("PORT", "127.0.0.1"), ("OPENIGTLINK_PORT", "localhost"), ("NDI_PORT", "127.0.0.1")],
+)
+def test_a_port_that_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, setting: str, host: str
+):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        monkeypatch.setenv(f"LUMILINE_{setting}", str(port))
+        monkeypatch.setenv(f"LUMILINE_{setting.removesuffix('PORT')}HOST", host)
+        result = serve(tmp_path, monkeypatch)
+    assert_one_line(result, 3, f"setting {setting.lower()}: ", f"port {port}", "another program")
+
+
+@pytest.mark.parametrize("protocol", ["openigtlink", "ndi"])
+def test_a_protocol_without_keys_needs_an_allow_list(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: str
+):
+    monkeypatch.setenv(f"LUMILINE_{protocol.upper()}_PORT", "18944")
+    monkeypatch.setenv(f"LUMILINE_{protocol.upper()}_HOST", "0.0.0.0")
+    result = serve(tmp_path, monkeypatch)
+    assert result.exit_code == 2
+    [line] = result.output.splitlines()
+    assert line.startswith("settings: ")
+    assert f"{protocol}_allow" in line
 
 
 def test_a_file_that_is_no_database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

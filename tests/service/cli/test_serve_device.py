@@ -17,6 +17,7 @@ def nothing_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("CONFIG", "DATABASE_URL", "DEVICE"):
         monkeypatch.delenv(f"LUMILINE_{name}", raising=False)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("LUMILINE_PORT", "0")
     monkeypatch.setattr("service.graceful.run_server", lambda *_, **__: None)
 
 

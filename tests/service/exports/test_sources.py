@@ -19,7 +19,9 @@ from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings
 from service.cli.calibration_file import DOCUMENT
+from service.devices.tracking import Tracking
 from service.exports.captured import captured_table
+from service.exports.device_file import read_device
 from service.exports.recorded import recorded_table
 from service.exports.table_builder import TableBuilder
 from service.live.batch import FrameBatch
@@ -120,6 +122,45 @@ def test_a_recording_gives_what_was_live(
     assert seen[-1] == FRAMES == len(found)
     assert len(set(found.tracks.identity.tolist())) >= 4
     assert (found.poses.status == "OK").sum() > FRAMES // 2
+
+
+def test_tracking_and_limits_that_are_not_the_defaults(taken: Taken, tmp_path: Path) -> None:
+    """As live, bit by bit; and otherwise than by default, or nothing would be shown."""
+    tracking = Tracking(tracks="always", tool_coast_s=0.02, volume_mm=((0, 0, 0), (1, 1, 1)))
+    strict = replace(PROBE, most_tip_sd_mm=1e-4)
+    processor = DeviceProcessor("sim", taken.description, "cpu")
+    processor.set_calibration("c1", taken.calibration.calibration)
+    live = Tracked(True, (strict,), tracking.tracker(), tracking.tool_tracker())
+    processor.set_tracked(live)
+    builder = TableBuilder("sim", 400.0, ["probe"])
+    for first in range(0, FRAMES, 10):
+        builder.add(processor.process(taken.frames[first : first + 10]))
+    source = recording(tmp_path / "r.h5", taken, lines=False, results=True)
+    with RecordingReader(source) as reader:
+        found = recorded_table(reader, (strict,), tracking=tracking)
+    same(found, builder.built(), ("notes",))
+    assert "OK" not in found.poses.status
+    (tools := tmp_path / "tools.json").write_text(
+        json.dumps([{"id": "probe", "markers_mm": MARKERS, "tip_mm": [0, -100, 0]}])
+    )
+    (device := tmp_path / "device.json").write_text(
+        json.dumps({"id": "sim", "title": "x", "tracking": tracking.model_dump(mode="json")})
+    )
+    for option, statuses in (((), {"OK"}), (("--device", device), {"OUT_OF_VOLUME"})):
+        to = tmp_path / f"{len(option)}.csv"
+        here("export", source, "--to", to, "--tools", tools, *option)
+        told = {line.split(",")[7] for line in to.read_text().splitlines() if ",tool," in line}
+        assert statuses <= told
+        assert not ({"OK", "OUT_OF_VOLUME"} - statuses) & told
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "[]", '{"id": "sim"}', '{"id": "sim", "tracking": {"x": 1}}']
+)
+def test_what_is_no_device(tmp_path: Path, text: str) -> None:
+    (path := tmp_path / "device.json").write_text(text)
+    with pytest.raises(InvalidParameter, match=r"device\.json"):
+        read_device(path)
 
 
 def test_the_scene_comes_out(taken: Taken) -> None:

@@ -41,6 +41,19 @@ def test_as_rest_takes_and_sends_them(tmp_path: Path) -> None:
     assert ref.tip_mm == (1.0, 2.0, 3.0)
 
 
+def test_limits_and_devices_count(tmp_path: Path) -> None:
+    strict = {"id": "probe", "markers_mm": MARKERS, "strobe_markers": [0, 1, 2, 5]} | {
+        "limits": {"tip_sd_mm": 0.25}, "device": "bar"
+    }  # fmt: skip
+    other = {"id": "ref", "markers_mm": MARKERS, "limits": {"tip_sd_mm": None}, "device": "sim"}
+    path = file(tmp_path, [strict, other | {"strobe_markers": [6, 7, 8, 9]}])
+    probe, ref = read_tools(path)
+    assert (probe.most_tip_sd_mm, ref.most_tip_sd_mm) == (0.25, None)
+    assert [one.name for one in read_tools(path, "bar")] == ["probe"]
+    with pytest.raises(InvalidParameter, match="tip_sd_mm"):
+        read_tools(file(tmp_path, [strict | {"limits": {"tip_sd_mm": -1}}]))
+
+
 @pytest.mark.parametrize(
     ("content", "error", "words"),
     [

@@ -5,7 +5,10 @@ import asyncio
 import numpy as np
 
 from service.live.pose_board import PoseBoard
+from service.ndi.command import Command
 from service.ndi.feed import AGE_S, PoseFeed
+from service.ndi.identity import Identity
+from service.ndi.session import Session
 from tests.service.ndi.boards import PATIENT_S, entry, pose
 
 
@@ -33,6 +36,44 @@ def test_the_only_device_with_tools():
         board.remove("bar")
         assert feed.look("bar").tools == ()
         assert not feed.look("bar").fresh
+
+    asyncio.run(see())
+
+
+def test_tools_of_a_device_that_does_not_run():
+    """They have handles; stopping and starting plugs none in or out."""
+
+    async def see() -> None:
+        known = {"bar": ["b", "a"]}
+        board = PoseBoard()
+        feed = PoseFeed(board, known=lambda: known)
+        session = Session(Identity("Model", "1", "LUMILINE"), feed.look)
+
+        def ask(name: str, text: str) -> str:
+            return session.answer(Command(name, text)).decode()
+
+        assert ask("INIT", "").startswith("OKAY")
+        assert ask("PHSR", "02").startswith("0201001")
+        for handle in ("01", "02"):
+            assert ask("PINIT", handle).startswith("OKAY")
+            assert ask("PENA", f"{handle}D").startswith("OKAY")
+        assert ask("TSTART", "").startswith("OKAY")
+        told = ask("TX", "0001")
+        assert told.count("MISSING") == 2
+        assert told[-9:-5] == "0008"
+        board.put(entry(pose("a"), pose("b")))
+        assert ask("TX", "0001").count("MISSING") == 0
+        board.remove("bar")
+        told = ask("TX", "0001")
+        assert (told.count("MISSING"), told[-9:-5]) == (2, "0008")
+        known["bar"] = ["a"]
+        assert ask("TX", "0001")[-9:-5] == "0088"
+        # Of several that do not run there is no telling which; of those that run there is.
+        known["other"] = ["c"]
+        assert feed.look(None).several
+        board.put(entry(pose("c"), device="other"))
+        assert feed.look(None).device_id == "other"
+        feed.close()
 
     asyncio.run(see())
 

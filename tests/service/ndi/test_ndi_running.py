@@ -56,6 +56,24 @@ def test_it_runs_where_settings_say_so(tmp_path: Path):
         socket.create_connection(address, timeout=1.0)
 
 
+def test_tools_of_a_device_that_never_ran(tmp_path: Path):
+    app = create_app(Settings(data_dir=tmp_path, compute_device="cpu", ndi_port=0))
+    with TestClient(app) as client:
+        assert client.post("/api/v1/devices/sim/stop").status_code == 200
+        tool = {
+            "id": "probe", "device": "sim", "title": "Probe",
+            "markers_mm": [[0, 0, 0], [50, 0, 0], [0, 70, 0], [20, 10, 30]],
+        }  # fmt: skip
+        made = client.post("/api/v1/tools", json=tool)
+        assert made.status_code == 201, made.text
+    with TestClient(create_app(app.state.settings)) as client:
+        assert client.post("/api/v1/devices/sim/stop").status_code == 200
+        with socket.create_connection(client.app.state.ndi.address, timeout=60.0) as connection:
+            assert ask(connection, "INIT") == "OKAY"
+            assert ask(connection, "PHSR 02") == "0101001"
+            assert ask(connection, "PHINF 010004") == "probe".ljust(20)
+
+
 def test_it_does_not_unless_they_do(tmp_path: Path):
     app = create_app(Settings(data_dir=tmp_path, compute_device="cpu"))
     with TestClient(app):

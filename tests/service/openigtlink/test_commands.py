@@ -3,6 +3,7 @@
 import asyncio
 from contextlib import suppress
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,7 +13,7 @@ from service.openigtlink.commands import Commands, file_name
 from service.openigtlink.errors import CommandRefused
 from service.openigtlink.names import name_tools
 from service.openigtlink.snapshot import Snapshot
-from service.openigtlink.transforms import MOST
+from service.openigtlink.transforms import MOST, inverse_of
 from tests.service.openigtlink.wire import FakeHost, entry
 
 BOMB = '<!DOCTYPE x [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><Command Name="&b;"/>'
@@ -80,6 +81,9 @@ def test_what_reads():
     assert values[12:] == [0, 0, 0, 1]
     back = run(host, commands, "GetTransform", TransformName="TrackerToprobe")
     assert not back.done  # a frame behind "To" has a capital
+    back = run(host, commands, "GetTransform", TransformName="TrackerToProbe")
+    inverse = np.array(back.values["TrackerToProbe"].split(), float).reshape(4, 4)
+    assert np.allclose(inverse @ np.reshape(values, (4, 4)), np.eye(4), atol=1e-6)
     assert "probeToTracker" in run(host, commands, "GetConfiguration").values["Transforms"]
     assert run(host, commands, "SaveConfig").done
     assert not run(host, commands, "SaveConfig", Filename="/etc/passwd").done
@@ -95,6 +99,22 @@ def test_changes_are_refused_and_written_down_unless_a_setting_allows_them():
     assert host.recording is None
     assert {outcome for _, outcome in host.audited} == {"refused"}
     assert len(host.audited) == 3
+
+
+def test_inverses_whatever_the_capitals():
+    host, commands = made()
+    refused = run(
+        host, commands, "UpdateTransform", TransformName="TrackerToProbe", TransformValue=IDENTITY
+    )
+    assert "tracked" in refused.message
+    for name in ("imageToBed", "bed-2ToCt", "Bed-2ToCt"):
+        run(host, commands, "UpdateTransform", TransformName=name, TransformValue=IDENTITY)
+    for name in ("bedToImage", "BedToImage"):
+        found = run(host, commands, "GetTransform", TransformName=name)
+        assert found.values[name] == "1 0 0 -4 0 1 0 -5 0 0 1 -6 0 0 0 1"
+    assert inverse_of("CtToBed-2", ["bed-2ToCt", "Bed-2ToCt"]) == "Bed-2ToCt"
+    # Of two that are alike neither is taken.
+    assert inverse_of("CtToBed", ["bedToCt", "bedToct"]) is None
 
 
 def test_recordings():

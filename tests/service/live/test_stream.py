@@ -217,9 +217,14 @@ def test_a_stalled_client_slows_nobody_and_is_told_what_it_missed(impatient: str
     stalled_socket = socket.create_connection((host, int(port)))
     stalled_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
     url = stream_url(server, "device=sim&content=points,peaks&encoding=json")
-    wanted = 700
+    wanted = 450
     with connect(
-        url, sock=stalled_socket, compression=None, max_queue=1, ping_interval=None
+        url,
+        sock=stalled_socket,
+        compression=None,
+        max_queue=1,
+        ping_interval=None,
+        close_timeout=0.2,
     ) as stalled:
         expected = receive(stalled)["next"]
         with streaming(server, "device=sim&mode=lossless") as quick:

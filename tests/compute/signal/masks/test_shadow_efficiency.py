@@ -53,7 +53,7 @@ def noisy(light: float, draws: int, place: float = 0.0) -> tuple[np.ndarray, np.
     return counts, np.repeat(place + PHASES, draws)
 
 
-@pytest.mark.parametrize("light", [150.0, 1000.0, 10000.0, 100000.0])
+@pytest.mark.parametrize("light", [150.0, 1000.0, 100000.0])
 def test_it_reaches_the_bound_and_says_so(light: float) -> None:
     """Prints, by the electrons of the brightest pixel, the deviation beside the bound."""
     template = woven(window_optics(), 4)

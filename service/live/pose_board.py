@@ -1,8 +1,9 @@
 """PoseBoard: the newest pose of every tool, and whom to tell when one is newer."""
 
 import asyncio
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from threading import Lock
 
 from compute.pose.tool_pose import ToolPose
@@ -21,6 +22,7 @@ class BoardEntry:
         poses: of all tools of the device, by name; those that are not seen too.
         calibration_id: the calibration in force.
         frame_rate_hz: frames of the device per second; 0 when not known.
+        arrived_s: when it was made, as time.monotonic() counts [s]: the wall clock may be set.
     """
 
     device_id: str
@@ -29,6 +31,7 @@ class BoardEntry:
     poses: Mapping[str, ToolPose]
     calibration_id: str | None
     frame_rate_hz: float = 0.0
+    arrived_s: float = field(default_factory=time.monotonic)
 
 
 @dataclass(frozen=True, eq=False)

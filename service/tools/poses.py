@@ -138,7 +138,7 @@ def newest_pose(live: LiveManager, tool: ToolRow, frame: Frame, most_tip_sd_mm: 
         "frame": frame.name,
         "exposure_ns": moved.exposure_ns if seen else None,
         "sequence": moved.sequence if seen else None,
-        "age_s": (now_ns - moved.exposure_ns) * 1e-9 if seen else None,
+        "age_s": None if entry is None else _age_s(entry, moved, now_ns),
         "calibration": None if entry is None else entry.calibration_id,
         "matrix": None,
     }
@@ -164,10 +164,15 @@ def _of_board(
     if pose is None:
         reason = "the device does not track it yet"
         return ToolPose(tool_id, PoseStatus.UNKNOWN, reason, entry.exposure_ns, entry.sequence)
-    age_s = (now_ns - pose.exposure_ns) * 1e-9
+    age_s = _age_s(entry, pose, now_ns)
     rate = entry.frame_rate_hz
     limit_s = max(STALE_S, STALE_FRAMES / rate) if rate > 0.0 else STALE_S
     if age_s <= limit_s:
         return pose
     none = ToolPose(tool_id, PoseStatus.MISSING, None, pose.exposure_ns, pose.sequence)
     return replace(none, reason=f"its last frame is {age_s:.1f} s old")
+
+
+def _age_s(entry: BoardEntry, pose: ToolPose, now_ns: int) -> float:
+    """Return how old a pose is [s]: no younger than its entry, also where the clock is set back."""
+    return max((now_ns - pose.exposure_ns) * 1e-9, time.monotonic() - entry.arrived_s)

@@ -65,6 +65,28 @@ def test_a_pose_in_the_trackers_frame(tools: Any, live: RecordedLive):
     assert np.array(found["covariance"]).shape == (6, 6)
 
 
+def test_a_clock_that_is_set_back_makes_no_pose_young(tools: Any, live: RecordedLive):
+    put(live, pose("pointer", 7, TURN, AT))
+    assert asked(tools, frame="tracker")["status"] == "OK"
+    entry = live.poses.newest()["sim"]
+    # Ten seconds later by the clock that runs evenly, an hour earlier by the wall's.
+    late = entry.poses["pointer"].exposure_ns + 3600 * 10**9
+    late_pose = replace(entry.poses["pointer"], exposure_ns=late)
+    live.poses.put(
+        replace(
+            entry,
+            arrived_s=entry.arrived_s - 10.0,
+            exposure_ns=late,
+            poses={"pointer": late_pose},
+        )
+    )
+    found = asked(tools, frame="tracker")
+    assert found["status"] == "MISSING"
+    assert "its last frame is 1" in found["reason"]
+    assert found["matrix"] is None
+    assert 10.0 <= found["age_s"] < 3600.0
+
+
 def test_by_default_relative_to_its_reference(tools: Any, live: RecordedLive):
     put(live, pose("pointer", 7, TURN, AT), pose("patient", 7, TURN, AT - TURN @ [10.0, 0.0, 0.0]))
     found = asked(tools)

@@ -25,15 +25,35 @@ _log = logging.getLogger(__name__)
 NO_CALIBRATION: Final = "the device has no active calibration"
 PASSED_OVER: Final = "the computer does not keep up with the device: frames are passed over"
 NOT_READ: Final = "nothing is known to read the lines of this device"
+FIRST_WAIT_S: Final = 0.5
+"""After which a tool whose tracking failed is tracked anew, and twice as long each time after."""
+LONGEST_WAIT_S: Final = 30.0
+"""Of these: a tool that always fails costs next to nothing, and a line of the log now and then."""
 
 
 class _Group:
     """Tools that are followed together; a fault in one of them is a fault of its group."""
 
-    def __init__(self, tools: Sequence[RigidBody], follower: ToolFollower | None, reason: str):
+    def __init__(
+        self,
+        tools: Sequence[RigidBody],
+        follower: ToolFollower | None,
+        reason: str,
+        faults: int = 0,
+    ):
         self.tools = tuple(tools)
         self.follower = follower
         self.reason = reason  # why there is no follower
+        self.faults = faults  # of its followers so far
+        self.failed_ns: int | None = None  # on the device's clock; None: it never began
+
+    def begins_anew(self, now_ns: int) -> bool:
+        """Whether what failed is to be tried again: after twice the time of the time before."""
+        if self.follower is not None or self.failed_ns is None:
+            return False
+        wait_s = min(FIRST_WAIT_S * 2.0 ** (self.faults - 1), LONGEST_WAIT_S)
+        # A device's clock that went back starts the time anew.
+        return not 0 <= now_ns - self.failed_ns < 1e9 * wait_s
 
 
 class MotionFinding:
@@ -41,8 +61,9 @@ class MotionFinding:
 
     Nothing that a tracker does stops the device: tools that cannot be followed have the status
     INVALID and the reason. When following all tools together fails, each is followed by itself
-    from then on, so that the faulty one does not take the others with it; when following markers
-    fails, it begins anew, at most FRESH_STARTS times.
+    from then on, so that the faulty one does not take the others with it; one that fails by itself
+    begins anew after a while, more and more rarely. When following markers fails, it begins anew,
+    at most FRESH_STARTS times.
 
     Args:
         device_id: the device, for the log.
@@ -173,9 +194,10 @@ class MotionFinding:
             self._log("its tools cannot be tracked together; each is by itself")
             return [self._alone(active, tool) for tool in tools]
 
-    def _alone(self, active: ActiveCalibration, tool: RigidBody) -> _Group:
+    def _alone(self, active: ActiveCalibration, tool: RigidBody, faults: int = 0) -> _Group:
         try:
-            return _Group([tool], self._make.tools(active, self._tracked, [tool], None), "")
+            follower = self._make.tools(active, self._tracked, [tool], None)
+            return _Group([tool], follower, "", faults)
         except Exception as error:  # noqa: BLE001 - becomes the tool's status
             self._log(f"its tool {tool.name} cannot be tracked")
             return _Group([tool], None, f"the tool cannot be tracked: {_words(error)}")
@@ -227,6 +249,9 @@ class MotionFinding:
         found: list[ToolPose] = []
         groups: list[_Group] = []
         for group in self._groups:
+            if group.begins_anew(frame.exposure_device_ns):
+                assert self._active is not None
+                group = self._alone(self._active, group.tools[0], group.faults)
             if group.follower is None:
                 found += _without(group.tools, frame, PoseStatus.INVALID, group.reason)
                 groups.append(group)
@@ -245,7 +270,7 @@ class MotionFinding:
             except Exception as error:  # noqa: BLE001 - becomes the tools' status
                 reason = f"its tracking failed: {_words(error)}"
                 found += _without(group.tools, frame, PoseStatus.INVALID, reason)
-                groups += self._failed(group, reason)
+                groups += self._failed(group, reason, frame.exposure_device_ns)
         self._groups = groups
         host_ns = frame.exposure_host_ns
         return tuple(
@@ -253,13 +278,15 @@ class MotionFinding:
             for pose in found
         )
 
-    def _failed(self, group: _Group, reason: str) -> list[_Group]:
-        """Return what to do after a fault: each tool by itself; one that was so, not any more."""
+    def _failed(self, group: _Group, reason: str, now_ns: int) -> list[_Group]:
+        """Return what to do after a fault: each tool by itself; one that was so, after a while."""
         self._log(f"tracking of {', '.join(tool.name for tool in group.tools)} failed")
         assert self._active is not None
         if len(group.tools) > 1:
             return [self._alone(self._active, tool) for tool in group.tools]
-        return [_Group(group.tools, None, reason)]
+        failed = _Group(group.tools, None, reason, group.faults + 1)
+        failed.failed_ns = now_ns
+        return [failed]
 
     def _unknown(self, frame: LineFrame) -> tuple[ToolPose, ...]:
         reason = NO_CALIBRATION if self._reads else NOT_READ

@@ -142,6 +142,23 @@ def test_a_tool_whose_tracking_fails_is_found_out(
     assert caplog.text.count("ZeroDivisionError: of the tools") == 2  # not for every frame
 
 
+def test_a_tool_whose_tracking_failed_begins_anew_and_more_rarely_each_time(
+    active: ActiveCalibration, caplog: pytest.LogCaptureFixture
+):
+    finding = following(Making(), active, "late")
+    tenth_s = 100_000_000
+    valid = [
+        statuses(found(finding, frames(1, n, start_ns=n * tenth_s)), 0)["late"][0] is PoseStatus.OK
+        for n in range(60)
+    ]
+    # Every time it holds for two frames and fails in the third; then it waits 0.5 s, 1 s, 2 s.
+    assert [n for n, one in enumerate(valid) if one] == [0, 1, 7, 8, 19, 20, 41, 42]
+    assert caplog.text.count("tracking of late failed") == 4
+    # The device was started again: its clock is an earlier one.
+    motion = found(finding, frames(1, 60))
+    assert statuses(motion, 0) == {"late": (PoseStatus.OK, None)}
+
+
 def test_other_tools_are_followed_from_the_next_batch_on(active: ActiveCalibration):
     making = Making()
     finding = following(making, active, "a")

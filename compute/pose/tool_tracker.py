@@ -13,6 +13,7 @@ from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.pose.association import LEFT_OUT_MOST, FramePeaks, Look, associate
 from compute.pose.followed import CYCLES, Followed
+from compute.pose.frozen_image import FrozenImage
 from compute.pose.lit_start import find_lit
 from compute.pose.pose_filter import PoseState, predict
 from compute.pose.pose_report import outside_volume, report, without_pose
@@ -27,6 +28,7 @@ Array = NDArray[np.float64]
 
 LEAST_EXPOSURES: Final = 8
 """That are kept to find a strobed tool from: enough of three markers, too, that two sensors see."""
+FROZEN: Final = "the readings do not change by a single bit: the image is frozen"
 MISFIT: Final = "the readings do not fit it where it was and how it moved"
 
 
@@ -74,6 +76,7 @@ class ToolTracker:
         table = 0 if corrections is None else self.model.sensors
         self._tools = [Followed(body, common + table * len(body)) for body in tools]
         self._time_ns: int | None = None
+        self._image = FrozenImage()
 
     @property
     def tools(self) -> tuple[RigidBody, ...]:
@@ -84,6 +87,7 @@ class ToolTracker:
         """Forget where all tools are; needed where time goes back."""
         self._tools = [Followed(tool.body, tool.errors) for tool in self._tools]
         self._time_ns = None
+        self._image = FrozenImage()
 
     def keep(self, other: "ToolTracker") -> None:
         """Go on with what another tracker of the same cameras knows of the same tools."""
@@ -136,6 +140,7 @@ class ToolTracker:
                 f"({self.model.sensors}, K)"
             )
         self._time_ns = time_ns
+        self._image.see(marker, position_px)
         seen = FramePeaks.of(position_px, sigma_px, peak_flags)
         looks = self._follow(time_ns, marker, seen)
         self._find(time_ns, marker, seen, looks, points)
@@ -333,6 +338,8 @@ class ToolTracker:
     def _report(self, tool: Followed, time_ns: int, sequence: int) -> ToolPose:
         if tool.state is None:
             return without_pose(tool.body, tool.status, tool.reason, time_ns, sequence)
+        if self._image.of(tool.body.strobe_markers):
+            return without_pose(tool.body, PoseStatus.INVALID, FROZEN, time_ns, sequence)
         if not all(list(tool.fits)[-len(tool.body) :]):
             return without_pose(tool.body, PoseStatus.INVALID, MISFIT, time_ns, sequence)
         if tool.to_confirm and tool.status is PoseStatus.INVALID:

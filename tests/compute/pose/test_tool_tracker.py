@@ -674,6 +674,32 @@ def test_peaks_in_doubt_count_for_little_or_nothing() -> None:
     assert certain[0] < 0.99 * certain[1] < 0.98 * certain[2]
 
 
+@pytest.mark.parametrize("strobed", [True, False])
+def test_an_image_that_is_frozen_is_no_pose(strobed: bool) -> None:
+    one = scene([pointer(strobed=strobed)])
+    for _ in range(24):
+        (pose,) = one.strobed() if strobed else one.together()
+    assert pose.valid
+    still = one.readings()[0]
+    cycle = 4 if strobed else 1
+    valid = []
+    for frame in range(10 * cycle):
+        # Wider or narrower arrays are the same image.
+        peaks = np.sort(still[[frame % 4]] if strobed else still, axis=0).T
+        peaks = np.hstack([peaks, np.full((4, frame // cycle % 2), np.nan)])
+        (pose,) = one._step(peaks, frame % 4 if strobed else None, None)
+        valid.append(pose.valid)
+    # Each marker's fifth exposure that is the same to the bit.
+    first = 4 * cycle
+    assert all(valid[:first])
+    assert not any(valid[first:])
+    assert pose.status is PoseStatus.INVALID
+    assert "the image is frozen" in str(pose.reason)
+    for _ in range(4 * cycle):
+        (pose,) = one.strobed() if strobed else one.together()
+    assert pose.valid, pose.reason
+
+
 def test_the_same_input_gives_the_same_bits() -> None:
     def track() -> list[ToolPose]:
         one = scene([pointer(), other()], seed=3)

@@ -162,7 +162,8 @@ def _too_few_sensors(exposures: Sequence[Exposure]) -> str | None:
     A moving tool of which two sensors see each marker is often not found, right as its readings
     are: what it did between the exposures is too much beside what they tell.
     """
-    seen = np.isfinite([one.readings_px for one in exposures]).any(axis=0)
+    readings = np.array([one.readings_px for one in exposures])
+    seen: NDArray[np.bool_] = np.isfinite(readings).any(axis=0)
     which = np.flatnonzero(seen) + 1
     if len(which) > LEAST_SENSORS - 1:
         return None

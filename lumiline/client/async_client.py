@@ -13,7 +13,7 @@ from lumiline.client.async_stream import AsyncStream
 from lumiline.client.calls import PAGE, Call, Readings, Vector3
 from lumiline.client.errors import NotReached, UnreadableMessage, problem_of
 from lumiline.client.server import KeyBy, Server
-from lumiline.client.stream_state import Content, Mode, StreamState, StreamWish
+from lumiline.client.stream_state import Content, Mode, StreamWish, begun
 
 T = TypeVar("T")
 
@@ -296,10 +296,5 @@ class AsyncClient:
                 message that the program has, to go on after it.
             reconnect_s: how long a lost connection is tried again [s].
         """
-        if resume is not None and mode != "lossless":
-            raise ValueError("only a lossless stream goes on where another ended")
         wish = StreamWish(device_id, tuple(content), mode, rate_hz, bundle_ms)
-        stream, last = resume or (None, None)
-        return AsyncStream(
-            StreamState(self._server, wish, reconnect_s, stream, last), self._timeout_s
-        )
+        return AsyncStream(begun(self._server, wish, resume, reconnect_s), self._timeout_s)

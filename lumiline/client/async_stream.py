@@ -8,11 +8,11 @@ from typing import Self
 
 from websockets.asyncio.client import ClientConnection, connect
 
-from lumiline.client.messages import Frame, Hello, Message
-from lumiline.client.stream_state import FAILURES, StreamState
+from lumiline.client.messages import Frame, Message
+from lumiline.client.stream_state import FAILURES, StreamProgress, StreamState
 
 
-class AsyncStream:
+class AsyncStream(StreamProgress):
     """Messages of a device, one after another; an asynchronous context manager.
 
     Ends when the device is deleted. A connection that is lost is made again; then comes another
@@ -26,21 +26,6 @@ class AsyncStream:
         self._socket: ClientConnection | None = None
         self._waiting: deque[Message] = deque()
         self._closed = False
-
-    @property
-    def hello(self) -> Hello | None:
-        """The greeting of the newest connection."""
-        return self._state.hello
-
-    @property
-    def last(self) -> int | None:
-        """Number of the last message taken, to go on from with ``resume``."""
-        return self._state.had
-
-    @property
-    def reconnections(self) -> int:
-        """How often the connection was lost and made again."""
-        return self._state.reconnections
 
     async def __aenter__(self) -> Self:
         await self._fill()

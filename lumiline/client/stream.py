@@ -9,11 +9,11 @@ from typing import Self
 
 from websockets.sync.client import ClientConnection, connect
 
-from lumiline.client.messages import Frame, Hello, Message
-from lumiline.client.stream_state import FAILURES, StreamState
+from lumiline.client.messages import Frame, Message
+from lumiline.client.stream_state import FAILURES, StreamProgress, StreamState
 
 
-class Stream:
+class Stream(StreamProgress):
     """Messages of a device, one after another; a context manager that closes the connection.
 
     Ends when the device is deleted. A connection that is lost is made again; then comes another
@@ -28,21 +28,6 @@ class Stream:
         self._open = ExitStack()
         self._waiting: deque[Message] = deque()
         self._closed = False
-
-    @property
-    def hello(self) -> Hello | None:
-        """The greeting of the newest connection."""
-        return self._state.hello
-
-    @property
-    def last(self) -> int | None:
-        """Number of the last message taken, to go on from with ``resume``."""
-        return self._state.had
-
-    @property
-    def reconnections(self) -> int:
-        """How often the connection was lost and made again."""
-        return self._state.reconnections
 
     def __enter__(self) -> Self:
         self._fill()

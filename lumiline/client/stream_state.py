@@ -213,3 +213,44 @@ def _decoded(payload: bytes | str) -> object:
     except (ValueError, msgpack.UnpackException) as error:
         raise UnreadableMessage(f"a message of the stream cannot be decoded: {error}") from error
     return found
+
+
+def begun(
+    server: Server, wish: StreamWish, resume: tuple[str, int] | None, reconnect_s: float
+) -> StreamState:
+    """Return the state of a stream before its first connection.
+
+    Args:
+        server: where.
+        wish: what is to come.
+        resume: with ``lossless``: the stream's id and the number of the last message there is.
+        reconnect_s: how long a lost connection is tried again [s].
+
+    Raises:
+        ValueError: only a lossless stream goes on where another ended.
+    """
+    if resume is not None and wish.mode != "lossless":
+        raise ValueError("only a lossless stream goes on where another ended")
+    stream, last = resume or (None, None)
+    return StreamState(server, wish, reconnect_s, stream, last)
+
+
+class StreamProgress:
+    """How far a stream has come, as both kinds of it tell."""
+
+    _state: StreamState
+
+    @property
+    def hello(self) -> Hello | None:
+        """The greeting of the newest connection."""
+        return self._state.hello
+
+    @property
+    def last(self) -> int | None:
+        """Number of the last message taken, to go on from with ``resume``."""
+        return self._state.had
+
+    @property
+    def reconnections(self) -> int:
+        """How often the connection was lost and made again."""
+        return self._state.reconnections

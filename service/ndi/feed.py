@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from service.live.pose_board import BoardEntry, PoseBoard
 from service.ndi.view import View
+from service.tools.tip_limit import TipLimit
 
 AGE_S: Final = 0.5
 """Poses are not given any more when nothing has come for so long, nor for AGE_FRAMES frames; nor
@@ -21,11 +22,11 @@ MarkersOf = Callable[[str, str], NDArray[np.float64] | None]
 """Returns the markers of a device's tool in its own coordinates [mm]; None: they are not known."""
 
 
-Known = Callable[[], Mapping[str, Sequence[str]]]
-"""Returns the tools of every device that has any, running or not, by device."""
+Known = Callable[[], Mapping[str, Mapping[str, TipLimit]]]
+"""Returns the limits of all tools, by device, running or not, and the tool's id."""
 
 
-def _none() -> Mapping[str, Sequence[str]]:
+def _none() -> Mapping[str, Mapping[str, TipLimit]]:
     return {}
 
 
@@ -43,7 +44,7 @@ class PoseFeed:
         age_s: see AGE_S.
         now: a clock that never goes back [s].
         wall_ns: the clock of the exposures, as time.time_ns.
-        known: the tools of devices that do not run; by default none.
+        known: all tools, those of devices that do not run, too; by default none.
     """
 
     def __init__(
@@ -93,6 +94,7 @@ class PoseFeed:
             fresh=fresh,
             frame_rate_hz=entry.frame_rate_hz,
             markers=partial(self._markers, wanted),
+            limits=self._known().get(wanted, {}),
         )
 
     async def newer(self, device: str | None, sequence: int, patience_s: float) -> None:

@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Final
 
@@ -13,11 +13,12 @@ from sqlalchemy.exc import SQLAlchemyError
 from compute.errors import LumilineError
 from service.database.engine import Database
 from service.database.models import ToolRow
+from service.tools.tip_limit import TipLimit, tip_limit_of
 
 _log = logging.getLogger(__name__)
 
 ASK_S: Final = 2.0
-"""How often; what is changed while a device runs is known from its poses at once."""
+"""How often; which tools a device that runs has is known from its poses at once."""
 
 
 class KnownTools:
@@ -29,12 +30,12 @@ class KnownTools:
 
     def __init__(self, database: Database) -> None:
         self._database = database
-        self._tools: Mapping[str, Sequence[str]] = {}
+        self._tools: Mapping[str, Mapping[str, TipLimit]] = {}
         self._failing = False
         self._asking: asyncio.Task[None] | None = None
 
-    def __call__(self) -> Mapping[str, Sequence[str]]:
-        """Return the ids of tools by device, of those that have any."""
+    def __call__(self) -> Mapping[str, Mapping[str, TipLimit]]:
+        """Return the limits of tools by device and id, of devices that have any."""
         return self._tools
 
     async def start(self) -> None:
@@ -65,9 +66,9 @@ class KnownTools:
             await asyncio.sleep(ASK_S)
             await self.refresh()
 
-    def _read(self) -> Mapping[str, Sequence[str]]:
-        found: dict[str, list[str]] = {}
+    def _read(self) -> Mapping[str, Mapping[str, TipLimit]]:
+        found: dict[str, dict[str, TipLimit]] = {}
         with self._database.read() as session:
-            for device, tool in session.execute(select(ToolRow.device_id, ToolRow.id)):
-                found.setdefault(device, []).append(tool)
+            for tool in session.scalars(select(ToolRow)):
+                found.setdefault(tool.device_id, {})[tool.id] = tip_limit_of(session, tool)
         return found

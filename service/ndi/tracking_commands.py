@@ -33,7 +33,7 @@ def _report(port: Port, view: View, frame: int, options: ReplyOption) -> ToolRep
     tool = port.tool or ""
     return report(
         port,
-        view.poses.get(tool),
+        view.pose(tool),
         frame,
         out_of_volume=ReplyOption.OUT_OF_VOLUME in options,
         markers_mm=view.markers(tool) if ReplyOption.MARKERS in options else None,

@@ -1,13 +1,17 @@
 """View: what one client's session sees of the poses at an instant."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.tool_pose import ToolPose
+from compute.pose.tool_pose import PoseStatus, ToolPose
+from service.tools.tip_limit import TipLimit
 
+_GIVEN: Final = (PoseStatus.OK, PoseStatus.OUT_OF_VOLUME)
+"""What a client can have, the latter if it asks for it."""
 Markers = Callable[[str], NDArray[np.float64] | None]
 
 
@@ -29,6 +33,8 @@ class View:
         frame_rate_hz: of the device; 0: not known.
         markers: returns a tool's markers in its own coordinates, shape (M, 3) [mm]; None: they
             are not known.
+        limits: on the error of poses, by the tool's name; tools without one are judged by the
+            tracker only.
     """
 
     device_id: str | None = None
@@ -39,6 +45,25 @@ class View:
     fresh: bool = False
     frame_rate_hz: float = 0.0
     markers: Markers = _unknown
+    limits: Mapping[str, TipLimit] = field(default_factory=dict)
+
+    def pose(self, tool: str) -> ToolPose | None:
+        """Return a tool's pose with the status that it has for a client; None: there is none.
+
+        Besides the pose itself, the one relative to the tool's reference is judged: drivers are
+        given both in the world, and form it from them. A reference of another status is
+        not given, so that nothing can be formed with it.
+        """
+        pose, limit = self.poses.get(tool), self.limits.get(tool)
+        if pose is None or limit is None:
+            return pose
+        if pose.status not in _GIVEN:
+            return pose
+        why = limit.why_above(pose)
+        reference = None if limit.reference is None else self.poses.get(limit.reference)
+        if why is None and reference is not None and reference.status in _GIVEN:
+            why = limit.why_above(pose, reference)
+        return pose if why is None else replace(pose, status=PoseStatus.HIGH_ERROR, reason=why)
 
 
 Look = Callable[[str | None], View]

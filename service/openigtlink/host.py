@@ -7,6 +7,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from service.tools.tip_limit import TipLimit
+
 Array = NDArray[np.float64]
 
 
@@ -20,6 +22,7 @@ class WireTool:
         reference: id of the tool that its poses are given relative to; None: the tracker.
         markers_mm: its markers in its own coordinates, shape (M, 3) [mm]; None: not told.
         tip_mm: its tip in its own coordinates, shape (3,) [mm]; None: its origin.
+        limit: on the error of its poses; None: they are worth what the tracker says.
     """
 
     id: str
@@ -27,6 +30,7 @@ class WireTool:
     reference: str | None = None
     markers_mm: Array | None = None
     tip_mm: Array | None = None
+    limit: TipLimit | None = None
 
 
 @dataclass(frozen=True)

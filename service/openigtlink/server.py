@@ -5,8 +5,8 @@ import contextlib
 import logging
 import socket
 import time
-from collections.abc import Coroutine, Sequence
-from typing import Final
+from collections.abc import Coroutine, Mapping, Sequence
+from typing import TYPE_CHECKING, Final
 
 from compute.errors import LumilineError
 from service.live.pose_board import BoardEntry, PoseBoard
@@ -19,6 +19,9 @@ from service.openigtlink.names import Naming, name_tools
 from service.openigtlink.settings import ServerSettings
 from service.openigtlink.snapshot import Snapshot
 from service.openigtlink.text_contents import StatusCode
+
+if TYPE_CHECKING:
+    from service.tools.tip_limit import TipLimit
 
 _log = logging.getLogger(__name__)
 
@@ -58,6 +61,7 @@ class OpenIGTLinkServer:
         self._newest: Snapshot | None = None
         self._tools: Sequence[WireTool] = ()
         self._naming: dict[str, Naming] = {}
+        self._limits: Mapping[str, TipLimit] = {}
         self._asked_for: frozenset[str] = frozenset()
         self._wake = asyncio.Event()
         self._failing = False
@@ -178,7 +182,7 @@ class OpenIGTLinkServer:
         if unknown - self._asked_for:
             self._asked_for |= unknown
             self._wake.set()
-        snapshot = Snapshot(entry, self.named(device), time.monotonic())
+        snapshot = Snapshot(entry, self.named(device), time.monotonic(), self._limits)
         self._newest = snapshot
         for client in list(self._clients):
             client.offer(snapshot)
@@ -237,6 +241,7 @@ class OpenIGTLinkServer:
         if _names(found) != _names(self._tools):
             self._naming = {}
         self._tools = found
+        self._limits = {tool.id: tool.limit for tool in found if tool.limit is not None}
 
 
 def _names(tools: Sequence[WireTool]) -> set[tuple[str, str, str | None]]:

@@ -10,6 +10,7 @@ from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
 from service.audit.changes import entry
@@ -26,6 +27,7 @@ from service.security.principal import Act, Principal, current_act
 from service.security.refusals import Refusals
 from service.tools.bodies import body_of
 from service.tools.registration_schema import NewRegistration
+from service.tools.tip_limit import tip_limit_of
 
 _log = logging.getLogger(__name__)
 
@@ -97,7 +99,7 @@ class ServiceHost:
     def _read_tools(self) -> tuple[WireTool, ...]:
         with self._database.read() as session:
             rows = session.scalars(select(ToolRow).order_by(ToolRow.id)).all()
-            return tuple(_tool(row) for row in rows)
+            return tuple(_tool(session, row) for row in rows)
 
     def _read_landmarks(self, device_id: str) -> tuple[Landmark, ...]:
         query = (
@@ -133,7 +135,8 @@ class ServiceHost:
             current_act.reset(token)
 
 
-def _tool(row: ToolRow) -> WireTool:
+def _tool(session: Session, row: ToolRow) -> WireTool:
     body = body_of(row)
     tip = None if body.tip_mm is None else np.array(body.tip_mm)
-    return WireTool(row.id, row.device_id, row.reference_id, body.markers_mm, tip)
+    limit = tip_limit_of(session, row)
+    return WireTool(row.id, row.device_id, row.reference_id, body.markers_mm, tip, limit)

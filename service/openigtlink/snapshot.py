@@ -1,8 +1,10 @@
 """All poses of one instant as clients get them: named, relative, encoded once for all clients."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -21,6 +23,7 @@ from service.openigtlink.pose_contents import (
     write_transform,
 )
 from service.openigtlink.transforms import inverse_of
+from service.tools.tip_limit import TipLimit, tip_sd_mm, why_above
 
 Array = NDArray[np.float64]
 
@@ -42,11 +45,14 @@ class WirePose:
 
     Args:
         name: of its transform.
-        status: what it is worth: OK only if the tool's and its reference's are.
+        status: what it is worth: OK only if the tool's and its reference's are, and the tip's
+            standard deviation in the frame is below the limit.
         reason: why it is not OK.
         placed: R_frame_tool, shape (3, 3), and the tool's origin in the frame, shape (3,) [mm];
             None: there is no pose.
         source: the tool's pose in the device's coordinates.
+        tip_sd_mm: standard deviation of the tip in the frame, all directions together [mm]; None:
+            not known.
     """
 
     name: WireName
@@ -54,6 +60,7 @@ class WirePose:
     reason: str | None
     placed: tuple[Array, Array] | None
     source: ToolPose
+    tip_sd_mm: float | None = None
 
     @property
     def valid(self) -> bool:
@@ -68,12 +75,21 @@ class Snapshot:
         entry: from the board.
         naming: the names of the device's tools.
         arrived_s: when it came, as time.monotonic() counts [s].
+        limits: on the error of poses, by the tool's id; tools without one are judged by the
+            tracker only.
     """
 
-    def __init__(self, entry: BoardEntry, naming: Naming, arrived_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        entry: BoardEntry,
+        naming: Naming,
+        arrived_s: float = 0.0,
+        limits: Mapping[str, TipLimit] = MappingProxyType({}),
+    ) -> None:
         self.entry = entry
         self.naming = naming
         self.arrived_s = arrived_s
+        self._limits = limits
         self._sent: dict[tuple[str, int, bool], bytes] = {}
 
     @property
@@ -215,6 +231,7 @@ class Snapshot:
         rotation, translation = tool.rotation, tool.translation_mm
         if rotation is None or translation is None:
             return WirePose(name, _not_ok(status), reason, None, tool)
+        frame: ToolPose | None = None
         if name.frame is not None:
             frame = self.entry.poses.get(name.frame)
             if frame is None or frame.rotation is None or frame.translation_mm is None:
@@ -229,7 +246,13 @@ class Snapshot:
             # NaN too, which is not smaller than anything.
             why = "its pose is not finite"
             return WirePose(name, PoseStatus.INVALID, why, None, tool)
-        return WirePose(name, status, reason, (rotation, translation), tool)
+        limit = self._limits.get(tool.tool)
+        sd_mm = tip_sd_mm(tool, frame, None if limit is None else limit.tip_covariance_mm2)
+        if limit is not None and sd_mm is not None and status in _BY_WORTH[:-1]:
+            above = why_above(sd_mm, limit.most_sd_mm)
+            if above is not None:
+                status, reason = PoseStatus.HIGH_ERROR, above
+        return WirePose(name, status, reason, (rotation, translation), tool, sd_mm)
 
     def _metadata(self, pose: WirePose) -> dict[str, str]:
         source = pose.source
@@ -242,8 +265,8 @@ class Snapshot:
             found[FULL_NAME] = pose.name.full
         if source.residual_sigma is not None:
             found["ResidualSigma"] = f"{source.residual_sigma:.4g}"
-        if source.tip_covariance_mm2 is not None and pose.name.frame is None:
-            found["TipSigmaMm"] = f"{np.sqrt(np.trace(source.tip_covariance_mm2)):.4g}"
+        if pose.tip_sd_mm is not None:
+            found["TipSigmaMm"] = f"{pose.tip_sd_mm:.4g}"
         if not pose.valid and pose.reason:
             found["TransformReason"] = pose.reason
         return found | self._of_frame()

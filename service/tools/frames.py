@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.transform import Transform
+from service.tools.tip_limit import why_above
 
 Array = NDArray[np.float64]
 
@@ -61,13 +62,9 @@ def in_frame(
         if found.covariance is not None:
             spread = found.point_covariance(tip, tip_covariance_mm2)
     if spread is not None and most_tip_sd_mm is not None and status in _BY_WORTH[:-1]:
-        sd_mm = float(np.sqrt(np.trace(spread)))
-        if sd_mm > most_tip_sd_mm:
-            status = PoseStatus.HIGH_ERROR
-            reason = (
-                f"the tip's standard deviation in this frame is {sd_mm:.3g} mm; "
-                f"{most_tip_sd_mm:.3g} mm is the most"
-            )
+        above = why_above(float(np.sqrt(np.trace(spread))), most_tip_sd_mm)
+        if above is not None:
+            status, reason = PoseStatus.HIGH_ERROR, above
     return replace(
         moved,
         status=status,

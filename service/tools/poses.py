@@ -12,7 +12,6 @@ from compute.errors import InvalidParameter
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.transform import Transform
 from service.database.models import RegistrationRow, ToolRow
-from service.devices.store import get_device, tracking_of
 from service.errors import UnknownTool
 from service.live.manager import LiveManager
 from service.live.motion_messages import pose_message
@@ -20,7 +19,7 @@ from service.live.pose_board import BoardEntry
 from service.tools.bodies import tip_of
 from service.tools.frames import in_frame
 from service.tools.registrations import frame_from_measured
-from service.tools.schema import TRACKER, Pose, ToolLimits
+from service.tools.schema import TRACKER, Pose
 
 STALE_S: Final = 1.0
 """A pose older than this is none, or than this many frames where they come more slowly:"""
@@ -58,14 +57,6 @@ class Frame:
             f'registration "{self.name}" was measured {measured}, and "{calibration}" is in force: '
             "its world may be another; register again"
         )
-
-
-def limit_of(session: Session, tool: ToolRow) -> float:
-    """Return the standard deviation of the tip above which a pose is HIGH_ERROR [mm]."""
-    own = ToolLimits.model_validate(tool.limits).tip_sd_mm
-    if own is not None:
-        return own
-    return tracking_of(get_device(session, tool.device_id)).tool_tip_sd_mm
 
 
 def frame_of(session: Session, tool: ToolRow, wanted: str | None) -> Frame:

@@ -49,7 +49,7 @@ from service.tools.examples import (
     TOOL_IDS,
 )
 from service.tools.geometry import GEOMETRY, check_geometry
-from service.tools.poses import frame_of, limit_of, newest_pose
+from service.tools.poses import frame_of, newest_pose
 from service.tools.schema import (
     NewCapturedTool,
     NewTool,
@@ -60,6 +60,7 @@ from service.tools.schema import (
     ToolCalibration,
     ToolChange,
 )
+from service.tools.tip_limit import most_tip_sd_mm
 from service.tools.waiting import waiting
 
 router = APIRouter(prefix="/api/v1", tags=["tools"], route_class=JsonRoute)
@@ -242,7 +243,7 @@ def get_tool_pose(
     with database.read() as session:
         tool = store.get_tool(session, tool_id)
         wanted = frame_of(session, tool, frame)
-        return newest_pose(live, tool, wanted, limit_of(session, tool))
+        return newest_pose(live, tool, wanted, most_tip_sd_mm(session, tool))
 
 
 _PROBLEMS_OF_CALIBRATION: Final[Sequence[type[LumilineError]]] = (

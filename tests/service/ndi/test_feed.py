@@ -4,11 +4,14 @@ import asyncio
 
 import numpy as np
 
+from compute.pose.tool_pose import PoseStatus
 from service.live.pose_board import PoseBoard
 from service.ndi.command import Command
 from service.ndi.feed import AGE_S, PoseFeed
 from service.ndi.identity import Identity
 from service.ndi.session import Session
+from service.tools.frames import in_frame
+from service.tools.tip_limit import TipLimit
 from tests.service.ndi.boards import PATIENT_S, entry, pose
 
 
@@ -44,7 +47,8 @@ def test_tools_of_a_device_that_does_not_run():
     """They have handles; stopping and starting plugs none in or out."""
 
     async def see() -> None:
-        known = {"bar": ["b", "a"]}
+        limit = TipLimit(1e9)
+        known = {"bar": {"b": limit, "a": limit}}
         board = PoseBoard()
         feed = PoseFeed(board, known=lambda: known)
         session = Session(Identity("Model", "1", "LUMILINE"), feed.look)
@@ -66,10 +70,10 @@ def test_tools_of_a_device_that_does_not_run():
         board.remove("bar")
         told = ask("TX", "0001")
         assert (told.count("MISSING"), told[-9:-5]) == (2, "0008")
-        known["bar"] = ["a"]
+        known["bar"] = {"a": limit}
         assert ask("TX", "0001")[-9:-5] == "0088"
         # Of several that do not run there is no telling which; of those that run there is.
-        known["other"] = ["c"]
+        known["other"] = {"c": limit}
         assert feed.look(None).several
         board.put(entry(pose("c"), device="other"))
         assert feed.look(None).device_id == "other"
@@ -150,5 +154,54 @@ def test_markers_come_along():
         found = feed.look(None).markers("a")
         assert found is not None
         assert (found == 4).all()
+
+    asyncio.run(see())
+
+
+def test_what_a_driver_forms_of_two_poses_is_judged():
+    """As the tool's pose relative to its reference is over REST: by both errors together."""
+
+    async def see() -> None:
+        board = PoseBoard()
+        probe = pose("probe", seed=1)
+        patient = pose("patient", seed=2)
+        alone, both = (in_frame(probe, one).tip_covariance_mm2 for one in (None, patient))
+        assert alone is not None
+        assert both is not None
+        alone_mm, both_mm = float(np.trace(alone)) ** 0.5, float(np.trace(both)) ** 0.5
+        assert 1.2 * alone_mm < both_mm
+        known: dict[str, TipLimit] = {"patient": TipLimit(1e9)}
+        feed = PoseFeed(board, age_s=PATIENT_S, known=lambda: {"bar": known})
+        session = Session(Identity("Model", "1", "LUMILINE"), feed.look)
+
+        def tx() -> list[str]:
+            """What is told of the probe and of the patient."""
+            return session.answer(Command("TX", "0003")).decode().split("\n")[1::-1]
+
+        def given() -> list[bool]:
+            return ["MISSING" not in one for one in tx()]
+
+        board.put(entry(probe, patient))
+        for command, text in (
+            ("INIT", ""), ("PHSR", "02"), ("PINIT", "01"), ("PENA", "01D"), ("PINIT", "02"),
+            ("PENA", "02D"), ("TSTART", ""),
+        ):  # fmt: skip
+            session.answer(Command(command, text))
+        assert given() == [True, True]  # nothing is known of the probe yet
+        known["probe"] = TipLimit(0.5 * (alone_mm + both_mm))
+        assert given() == [True, True]
+        known["probe"] = TipLimit(0.5 * (alone_mm + both_mm), reference="patient")
+        assert given() == [False, True]
+        assert tx()[0].endswith("01" + "0" * 16 + "3333")  # of the tool information: a bad fit
+        known["probe"] = TipLimit(1.001 * both_mm, reference="patient")
+        assert given() == [True, True]
+        # The tip's own error counts.
+        known["probe"] = TipLimit(1.001 * both_mm, both, "patient")
+        assert given() == [False, True]
+        known["probe"] = TipLimit(0.5 * (alone_mm + both_mm), reference="patient")
+        # With a reference that is not given nothing can be formed.
+        board.put(entry(probe, pose("patient", PoseStatus.HIGH_ERROR, seed=2)))
+        assert given() == [True, False]
+        feed.close()
 
     asyncio.run(see())

@@ -15,10 +15,16 @@ from service.openigtlink.names import name_tools
 from service.openigtlink.pose_contents import read_tdata, read_transform
 from service.openigtlink.snapshot import FULL_NAME, Snapshot
 from service.tools.frames import in_frame
+from service.tools.tip_limit import TipLimit
 from tests.service.openigtlink.wire import entry, pose
 
 REFERENCED = name_tools([WireTool("probe", "sim", "ref"), WireTool("ref", "sim")])
 PLAIN = name_tools([WireTool("probe", "sim"), WireTool("ref", "sim")])
+
+TIP_MM = np.array([-150.0, 20.0, 7.0])
+_ROOT = np.random.default_rng(4).normal(size=(6, 6)) * ([[1e-3]] * 3 + [[0.2]] * 3)
+COVARIANCE = _ROOT @ _ROOT.T
+"""As poses have them: what a turn does and the shift are correlated."""
 
 vectors = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
 
@@ -26,18 +32,27 @@ vectors = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
 def moved(tool: str, turn: np.ndarray, shift: np.ndarray, status: PoseStatus) -> ToolPose:
     return pose(
         tool, 0, status, rotation=rotation_matrix(turn), translation_mm=100.0 * shift,
-        covariance=np.eye(6),
+        covariance=COVARIANCE, tip_mm=rotation_matrix(turn) @ TIP_MM + 100.0 * shift,
     )  # fmt: skip
 
 
 STATUSES = st.sampled_from([PoseStatus.OK, PoseStatus.HIGH_ERROR, PoseStatus.OUT_OF_VOLUME])
 
 
-@given(vectors, vectors, vectors, vectors, STATUSES, STATUSES)
-def test_relative_poses_are_those_of_the_rest_side(turn, shift, other, away, first, second):
+@given(vectors, vectors, vectors, vectors, STATUSES, STATUSES, st.floats(0.5, 2.0))
+def test_relative_poses_are_those_of_the_rest_side(turn, shift, other, away, first, second, share):
     probe, ref = moved("probe", turn, shift, first), moved("ref", other, away, second)
-    found = Snapshot(entry(0, [probe, ref]), REFERENCED).poses[0]
-    wanted = in_frame(probe, ref)
+    tip = np.diag([0.01, 0.04, 0.09])
+    spread = in_frame(probe, ref, tip_covariance_mm2=tip).tip_covariance_mm2
+    assert spread is not None
+    most = share * float(np.sqrt(np.trace(spread)))
+    limits = {"probe": TipLimit(most, tip)}
+    found = Snapshot(entry(0, [probe, ref]), REFERENCED, limits=limits).poses[0]
+    wanted = in_frame(probe, ref, None, tip, most)
+    assert found.tip_sd_mm == pytest.approx(most / share)
+    assert (PoseStatus.HIGH_ERROR in (first, second) or share < 1.0) == (
+        found.status is PoseStatus.HIGH_ERROR
+    )
     assert found.status is wanted.status
     assert found.placed is not None
     assert wanted.rotation is not None
@@ -54,6 +69,38 @@ def test_without_its_reference_a_tool_has_no_pose(status: PoseStatus):
     assert '"ref"' in found.reason
     alone = Snapshot(entry(0, given_poses[:1]), REFERENCED).poses[0]
     assert (alone.status, alone.placed) == (PoseStatus.MISSING, None)
+
+
+def test_a_relative_pose_above_the_limit_is_withheld():
+    """Each pose is below the limit; the one relative to the other, by both together, is not."""
+    at = pose("probe").translation_mm
+    here = {"covariance": np.diag([0.0] * 3 + [0.1] * 3), "tip_mm": at}
+    poses = [pose("probe", **here), pose("ref", **here)]
+    limits = dict.fromkeys(("probe", "ref"), TipLimit(0.6))
+    snapshot = Snapshot(entry(0, poses), REFERENCED, limits=limits)
+    probe, ref = snapshot.poses
+    assert (probe.status, ref.status) == (PoseStatus.HIGH_ERROR, PoseStatus.OK)
+    assert (
+        probe.reason == "the tip's standard deviation in this frame is 0.775 mm; 0.6 mm is the most"
+    )
+    sent = snapshot.messages("TRANSFORM", 2, invalid=False)
+    assert [message.device for message in sent] == ["refToTracker"]
+    marked = snapshot.messages("TRANSFORM", 2, invalid=True)[0]
+    assert (marked.metadata["TransformStatus"], marked.metadata["TipSigmaMm"]) == (
+        "HIGH_ERROR", "0.7746",
+    )  # fmt: skip
+    # In the tracker's frame it is good enough.
+    assert [one.status for one in snapshot.poses_in("Tracker")] == [PoseStatus.OK, PoseStatus.OK]
+    assert read_tdata(snapshot.tracking("TDATA", 1, "x", "ref").content) == ()
+    wider = {"probe": TipLimit(0.8)}
+    assert Snapshot(entry(0, poses), REFERENCED, limits=wider).poses[0].status is PoseStatus.OK
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_an_error_that_is_no_number_is_too_high(value: float):
+    wrong = pose("probe", covariance=np.full((6, 6), value), tip_mm=np.zeros(3))
+    snapshot = Snapshot(entry(0, [wrong]), PLAIN, limits={"probe": TipLimit(1.0)})
+    assert snapshot.poses[0].status is PoseStatus.HIGH_ERROR
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e39])
@@ -86,9 +133,10 @@ def test_invalid_poses_are_withheld_unless_marked_ones_are_wanted():
 
 
 def test_metadata():
-    spread = np.diag([0.01, 0.02, 0.06])
+    spread = np.diag([1.0, 1.0, 1.0, 0.01, 0.02, 0.06])
     naming = name_tools([WireTool("a-pointer-of-a-long-name", "sim")])
-    one = replace(pose("a-pointer-of-a-long-name", 5), tip_covariance_mm2=spread)
+    one = pose("a-pointer-of-a-long-name", 5)
+    one = replace(one, covariance=spread, tip_mm=one.translation_mm)
     snapshot = Snapshot(entry(5, [one]), naming)
     (message,) = snapshot.messages("TRANSFORM", 2, invalid=False)
     late = float(message.metadata["LatencyMs"])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from compute.camera.model import Vector3
 from compute.camera.rotation import rotation_vector
 from compute.errors import InvalidParameter
-from compute.pose.hold_gate import HoldCause, HoldGate, HoldRules, Measured
+from compute.pose.hold_gate import GateState, HoldCause, HoldGate, HoldRules, Measured
 from compute.pose.outside_chance import chance_beyond, chance_longer
 from compute.pose.transform import Transform
 
@@ -124,6 +124,8 @@ class HoldMonitor:
         limits: HoldLimits,
         target_mm: Array | None = None,
         axes: Array | None = None,
+        *,
+        latched: bool = False,
     ) -> None:
         """Watch a target.
 
@@ -140,11 +142,20 @@ class HoldMonitor:
         self._axes = np.eye(3) if axes is None else np.asarray(axes, np.float64)
         self._place = reference.apply(self._target)
         self._place_covariance = reference.point_covariance(self._target)
-        self._gate = HoldGate(limits.rules)
+        self._gate = HoldGate(limits.rules, latched=latched)
+
+    @property
+    def keeps_latch(self) -> bool:
+        """Whether what goes on from here has to be acknowledged before it releases."""
+        return self._gate.keeps_latch
 
     def acknowledge(self) -> None:
         """End a latched hold, once all is back."""
         self._gate.acknowledge()
+
+    def fail(self, why: str) -> HoldState:
+        """Hold now, as nothing usable is measured; ``why`` for a person."""
+        return _told(self._gate.time_ns, self._gate.fail(why))
 
     def step(self, time_ns: int, pose: Transform | None) -> HoldState:
         """Return the state after a pose, or, with None, at a time without one.
@@ -179,6 +190,8 @@ class MarkerHoldMonitor:
         limits: HoldLimits,
         least_markers: int = 3,
         names: tuple[str, ...] | None = None,
+        *,
+        latched: bool = False,
     ) -> None:
         """Watch markers.
 
@@ -187,6 +200,7 @@ class MarkerHoldMonitor:
             limits: how far each may move; ``turn_rad`` means nothing here.
             least_markers: with fewer of them seen, nothing was measured.
             names: of the markers, for the reason; None: their numbers from 1.
+            latched: see HoldGate.
 
         Raises:
             InvalidParameter: there are fewer markers, or a limit of turns.
@@ -200,11 +214,20 @@ class MarkerHoldMonitor:
             raise InvalidParameter("markers do not turn; watch the pose of a tool for turn_rad")
         self._limits, self._least = limits, least_markers
         self._names = names or tuple(str(one + 1) for one in range(len(self._reference)))
-        self._gate = HoldGate(limits.rules)
+        self._gate = HoldGate(limits.rules, latched=latched)
+
+    @property
+    def keeps_latch(self) -> bool:
+        """Whether what goes on from here has to be acknowledged before it releases."""
+        return self._gate.keeps_latch
 
     def acknowledge(self) -> None:
         """End a latched hold, once all is back."""
         self._gate.acknowledge()
+
+    def fail(self, why: str) -> HoldState:
+        """Hold now, as nothing usable is measured; ``why`` for a person."""
+        return _told(self._gate.time_ns, self._gate.fail(why))
 
     def step(
         self, time_ns: int, positions_mm: Array | None, covariances_mm2: Array | None = None
@@ -244,7 +267,16 @@ def _state(
     turn: Array | None = None,
     chance: float | None = None,
 ) -> HoldState:
-    found = gate.step(time_ns, measured)
+    return _told(time_ns, gate.step(time_ns, measured), shift, turn, chance)
+
+
+def _told(
+    time_ns: int,
+    found: GateState,
+    shift: Array | None = None,
+    turn: Array | None = None,
+    chance: float | None = None,
+) -> HoldState:
     return HoldState(
         time_ns, found.hold, found.cause, found.reason, found.since_ns, shift, turn, chance
     )

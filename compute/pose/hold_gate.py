@@ -77,14 +77,20 @@ class GateState:
 class HoldGate:
     """Held at first, on the first measurement beyond a limit, and whenever data fail."""
 
-    def __init__(self, rules: HoldRules) -> None:
-        """Begin held."""
+    def __init__(self, rules: HoldRules, *, latched: bool = False) -> None:
+        """Begin held.
+
+        Args:
+            rules: when holds begin and end.
+            latched: whether the first hold lasts until it is acknowledged, as one that goes on
+                from another gate's.
+        """
         self._rules = rules
         self._time: int | None = None
         self._seen: int | None = None
         self._within_since: int | None = None
         self._released = False
-        self._latched = False
+        self._latched = latched and rules.latched
         self._state: GateState | None = None
         self._why = "nothing was measured yet"
         self._cause = HoldCause.NO_DATA
@@ -113,6 +119,30 @@ class HoldGate:
             self._seen = time_ns
             self._take(time_ns, measured)
         return self._settled(time_ns)
+
+    def fail(self, why: str) -> GateState:
+        """Hold now: no measurements are to be had, or those that come are not to be used.
+
+        For what the measurements' own times do not tell: nobody knows how late it is there. What
+        is measured next may have any time.
+
+        Args:
+            why: for a person.
+        """
+        time_ns = self.time_ns
+        self._hold(HoldCause.NO_DATA, why)
+        self._time = self._seen = None
+        return self._settled(time_ns)
+
+    @property
+    def time_ns(self) -> int:
+        """When it was last asked, on the measurements' clock [ns]; 0: not since it began anew."""
+        return 0 if self._time is None else self._time
+
+    @property
+    def keeps_latch(self) -> bool:
+        """Whether what goes on from here has to be acknowledged before it releases."""
+        return self._rules.latched and (self._latched or self._released)
 
     def acknowledge(self) -> None:
         """End the latch; the hold ends once all is, and stays, within the release limits."""

@@ -52,6 +52,7 @@ class ToolPose:
         readings_used: how many readings of sensors.
         velocity_mm_s: of the tool's origin, shape (3,) [mm/s]; None: not estimated.
         angular_velocity_rad_s: about the world's axes, shape (3,) [rad/s]; None: not estimated.
+        unseen_ns: for how long nothing was seen of it: since then the pose is predicted [ns].
     """
 
     tool: str
@@ -69,6 +70,7 @@ class ToolPose:
     readings_used: int = 0
     velocity_mm_s: Array | None = None
     angular_velocity_rad_s: Array | None = None
+    unseen_ns: int = 0
 
     @property
     def valid(self) -> bool:

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -360,4 +361,5 @@ class ToolTracker:
             left = self._left_view(tool, tool.state)
             if left is not None:
                 return without_pose(tool.body, PoseStatus.OUT_OF_VIEW, left, time_ns, sequence)
-        return pose
+        unseen_ns = time_ns - tool.seen_ns
+        return pose if pose.rotation is None or not unseen_ns else replace(pose, unseen_ns=unseen_ns)

@@ -171,12 +171,17 @@ class StillCapture:
         """Begin a capture."""
         self._settings = settings or StillSettings()
         self._held: deque[tuple[int, Array, Array | None]] = deque()
-        self._reason = "no position of the tip yet"
+        self._error: NotStill | TooFewPoses | None = None
+
+    @property
+    def error(self) -> NotStill | TooFewPoses:
+        """What there is no point yet for, to be raised by who waits no longer."""
+        return self._error or TooFewPoses("no position of the tip yet")
 
     @property
     def reason(self) -> str:
         """Why there is no point yet."""
-        return self._reason
+        return self.error.detail
 
     def add(
         self, time_ns: int, position_mm: Array | None, covariance_mm2: Array | None = None
@@ -188,27 +193,38 @@ class StillCapture:
             position_mm: shape (3,) [mm]; None: the tip is not known now.
             covariance_mm2: shape (3, 3) [mm^2].
         """
+        self.put(time_ns, position_mm, covariance_mm2)
+        return None if position_mm is None else self.take()
+
+    def put(
+        self, time_ns: int, position_mm: Array | None, covariance_mm2: Array | None = None
+    ) -> None:
+        """Add a position without looking whether the tip is still: quick; see ``add``."""
         held, wanted = self._held, self._settings
         if held and time_ns <= held[-1][0]:
             held.clear()
         if position_mm is None:
-            self._reason = "the tip is not seen"
-            return None
+            self._error = TooFewPoses("the tip is not seen")
+            return
         held.append((time_ns, np.asarray(position_mm, np.float64), covariance_mm2))
         # As short as it may be, lest the movement before it counts.
         while len(held) > 1 and (time_ns - held[1][0]) * 1e-9 >= wanted.seconds:
             held.popleft()
+
+    def take(self) -> StillPoint | None:
+        """Return the point if the last ``seconds`` that were put in were still, and begin anew."""
+        held = self._held
         known = [one for _, _, one in held if one is not None]
         try:
             found = still_point(
                 np.array([one for one, _, _ in held], np.int64),
-                np.array([one for _, one, _ in held]),
+                np.array([one for _, one, _ in held]).reshape(-1, 3),
                 np.array(known) if len(known) == len(held) else None,
-                wanted,
+                self._settings,
             )
         except (NotStill, TooFewPoses) as error:
-            self._reason = error.detail
+            self._error = error
             return None
         held.clear()
-        self._reason = "no position of the tip yet"
+        self._error = None
         return found

@@ -1,6 +1,7 @@
 """Surfaces to register with: a cloud of points or a triangle mesh, and nearest places on it."""
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Final, Protocol
 
 import numpy as np
@@ -13,6 +14,8 @@ Array = NDArray[np.float64]
 
 _NEIGHBOURS: Final = 12
 _CANDIDATES: Final = 16
+_FIRST: Final = 3
+"""Candidates that are looked at before the others, most of which then cannot be nearer."""
 
 
 class Surface(Protocol):
@@ -99,6 +102,7 @@ class TriangleMesh:
     faces: NDArray[np.intp]
     _corners: Array = field(init=False, repr=False)
     _units: Array = field(init=False, repr=False)
+    _reach: Array = field(init=False, repr=False)
     _radius: float = field(init=False, repr=False)
     _tree: cKDTree = field(init=False, repr=False)
 
@@ -123,8 +127,9 @@ class TriangleMesh:
         corners, middles = corners[real], corners[real].mean(axis=1)
         object.__setattr__(self, "_corners", corners)
         object.__setattr__(self, "_units", across[real] / size[real, None])
-        reach = np.linalg.norm(corners - middles[:, None], axis=2).max()
-        object.__setattr__(self, "_radius", float(reach))
+        reach = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+        object.__setattr__(self, "_reach", reach)
+        object.__setattr__(self, "_radius", float(reach.max()))
         object.__setattr__(self, "_tree", cKDTree(middles))
 
     @property
@@ -138,41 +143,48 @@ class TriangleMesh:
         few = min(_CANDIDATES, len(self._corners))
         query = self._tree.query(points, np.arange(1, few + 1))
         away, found = np.asarray(query[0], np.float64), np.asarray(query[1], np.intp)
-        places = nearest_on_triangles(points[:, None], self._corners[found])
-        distance = np.linalg.norm(places - points[:, None], axis=2)
-        best = distance.argmin(axis=1)
-        rows = np.arange(len(points))
-        place, face = places[rows, best], found[rows, best]
+        face = found[:, 0].copy()
+        place = nearest_on_triangles(points, self._corners[face])
+        best = np.linalg.norm(place - points, axis=1)
         # A triangle further off by its middle may be nearer by no more than its own reach.
-        unsure = (few < len(self._corners)) & (away[:, -1] - self._radius < distance[rows, best])
-        if unsure.any():
-            self._search(points, np.flatnonzero(unsure), distance[rows, best], place, face)
+        for start, end in pairwise(sorted({1, min(_FIRST, few), few})):
+            owner, which = np.nonzero(
+                away[:, start:end] - self._reach[found[:, start:end]] < best[:, None]
+            )
+            self._look(points, owner, found[owner, start + which], place, face, best)
+        rows = np.flatnonzero((few < len(self._corners)) & (away[:, -1] - self._radius < best))
+        if len(rows):
+            lists = self._tree.query_ball_point(
+                points[rows], best[rows] + self._radius * (1.0 + 1e-9)
+            )
+            owner = np.repeat(rows, [len(one) for one in lists])
+            near = np.concatenate([np.asarray(one, np.intp) for one in lists])
+            self._look(points, owner, near, place, face, best)
         # Beside an edge or a corner the distance grows along the way to it, not along a normal.
         off = points - place
         length = np.linalg.norm(off, axis=1, keepdims=True)
         tiny = length <= 1e-9 * self._radius
         return place, np.where(tiny, self._units[face], off / np.where(tiny, 1.0, length))
 
-    def _search(
+    def _look(
         self,
         points: Array,
-        rows: NDArray[np.intp],
-        bound: Array,
+        owner: NDArray[np.intp],
+        near: NDArray[np.intp],
         place: Array,
         face: NDArray[np.intp],
+        best: Array,
     ) -> None:
-        """Look at every triangle that may be nearer than ``bound``, and put what is found in."""
-        reach = bound[rows] + self._radius * (1.0 + 1e-9)
-        lists = self._tree.query_ball_point(points[rows], reach)
-        counts = np.array([len(one) for one in lists])
-        near = np.concatenate([np.asarray(one, np.intp) for one in lists])
-        owner = np.repeat(rows, counts)
+        """Put in what is nearer, of triangles ``near`` to the points ``owner``."""
         places = nearest_on_triangles(points[owner], self._corners[near])
         distance = np.linalg.norm(places - points[owner], axis=1)
         # The nearest of each point comes first.
         order = np.lexsort((distance, owner))
-        first = order[np.concatenate([[0], np.cumsum(counts)[:-1]])]
-        place[rows], face[rows] = places[first], near[first]
+        rows, first = np.unique(owner[order], return_index=True)
+        chosen = order[first]
+        nearer = distance[chosen] < best[rows]
+        rows, chosen = rows[nearer], chosen[nearer]
+        place[rows], face[rows], best[rows] = places[chosen], near[chosen], distance[chosen]
 
 
 def nearest_on_triangles(points: Array, corners: Array) -> Array:
@@ -189,12 +201,14 @@ def nearest_on_triangles(points: Array, corners: Array) -> Array:
     of, os = _dot(off, first), _dot(off, second)
     area = ff * ss - fs * fs
     u, v = (ss * of - fs * os) / area, (ff * os - fs * of) / area
-    inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
-    foot = a + u[..., None] * first + v[..., None] * second
-    edges = np.stack([_on_edge(points, a, b), _on_edge(points, b, c), _on_edge(points, c, a)])
-    nearest = np.linalg.norm(edges - points, axis=-1).argmin(axis=0)
-    edge = np.take_along_axis(edges, nearest[None, ..., None], axis=0)[0]
-    return np.where(inside[..., None], foot, edge)
+    outside = ~((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0))
+    place: Array = a + u[..., None] * first + v[..., None] * second
+    if outside.any():
+        points, a, b, c = (np.broadcast_to(one, place.shape)[outside] for one in (points, a, b, c))
+        edges = np.stack([_on_edge(points, a, b), _on_edge(points, b, c), _on_edge(points, c, a)])
+        nearest = ((edges - points) ** 2).sum(axis=-1).argmin(axis=0)
+        place[outside] = edges[nearest, np.arange(len(nearest))]
+    return place
 
 
 def _on_edge(points: Array, start: Array, end: Array) -> Array:
@@ -205,7 +219,7 @@ def _on_edge(points: Array, start: Array, end: Array) -> Array:
 
 
 def _dot(one: Array, other: Array) -> Array:
-    found: Array = (one * other).sum(axis=-1)
+    found: Array = np.einsum("...i,...i->...", one, other)
     return found
 
 

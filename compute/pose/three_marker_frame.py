@@ -5,13 +5,22 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.errors import CollinearPoints, DuplicatePoint, InvalidParameter, NonFiniteValue
+from compute.errors import (
+    CollinearPoints,
+    DuplicatePoint,
+    InvalidParameter,
+    NonFiniteValue,
+    UndeterminedParameters,
+)
 from compute.pose.transform import Transform, cross_matrix
 
 Array = NDArray[np.float64]
 
 LEAST_HEIGHT: Final = 0.02
 """Markers whose triangle is flatter, its height over its longest side, make no frame."""
+
+MOST_TURN_RAD: Final = 1.0 / 3.0
+"""Standard deviation of a turn beyond which markers are too near one another for their noise."""
 
 
 def three_marker_frame(markers_mm: Array, covariance_mm2: Array | None = None) -> Transform:
@@ -33,6 +42,7 @@ def three_marker_frame(markers_mm: Array, covariance_mm2: Array | None = None) -
     Raises:
         DuplicatePoint: two markers are at one place.
         CollinearPoints: they lie on one line.
+        UndeterminedParameters: they are so near one another that their noise leaves a turn open.
         InvalidParameter, NonFiniteValue: an array is not what it should be.
     """
     markers = np.asarray(markers_mm, dtype=np.float64)
@@ -72,7 +82,25 @@ def three_marker_frame(markers_mm: Array, covariance_mm2: Array | None = None) -
             f"covariance_mm2 has shape {given.shape}; it must be (3, 3, 3) or (9, 9)"
         )
     slopes = _slopes(axes, i, j, k)
-    return Transform(axes, markers[0], slopes @ joint @ slopes.T)
+    covariance = slopes @ joint @ slopes.T
+    _check_turn(covariance[:3, :3], sides)
+    return Transform(axes, markers[0], covariance)
+
+
+def _check_turn(covariance: Array, sides: dict[str, Array]) -> None:
+    values, ways = np.linalg.eigh(covariance)
+    turn = float(np.sqrt(max(values[-1], 0.0)))
+    if turn <= MOST_TURN_RAD:
+        return
+    way = ", ".join(f"{one:.2f}" for one in ways[:, -1])
+    apart = ", ".join(f"{names} {np.linalg.norm(side):.3g} mm" for names, side in sides.items())
+    raise UndeterminedParameters(
+        f"the markers are too near one another for how well they are known: {apart} apart, their "
+        f"noise leaves the turn about ({way}) open to {turn:.2g} rad; it must be within "
+        f"{MOST_TURN_RAD:.2g} rad: place them further apart, or measure them better",
+        turn_rad=turn,
+        most_rad=MOST_TURN_RAD,
+    )
 
 
 def _slopes(axes: Array, i: Array, j: Array, k: Array) -> Array:

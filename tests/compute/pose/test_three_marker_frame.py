@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from compute.errors import CollinearPoints, DuplicatePoint, InvalidParameter, NonFiniteValue
-from compute.pose.three_marker_frame import LEAST_HEIGHT, three_marker_frame
+from compute.errors import (
+    CollinearPoints,
+    DuplicatePoint,
+    InvalidParameter,
+    NonFiniteValue,
+    UndeterminedParameters,
+)
+from compute.pose.three_marker_frame import LEAST_HEIGHT, MOST_TURN_RAD, three_marker_frame
 from compute.pose.transform import Transform
 from tests.compute.pose.motions import (
     Array,
@@ -66,7 +72,7 @@ def test_the_covariance_is_by_the_slopes(a: Array, b: Array, c: Array) -> None:
             for one in np.eye(9)
         ]
     ).T
-    mixed = np.random.default_rng(0).normal(size=(9, 9))
+    mixed = step * np.random.default_rng(0).normal(size=(9, 9))
     found = three_marker_frame(markers, mixed @ mixed.T).covariance
     wanted = slopes @ mixed @ mixed.T @ slopes.T
     scale = np.sqrt(np.diag(wanted))
@@ -107,3 +113,19 @@ def test_what_makes_no_frame_is_told_with_values() -> None:
         three_marker_frame(MARKERS * np.nan)
     with pytest.raises(InvalidParameter, match=r"\(3, 3\); it must be"):
         three_marker_frame(MARKERS, np.eye(3))
+
+
+def test_markers_too_near_one_another_for_their_noise_are_told() -> None:
+    """M1 and M2 10 mm apart along x: their noise along y turns the frame about z, by its root 2."""
+    markers = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 400.0, 0.0]])
+
+    def noise(sigma_mm: float) -> Array:
+        return np.broadcast_to(np.diag([1e-4, sigma_mm, 1e-4]) ** 2, (3, 3, 3))
+
+    most = MOST_TURN_RAD * 10.0 / np.sqrt(2.0)
+    found = three_marker_frame(markers, noise(0.99 * most))
+    assert found.covariance is not None
+    assert np.sqrt(found.covariance[2, 2]) == pytest.approx(0.99 * MOST_TURN_RAD)
+    with pytest.raises(UndeterminedParameters, match=r"M1 and M2 10 mm.*\(.*1\.00\)") as caught:
+        three_marker_frame(markers, noise(1.01 * most))
+    assert caught.value.context["turn_rad"] == pytest.approx(1.01 * MOST_TURN_RAD)

@@ -2,19 +2,16 @@
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.tracking.thesis.gaps import fill_gaps
+from compute.tracking.thesis.pair_follower import Decision, PairFollower
 from compute.tracking.thesis.window import THESIS_POINTS, QuadraticWindow
 
 Array = NDArray[np.float64]
-
-Decision = Literal["velocity", "prediction"]
-"""How a track's subset is chosen; ``PairTracking`` says what each is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,39 +107,16 @@ class PairTracking:
                 f"the first scan has the points {values[0].tolist()}; both targets must be seen in "
                 "it: leave out the scans before"
             )
-        window = QuadraticWindow(self.points)
-        filled = [fill_gaps(values[:, one], window) for one in range(2)]
-        data = np.column_stack([one.position_px for one in filled])
-        made = np.column_stack([one.created for one in filled])
-        followed = [self._follow(data, start, window) for start in range(2)]
-        position = np.column_stack([one[0] for one in followed])
-        predicted = np.column_stack([one[1] for one in followed])
-        subset = np.column_stack([one[2] for one in followed])
-        rows = np.arange(len(data))[:, None]
-        switched = np.zeros(position.shape, dtype=np.bool_)
+        follower = PairFollower(
+            values[0], self.velocity_limit_px_s, QuadraticWindow(self.points), self.decision
+        )
+        shape = values.shape
+        position, predicted = values.copy(), np.full(shape, np.nan)
+        subset, created = np.tile(np.arange(2, dtype=np.int8), (shape[0], 1)), np.zeros(shape, bool)
+        for scan in range(1, len(values)):
+            for track, now in enumerate(follower.step(values[scan], self.interval_s)):
+                position[scan, track], predicted[scan, track] = now.position_px, now.predicted_px
+                subset[scan, track], created[scan, track] = now.subset, now.created
+        switched = np.zeros(shape, dtype=np.bool_)
         switched[1:] = subset[1:] != subset[:-1]
-        return PairTracks(position, predicted, subset.astype(np.int8), switched, made[rows, subset])
-
-    def _follow(
-        self, data: Array, start: int, window: QuadraticWindow
-    ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Return one track's points, predictions and subsets, shape (N,) each."""
-        position, predicted = np.empty(len(data)), np.full(len(data), np.nan)
-        subset = np.empty(len(data), np.int64)
-        position[0], subset[0] = data[0, start], start
-        current = start
-        for scan in range(1, len(data)):
-            expected = window.next_position(position[max(0, scan - self.points) : scan])
-            if self._goes_over(data[scan], current, position[:scan], expected):
-                current = 1 - current
-            position[scan], predicted[scan], subset[scan] = data[scan, current], expected, current
-        return position, predicted, subset
-
-    def _goes_over(self, points: Array, current: int, track: Array, expected: float) -> bool:
-        if self.decision == "prediction":
-            return bool(abs(points[1 - current] - expected) < abs(points[current] - expected))
-        if len(track) < 2:
-            return False
-        before = (track[-1] - track[-2]) / self.interval_s
-        now = (points[current] - track[-1]) / self.interval_s
-        return bool(before * now < 0.0 and abs(now - before) > self.velocity_limit_px_s)
+        return PairTracks(position, predicted, subset, switched, created)

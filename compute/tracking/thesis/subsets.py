@@ -37,23 +37,49 @@ def order_by_detection(position_px: Array, single: Single = "nearest") -> Array:
             f"positions have the shape {values.shape}; they must be (scans, peaks)",
             shape=values.shape,
         )
-    if single not in get_args(Single):
-        raise InvalidParameter(
-            f"single is {single!r}; it must be one of {get_args(Single)}", single=single
-        )
+    order = SubsetOrder(single)
     subsets = np.full((len(values), 2), np.nan)
-    last = np.full(2, np.nan)
     for scan, row in enumerate(values):
-        seen = np.sort(row[~np.isnan(row)])
-        if len(seen) >= 2:
-            subsets[scan] = seen[0], seen[-1]
-        elif len(seen) == 1:
-            subsets[scan, _subset_of(float(seen[0]), last, single)] = seen[0]
-        last = np.where(np.isnan(subsets[scan]), last, subsets[scan])
+        for subset, point in enumerate(order.step(row)):
+            if point >= 0:
+                subsets[scan, subset] = row[point]
     return subsets
 
 
-def _subset_of(position_px: float, last_px: Array, single: Single) -> int:
-    if single == "first" or np.isnan(last_px).any():
-        return 0
-    return int(np.argmin(np.abs(last_px - position_px)))
+class SubsetOrder:
+    """Puts the points of one scan after the other into the subsets: ``order_by_detection``.
+
+    Args:
+        single: where a lone point goes.
+        last_px: the last point of each subset, NaN: none yet, (2,).
+
+    Raises:
+        InvalidParameter: an unknown way.
+    """
+
+    def __init__(self, single: Single = "nearest", last_px: Array | None = None) -> None:
+        if single not in get_args(Single):
+            raise InvalidParameter(
+                f"single is {single!r}; it must be one of {get_args(Single)}", single=single
+            )
+        self._single = single
+        self._last_px = np.full(2, np.nan) if last_px is None else np.array(last_px, np.float64)
+
+    def step(self, position_px: Array) -> tuple[int, int]:
+        """Return which point of the next scan (K,) each subset has; -1: none."""
+        row = np.argsort(position_px, kind="stable")  # NaN is last
+        seen = row[: int((~np.isnan(position_px)).sum())].tolist()
+        chosen = [-1, -1]
+        if len(seen) >= 2:
+            chosen = [seen[0], seen[-1]]
+        elif len(seen) == 1:
+            chosen[self._subset_of(float(position_px[seen[0]]))] = seen[0]
+        for subset, point in enumerate(chosen):
+            if point >= 0:
+                self._last_px[subset] = position_px[point]
+        return chosen[0], chosen[1]
+
+    def _subset_of(self, position_px: float) -> int:
+        if self._single == "first" or np.isnan(self._last_px).any():
+            return 0
+        return int(np.argmin(np.abs(self._last_px - position_px)))

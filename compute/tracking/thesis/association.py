@@ -10,13 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
 from compute.errors import InvalidParameter
-from compute.tracking.thesis.exchange import THRESHOLD, Density, Transition
+from compute.tracking.thesis.exchange import INTERVAL_SIGMA, THRESHOLD, Density, Transition
 from compute.tracking.thesis.intervals import (
     IntervalSettings,
     PositionInterval,
     position_interval,
     velocity_estimate,
 )
+from compute.tracking.thesis.sensor_point import SensorPoint
 from compute.tracking.thesis.sensor_track import GrowingTrack, SensorTrack, TrackEnd
 from compute.tracking.thesis.track_pairs import PairState, TrackPairs
 
@@ -104,16 +105,28 @@ class ProbabilisticTracker:
 
     def __init__(self, settings: AssociationSettings) -> None:
         self.settings = settings
+        self._interval_s = settings.interval_s
         self._scan = 0
         self._begun = 0
         self._live: dict[int, GrowingTrack] = {}
         self._ended: list[SensorTrack] = []
         self._pairs = TrackPairs(settings.threshold, settings.density)
 
-    def step(self, position_px: ArrayLike) -> None:
-        """Associate the points of the next scan, shape (K,) [px]; NaN: none."""
+    def step(
+        self, position_px: ArrayLike, interval_s: float | None = None
+    ) -> tuple[SensorPoint, ...]:
+        """Associate the points of the next scan; return where each running track is now.
+
+        Args:
+            position_px: shape (K,) [px]; NaN: none.
+            interval_s: the sampling period as it is now; None: that of the settings, or the last
+                one that was given.
+        """
+        if interval_s is not None:
+            self._interval_s = interval_s
         given = np.asarray(position_px, dtype=np.float64).ravel()
-        points = np.sort(given[~np.isnan(given)]).tolist()
+        order = np.argsort(given, kind="stable")[: int((~np.isnan(given)).sum())].tolist()
+        points = given[order].tolist()
         expected = {number: self._expected(track) for number, track in self._live.items()}
         pairs = self._pairs.step({number: one.interval for number, one in expected.items()})
         self._end_taken(pairs)
@@ -129,22 +142,48 @@ class ProbabilisticTracker:
             else:
                 track.add(points[point], seen=True, shared=point in shared.values())
         self._end_missed()
+        found = [
+            self._point(number, shared.get(number, taken.get(number)), expected[number], order)
+            for number in self._live
+        ]
         for point in sorted(set(range(len(points))) - set(taken.values())):
             self._live[self._begun] = GrowingTrack(self._begun, self._scan, points[point])
+            found.append(SensorPoint(self._begun, points[point], order[point], 1))
             self._begun += 1
         self._scan += 1
+        return tuple(found)
+
+    def forget(self) -> None:
+        """Forget ended tracks, and of running ones all that no later scan needs.
+
+        For those who follow for hours; ``tracks`` then has what is left.
+        """
+        self._ended.clear()
+        needed = max(self.settings.interval.scans + 1, self.settings.coast_scans + 2)
+        for track in self._live.values():
+            track.forget(needed)
 
     def tracks(self) -> tuple[SensorTrack, ...]:
         """Return all tracks so far, ended ones too, by their numbers."""
         running = (track.finished(TrackEnd.RUNNING) for track in self._live.values())
         return tuple(sorted([*self._ended, *running], key=lambda track: track.number))
 
+    def _point(
+        self, number: int, point: int | None, expected: _Expected, order: list[int]
+    ) -> SensorPoint:
+        track = self._live[number]
+        if point is None:
+            deviation = expected.interval.half_width_px / INTERVAL_SIGMA
+            return SensorPoint(number, track.position_px[-1], -1, track.life, deviation)
+        shared = track.is_shared
+        return SensorPoint(number, track.position_px[-1], order[point], track.life, 0.0, shared)
+
     def _expected(self, track: GrowingTrack) -> _Expected:
         given = self.settings
         recent = np.array(track.position_px[-given.interval.scans - 1 :])
-        velocity = velocity_estimate(recent, given.interval_s, given.interval)
+        velocity = velocity_estimate(recent, self._interval_s, given.interval)
         last = track.position_px[-1 - track.missed]
-        since_s = (1 + track.missed) * given.interval_s
+        since_s = (1 + track.missed) * self._interval_s
         return _Expected(
             last + velocity.mean_px_s * since_s,
             position_interval(last, velocity, since_s, given.interval),

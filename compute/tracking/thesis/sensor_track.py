@@ -75,6 +75,18 @@ class GrowingTrack:
         self.life += seen
         self.missed = 0 if seen else self.missed + 1
 
+    @property
+    def is_shared(self) -> bool:
+        """Whether its point of the last scan is another track's as well."""
+        return self._shared[-1]
+
+    def forget(self, most: int) -> None:
+        """Forget all but the last ``most`` scans; ``life`` stays what it was."""
+        gone = len(self.position_px) - most
+        if gone > 0:
+            del self.position_px[:gone], self._seen[:gone], self._shared[:gone]
+            self.first_scan += gone
+
     def finished(self, end: TrackEnd) -> SensorTrack:
         """Return it as it is now."""
         return SensorTrack(

@@ -79,9 +79,30 @@ class QuadraticWindow:
         """Return the predicted position one scan after the last, as ``fit`` does."""
         return self.fit(positions).next_position
 
+    def next_deviation(self, deviations: ArrayLike) -> float:
+        """Return what deviations of the points make of the predicted position, at most.
+
+        The sum of each point's share: exact where all errors are one, as when some of the points
+        are made up from the others. How far the target leaves the curve is not in it.
+
+        Args:
+            deviations: standard deviations of the last points, as ``fit`` has them.
+        """
+        values = np.asarray(deviations, dtype=np.float64)[-self.points :]
+        return float(np.abs(_ahead(len(values))) @ values)
+
 
 @lru_cache(maxsize=64)
 def _solution(points: int) -> Array:
     """Return the matrix from values to coefficients about the last point, lowest power first."""
     scan = np.arange(points, dtype=np.float64) - (points - 1)
     return np.asarray(np.linalg.pinv(np.vander(scan, min(points, _DEGREE + 1), increasing=True)))
+
+
+@lru_cache(maxsize=64)
+def _ahead(points: int) -> Array:
+    """Return the share of each point in the predicted position, shape (points,)."""
+    share = _solution(points).sum(axis=0)
+    # The fit is relative to the last point.
+    share[-1] += 1.0 - share.sum()
+    return np.asarray(share)

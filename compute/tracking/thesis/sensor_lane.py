@@ -236,10 +236,9 @@ class SensorLane(Lane):
                     for points, column in zip(free, groups.peaks[row].tolist(), strict=True)
                 ]
             )
+            place, spread = solved.position_mm[row], solved.covariance_mm2[row]
             lost = [one for one in self._markers if one.identity not in found]
-            marker = self._nearest(
-                lost, solved.position_mm[row], solved.covariance_mm2[row], time_ns
-            )
+            marker = self._nearest(lost, place, spread, time_ns)
             if marker is None:
                 if not self._may_begin(len(self._markers)):
                     continue

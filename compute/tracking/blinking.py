@@ -92,6 +92,7 @@ def identify_blinking(
     amplitude: Array,
     model: BlinkModel | None = None,
     phase: int | None = None,
+    known: NDArray[np.bool_] | None = None,
 ) -> BlinkIdentities:
     """Say which marker each light is, from its amplitudes over a window of scans.
 
@@ -109,6 +110,8 @@ def identify_blinking(
         model: how peaks come about; None: the standard.
         phase: bit of the words that the first scan shows, where the scans are synchronised; None:
             not known, which needs cyclic codes.
+        known: where it can be said whether there was a peak, of the amplitudes' shape: not in a
+            lost frame, or where two lights share a peak; None: everywhere.
 
     Raises:
         InvalidParameter: another shape, no phase for words that are not cyclic, or an amplitude
@@ -121,6 +124,16 @@ def identify_blinking(
         raise InvalidParameter(
             f"amplitude has the shape {np.shape(amplitude)}; it must be (T, W) or (T, S, W)"
         )
+    if known is None:
+        there = np.ones(given.shape, dtype=np.bool_)
+    elif np.shape(known) != np.shape(amplitude):
+        raise InvalidParameter(
+            f"known has the shape {np.shape(known)}, amplitude {np.shape(amplitude)}; "
+            "they must have one"
+        )
+    else:
+        there = np.asarray(known, dtype=np.bool_).reshape(given.shape)
+        given = np.where(there, given, np.nan)
     if phase is None and not codes.cyclic:
         raise InvalidParameter("these words are not cyclic; give the phase of the first scan")
     if (given <= 0.0).any():
@@ -130,10 +143,10 @@ def identify_blinking(
     scans = np.arange(given.shape[-1])
     # By word, then phase, shape (H, W).
     on = codes.bits[:, (phases[:, None] + scans) % codes.length].reshape(-1, len(scans))
-    likelihood = _log_likelihood(on, given, how) - np.log(len(on) / (1.0 - how.steady))
+    likelihood = _log_likelihood(on, given, there, how) - np.log(len(on) / (1.0 - how.steady))
     others = np.logaddexp(
-        _log_likelihood(np.ones((1, len(scans)), dtype=np.bool_), given, how)[:, 0],
-        _at_random(given, how),
+        _log_likelihood(np.ones((1, len(scans)), dtype=np.bool_), given, there, how)[:, 0],
+        _at_random(given, there, how),
     ) + np.log(0.5 * how.steady)
     every = np.concatenate([likelihood, others[:, None]], axis=1)
     top = every.max(axis=1, keepdims=True)
@@ -151,13 +164,16 @@ def identify_blinking(
         marker.astype(np.int32),
         phases[best_phase].astype(np.int32),
         confidence,
-        _errors(expected, given, how),
+        _errors(expected, given, there, how),
     )
 
 
-def _log_likelihood(on: NDArray[np.bool_], amplitude: Array, model: BlinkModel) -> Array:
+def _log_likelihood(
+    on: NDArray[np.bool_], amplitude: Array, known: NDArray[np.bool_], model: BlinkModel
+) -> Array:
     """Return log likelihoods of hypotheses (H, W) for lights (T, S, W), shape (T, H)."""
     present = np.isfinite(amplitude)
+    gone = (known & ~present).astype(np.float64)
     seen: NDArray[np.bool_] = np.asarray(present.any(axis=2))
     log_amplitude = np.where(present, np.log(np.where(present, amplitude, 1.0)), 0.0)
     # Middle values keep the sums of squares from cancelling.
@@ -171,15 +187,15 @@ def _log_likelihood(on: NDArray[np.bool_], amplitude: Array, model: BlinkModel) 
         count = np.broadcast_to(there.sum(axis=2)[..., None], (*seen.shape, lit.shape[1]))
         first = value.sum(axis=2)[..., None] - there @ level
         second = (value**2).sum(axis=2)[..., None] - 2.0 * value @ level + there @ level**2
-        absent = float(np.log(model.missed)) * (1.0 - there).sum(axis=2)[..., None]
+        absent = float(np.log(model.missed)) * gone.sum(axis=2)[..., None]
         unlit = np.zeros(1)
     else:
         count = there @ lit
         first = value @ lit
         second = value**2 @ lit
-        absent = float(np.log(model.missed)) * ((1.0 - there) @ lit)
+        absent = float(np.log(model.missed)) * (gone @ lit)
         dark_false = there @ (1.0 - lit)
-        dark_empty = (1.0 - there) @ (1.0 - lit)
+        dark_empty = gone @ (1.0 - lit)
         unlit = dark_false * float(np.log(model.false / model.range_log))
         unlit = unlit + dark_empty * float(np.log1p(-model.false))
     # The mean is flat over the range beforehand, and integrated out.
@@ -194,10 +210,10 @@ def _log_likelihood(on: NDArray[np.bool_], amplitude: Array, model: BlinkModel) 
     return likelihood
 
 
-def _at_random(amplitude: Array, model: BlinkModel) -> Array:
+def _at_random(amplitude: Array, known: NDArray[np.bool_], model: BlinkModel) -> Array:
     """Return the log likelihood of lights that come and go, of any brightness, shape (T,)."""
     present = np.isfinite(amplitude)
-    scans = present.any(axis=2).sum(axis=1) * amplitude.shape[2]
+    scans = (present.any(axis=2)[..., None] & known).sum(axis=(1, 2))
     peaks = present.sum(axis=(1, 2))
     likelihood: Array = scans * float(np.log(0.5)) - peaks * float(np.log(model.range_log))
     return likelihood
@@ -218,7 +234,9 @@ def _once_each(marker: NDArray[np.intp], odds: Array, model: BlinkModel) -> NDAr
     return kept
 
 
-def _errors(on: NDArray[np.bool_], amplitude: Array, model: BlinkModel) -> NDArray[np.int32]:
+def _errors(
+    on: NDArray[np.bool_], amplitude: Array, known: NDArray[np.bool_], model: BlinkModel
+) -> NDArray[np.int32]:
     """Count the scans in which a light is not what its word says, shape (T,)."""
     present = np.isfinite(amplitude)
     if model.low > 0.0:
@@ -227,10 +245,10 @@ def _errors(on: NDArray[np.bool_], amplitude: Array, model: BlinkModel) -> NDArr
             bright = present & (amplitude > np.sqrt(model.low) * level)
     else:
         bright = present
-    counted: NDArray[np.bool_] = np.asarray(present.any(axis=2))
-    # Most of the sensors that see the light at all.
-    lit = (bright & counted[..., None]).sum(axis=1) * 2 > counted.sum(axis=1)[:, None]
-    wrong = lit != on
+    # Most of the sensors that see the light at all, and could tell in this scan.
+    counted: NDArray[np.bool_] = np.asarray(present.any(axis=2)[..., None] & known)
+    lit = (bright & counted).sum(axis=1) * 2 > counted.sum(axis=1)
+    wrong = (lit != on) & counted.any(axis=1)
     if model.low > 0.0:
         wrong &= present.any(axis=1)
     errors: NDArray[np.int32] = wrong.sum(axis=1).astype(np.int32)

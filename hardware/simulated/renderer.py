@@ -42,13 +42,16 @@ class FrameRenderer:
         frames, markers, _ = points.shape
         spots = self._optics.spots(points.reshape(-1, 3))
         sensors = spots.position_px.shape[1]
+        electrons = spots.electrons
+        if self._settings.blink is not None:
+            electrons = electrons * self._settings.blink.light(sequence).reshape(-1, 1)
 
         def by_line(values: NDArray[np.float64]) -> NDArray[np.float64]:
             per_frame = values.reshape(frames, markers, sensors)
             return per_frame.transpose(0, 2, 1).reshape(frames * sensors, markers)
 
         signal = line_images(
-            by_line(spots.position_px), by_line(spots.sigma_px), by_line(spots.electrons), PIXELS
+            by_line(spots.position_px), by_line(spots.sigma_px), by_line(electrons), PIXELS
         )
         return signal.reshape(frames, sensors, PIXELS)
 

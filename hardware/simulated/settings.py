@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar, Literal, get_args
 from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
+from hardware.blinking import BlinkSchedule
 from hardware.driver import PeakMethod
 from hardware.simulated.batch import Timing
 from hardware.simulated.bounds import check_bounds
@@ -22,6 +23,7 @@ class SimulationSettings:
         frame_rate_hz: exposures per second.
         illumination: "strobed" lights marker n modulo M in exposure n, "simultaneous" all.
         strobe: another order of the strobed markers, one in each slot; None: each in turn.
+        blink: codes by which simultaneous markers are dimmed, one of each marker; None: steady.
         spot_sigma_px: standard deviation of a light line's shape [px].
         signal_electrons: mean electrons of a line from a marker in the middle of the working
             volume, 1500 mm in front of the bar.
@@ -47,6 +49,7 @@ class SimulationSettings:
     frame_rate_hz: Annotated[float, Field(ge=0.01, le=10_000.0)] = 1000.0
     illumination: Literal["strobed", "simultaneous"] = "strobed"
     strobe: StrobeSchedule | None = None
+    blink: BlinkSchedule | None = None
     spot_sigma_px: Annotated[float, Field(ge=0.1, le=100.0)] = 2.0
     signal_electrons: Annotated[float, Field(ge=0.0, le=1e8)] = 100_000.0
     distance_falloff: bool = True
@@ -76,6 +79,8 @@ class SimulationSettings:
             )
         if self.strobe is not None:
             self._check_strobe(self.strobe)
+        if self.blink is not None:
+            self._check_blink(self.blink)
 
     def _check_strobe(self, strobe: StrobeSchedule) -> None:
         if self.illumination != "strobed":
@@ -87,6 +92,18 @@ class SimulationSettings:
                 f"strobe has the slots {list(strobe.slots)}; each must light one of the scene's "
                 f"markers, 0 to {self.scene.markers - 1}",
                 slots=strobe.slots,
+            )
+
+    def _check_blink(self, blink: BlinkSchedule) -> None:
+        if self.illumination != "simultaneous":
+            raise InvalidParameter(
+                'blink is given, and illumination is "strobed"; markers that are lit one at a time '
+                'do not blink: leave blink out, or make it "simultaneous"'
+            )
+        if len(blink.words) != self.scene.markers:
+            raise InvalidParameter(
+                f"blink has {len(blink.words)} words; the scene has {self.scene.markers} markers",
+                words=len(blink.words),
             )
 
     @property

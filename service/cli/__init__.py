@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from service.cli.administration import register
+from service.cli.marker_commands import register as register_markers
 from service.cli.tools_commands import register as register_tools
 from service.version import package_version
 
@@ -416,6 +417,7 @@ def peaks(
 
 
 register(app)
+register_markers(app)
 register_tools(app)
 
 

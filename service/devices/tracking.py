@@ -6,6 +6,7 @@ from pydantic import Field
 
 from compute.pose.settings import MotionSettings, ToolTrackerSettings
 from compute.tracking.settings import MotionModel, TrackerSettings
+from service.devices.blinking import Blinking
 from service.schema import Given, Position
 
 _TRACKER = TrackerSettings()
@@ -36,6 +37,10 @@ class Tracking(Given):
     coast_s: Annotated[float, Field(ge=1e-3, le=60.0)] = Field(
         default=_TRACKER.coast_s,
         description="How long a track is predicted without being seen; then it ends.",
+    )
+    blinking: Blinking | None = Field(
+        default=None,
+        description="Codes by which the markers of tracks are named; null: they do not blink.",
     )
     tool_acceleration_mm_s2: Annotated[float, Field(ge=1e-3, le=1e7)] = Field(
         default=_TOOLS.motion.acceleration_mm_s2, description="RMS acceleration of tools."

@@ -62,7 +62,8 @@ def recorded_table(
     processor = DeviceProcessor("export", description, "cpu")
     how = Tracking() if tracking is None else tracking
     # Tracks always, whether there were any live: they change neither points nor poses.
-    processor.set_tracked(Tracked(True, tuple(tools), how.tracker(), how.tool_tracker()))
+    codes = None if how.blinking is None else how.blinking.codes()
+    processor.set_tracked(Tracked(True, tuple(tools), how.tracker(), how.tool_tracker(), codes))
     builder = TableBuilder(
         description.name, description.frame_rate_hz, [tool.name for tool in tools]
     )

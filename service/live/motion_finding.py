@@ -12,6 +12,7 @@ from compute.errors import LumilineError
 from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.reconstruction.estimate import PointBatch
+from compute.tracking.blinking_tracks import BlinkingTracks
 from compute.tracking.track_batch import TrackBatch
 from hardware.frame import LineFrame
 from service.live.followers import MakeFollowers, MarkerFollower, OwnFollowers, ToolFollower
@@ -84,6 +85,7 @@ class MotionFinding:
         self._tracked = NOTHING_TRACKED
         self._active: ActiveCalibration | None = None
         self._markers: MarkerFollower | None = None
+        self._names: BlinkingTracks | None = None
         self._groups: list[_Group] = []
         self._fresh_starts = 0
         self._last_ns: int | None = None
@@ -101,9 +103,10 @@ class MotionFinding:
         active = self._following
         if active is None:
             return
+        blinking = tracked.blinking != before.blinking
         if not tracked.tracks:
             self._markers = None
-        elif self._markers is None or tracked.tracker != before.tracker:
+        elif self._markers is None or tracked.tracker != before.tracker or blinking:
             self._begin_markers(active)
         known = self._groups[0].follower if len(self._groups) == 1 else None
         same = tracked.tool_tracker == before.tool_tracker
@@ -151,7 +154,8 @@ class MotionFinding:
                 continue
             self._check_clock(frame)
             readings = usable.position_px[index], usable.sigma_px[index], usable.flags[index]
-            tracks.append(self._follow_markers(frame, *readings) or none)
+            amplitude = usable.amplitude[index]
+            tracks.append(self._follow_markers(frame, *readings, amplitude) or none)
             own = (
                 None if frame.marker is not None else points.part(starts[index], starts[index + 1])
             )
@@ -173,6 +177,8 @@ class MotionFinding:
 
     def _made_markers(self, active: ActiveCalibration) -> MarkerFollower | None:
         self._first_number = self._highest_number
+        blinking = self._tracked.blinking
+        self._names = None if blinking is None else BlinkingTracks(*blinking)
         try:
             return self._make.markers(active, self._tracked)
         except Exception:  # noqa: BLE001 - logged
@@ -217,6 +223,7 @@ class MotionFinding:
         position_px: NDArray[np.float64],
         sigma_px: NDArray[np.float64],
         flags: NDArray[np.int32],
+        amplitude: NDArray[np.floating],
     ) -> TrackBatch | None:
         if self._markers is None:
             return None
@@ -224,6 +231,9 @@ class MotionFinding:
         time_ns = frame.exposure_device_ns
         try:
             found = self._markers.step(time_ns, position_px, sigma_px, flags, frame.marker)
+            if self._names is not None:
+                lit = frame.marker is None
+                found = self._names.name(frame.sequence, found, amplitude, lit=lit)
         except Exception:  # noqa: BLE001 - logged
             self._fresh_starts += 1
             again = self._fresh_starts <= self.FRESH_STARTS

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from compute.pose.rigid_body import RigidBody
     from compute.pose.settings import ToolTrackerSettings
+    from compute.tracking.blinking import BlinkCodes, BlinkModel
     from compute.tracking.settings import TrackerSettings
+    from service.live.hold_spec import WatchedHold
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,12 +20,16 @@ class Tracked:
         tools: tools whose poses are wanted, in the order of their poses.
         tracker: how markers are followed; None: by default.
         tool_tracker: how tools are followed; None: by default.
+        blinking: codes by which tracks are named, and how the markers show them; None: none.
+        holds: beam holds that watch what is seen of it.
     """
 
     tracks: bool = False
     tools: tuple["RigidBody", ...] = ()
     tracker: "TrackerSettings | None" = None
     tool_tracker: "ToolTrackerSettings | None" = None
+    blinking: "tuple[BlinkCodes, BlinkModel] | None" = None
+    holds: "tuple[WatchedHold, ...]" = ()
 
     @property
     def nothing(self) -> bool:

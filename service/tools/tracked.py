@@ -12,4 +12,5 @@ def tracked_of(session: Session, device: DeviceRow) -> Tracked:
     """Return what is followed of a device when it runs."""
     tracking, tools = tracking_of(device), tools_of(session, device.id)
     tracks = tracking.tracks == "always" or (tracking.tracks == "with-tools" and bool(tools))
-    return Tracked(tracks, tools, tracking.tracker(), tracking.tool_tracker())
+    codes = None if tracking.blinking is None else tracking.blinking.codes()
+    return Tracked(tracks, tools, tracking.tracker(), tracking.tool_tracker(), codes)

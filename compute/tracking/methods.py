@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.stack import CameraStack
-from compute.mapping.table import CorrectionTable
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.thesis.settings import ThesisSettings
 
 if TYPE_CHECKING:
+    from compute.camera.stack import CameraStack
+    from compute.mapping.table import CorrectionTable
     from compute.tracking.thesis.thesis_tracker import ThesisTracker
     from compute.tracking.tracker import Tracker
 
@@ -21,10 +21,10 @@ TrackingSettings = TrackerSettings | ThesisSettings
 
 
 def marker_tracker(
-    cameras: CameraStack,
+    cameras: "CameraStack",
     settings: TrackingSettings,
     parameter_covariance: Array | None = None,
-    corrections: CorrectionTable | None = None,
+    corrections: "CorrectionTable | None" = None,
     pixels: tuple[int, ...] | None = None,
 ) -> "Tracker | ThesisTracker":
     """Return the tracker of the settings; arguments and errors as of ``Tracker``."""

@@ -5,12 +5,19 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from compute.pose.settings import MotionSettings, ToolTrackerSettings
+from compute.tracking.methods import TrackingSettings
 from compute.tracking.settings import MotionModel, TrackerSettings
+from compute.tracking.thesis.intervals import Velocity
+from compute.tracking.thesis.pair_follower import Decision
+from compute.tracking.thesis.settings import MOST_TARGETS, ThesisMethod, ThesisSettings
 from service.devices.blinking import Blinking
 from service.schema import Given, Position
 
 _TRACKER = TrackerSettings()
 _TOOLS = ToolTrackerSettings()
+_THESIS = ThesisSettings()
+
+Velocity1D = Annotated[float, Field(ge=1e-3, le=1e9)]
 
 
 class Tracking(Given):
@@ -21,10 +28,54 @@ class Tracking(Given):
         description="Whether markers are followed as tracks: never, as soon as the device has "
         "tools, or always. Tools are tracked in any case; tracks beside them cost time.",
     )
+    method: Literal["readings"] | ThesisMethod = Field(
+        default="readings",
+        description="How markers are followed: by filtering on the sensors' readings, which is "
+        "the best; or, for comparison, by a method of Georgiev's thesis: the dynamic model with "
+        "a quadratic window and the velocity-change test (section 6.1.3), probabilistic "
+        "association ([6.6] to [6.10]), or the 8-state model in space ([6.11]). Tools are not "
+        "concerned.",
+    )
     motion: MotionModel = Field(
         default=_TRACKER.motion,
         description="How markers move: at constant velocity, at constant acceleration, or "
-        "whichever of the two fits.",
+        "whichever of the two fits. Of `readings`.",
+    )
+    window_markers: Annotated[int, Field(ge=1, le=MOST_TARGETS)] = Field(
+        default=_THESIS.markers,
+        description="Markers that are lit together, 1 or 2: more the method does not tell apart. "
+        "Any number of them may be strobed. Of `window`.",
+    )
+    window_points: Annotated[int, Field(ge=3, le=50)] = Field(
+        default=_THESIS.window_points, description="Points of the quadratic window. Of `window`."
+    )
+    window_decision: Decision = Field(
+        default=_THESIS.window_decision,
+        description="How a track is taken through a crossing: by the change of velocity, as "
+        "the thesis has it, or to the point nearer to the window's prediction. Of `window`.",
+    )
+    velocity_limit_px_s: Velocity1D | None = Field(
+        default=_THESIS.velocity_limit_px_s,
+        description="Change of velocity along a sensor above which two markers have crossed "
+        "[px/s]; null: half of `most_velocity_px_s`. Of `window`.",
+    )
+    most_velocity_px_s: Velocity1D = Field(
+        default=_THESIS.most_velocity_px_s,
+        description="Greatest velocity of a marker along a sensor [px/s]. Of `window` and "
+        "`probabilistic`.",
+    )
+    interval_velocity: Velocity = Field(
+        default=_THESIS.interval_velocity,
+        description="Velocity with which the interval of [6.7] moves on: the mean of the last "
+        "ones, as the thesis has it, or that of a curve through them. Of `probabilistic`.",
+    )
+    least_interval_px: Annotated[float, Field(ge=1e-3, le=1e4)] = Field(
+        default=_THESIS.least_interval_px,
+        description="Least half width of that interval [px]. Of `probabilistic`.",
+    )
+    exchange_threshold: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
+        default=_THESIS.exchange_threshold,
+        description="Probability [6.9] at which two markers are on one track. Of `probabilistic`.",
     )
     white_acceleration: Annotated[float, Field(ge=1e-3, le=1e12)] = Field(
         default=_TRACKER.white_acceleration,
@@ -64,8 +115,23 @@ class Tracking(Given):
         "pose outside is OUT_OF_VOLUME. null: only a correction table says.",
     )
 
-    def tracker(self) -> TrackerSettings:
+    def tracker(self) -> TrackingSettings:
         """Return how markers are followed."""
+        if self.method != "readings":
+            return ThesisSettings(
+                method=self.method,
+                markers=self.window_markers,
+                window_points=self.window_points,
+                window_decision=self.window_decision,
+                velocity_limit_px_s=self.velocity_limit_px_s,
+                most_velocity_px_s=self.most_velocity_px_s,
+                interval_velocity=self.interval_velocity,
+                least_interval_px=self.least_interval_px,
+                exchange_threshold=self.exchange_threshold,
+                white_acceleration=self.white_acceleration,
+                white_jerk=self.white_jerk,
+                coast_s=self.coast_s,
+            )
         return TrackerSettings(
             motion=self.motion,
             white_acceleration=self.white_acceleration,

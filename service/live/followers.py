@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class MarkerFollower(Protocol):
-    """Follows markers from frame to frame; see compute/tracking/tracker.py."""
+    """Follows markers from frame to frame; see compute/tracking/methods.py."""
 
     def step(
         self,
@@ -86,12 +86,12 @@ class OwnFollowers:
 
     def markers(self, active: ActiveCalibration, tracked: Tracked) -> MarkerFollower:
         """Return what follows markers."""
+        from compute.tracking.methods import marker_tracker
         from compute.tracking.settings import TrackerSettings
-        from compute.tracking.tracker import Tracker
 
         covariance, table = uncertainty(active)
         models = active.calibration.models
-        return Tracker(
+        return marker_tracker(
             CameraStack.of(models),
             TrackerSettings() if tracked.tracker is None else tracked.tracker,
             covariance,

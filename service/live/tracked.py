@@ -7,7 +7,7 @@ if TYPE_CHECKING:
     from compute.pose.rigid_body import RigidBody
     from compute.pose.settings import ToolTrackerSettings
     from compute.tracking.blinking import BlinkCodes, BlinkModel
-    from compute.tracking.settings import TrackerSettings
+    from compute.tracking.methods import TrackingSettings
     from service.live.hold_spec import WatchedHold
 
 
@@ -26,7 +26,7 @@ class Tracked:
 
     tracks: bool = False
     tools: tuple["RigidBody", ...] = ()
-    tracker: "TrackerSettings | None" = None
+    tracker: "TrackingSettings | None" = None
     tool_tracker: "ToolTrackerSettings | None" = None
     blinking: "tuple[BlinkCodes, BlinkModel] | None" = None
     holds: "tuple[WatchedHold, ...]" = ()

@@ -13,8 +13,8 @@ from compute.tracking.frame_peaks import FramePeaks
 from compute.tracking.thesis.eight_state import EightState, EightStateModel
 from compute.tracking.thesis.lane import Lane, packed_columns
 from compute.tracking.thesis.reported import Reported
-from compute.tracking.thesis.settings import ThesisSettings
-from compute.tracking.thesis.space_points import LEAST_SENSORS, SolvedPoints, SpacePoints
+from compute.tracking.thesis.settings import LEAST_SENSORS, ThesisSettings
+from compute.tracking.thesis.space_points import SolvedPoints, SpacePoints
 from compute.tracking.thesis.trail import START_ACCELERATION_MM_S2, START_SPEED_MM_S
 from compute.tracking.track_batch import TrackFlag
 

@@ -13,8 +13,8 @@ from compute.tracking.thesis.lane import Lane, packed_columns
 from compute.tracking.thesis.reported import Reported
 from compute.tracking.thesis.scan_clock import ScanClock
 from compute.tracking.thesis.sensor_point import SensorFollower, SensorPoint
-from compute.tracking.thesis.settings import ThesisSettings
-from compute.tracking.thesis.space_points import LEAST_SENSORS, SolvedPoints, SpacePoints
+from compute.tracking.thesis.settings import LEAST_SENSORS, ThesisSettings
+from compute.tracking.thesis.space_points import SolvedPoints, SpacePoints
 from compute.tracking.track_batch import TrackFlag
 
 Array = NDArray[np.float64]

@@ -15,6 +15,8 @@ ThesisMethod = Literal["window", "probabilistic", "eight-state"]
 
 LIMIT_SHARE: Final = 0.5
 """The velocity limit where none is given, as a share of the greatest velocity."""
+LEAST_SENSORS: Final = 3
+"""Whose tracks make a point."""
 MOST_TARGETS: Final = 2
 """That section 6.1.3 tells apart along a sensor."""
 

@@ -11,10 +11,10 @@ from compute.mapping.table import CorrectionTable
 from compute.reconstruction.correspondence import Correspondence, Predictor, group_peaks
 from compute.reconstruction.estimate import PointFlag
 from compute.tracking.reading_model import ReadingModel
+from compute.tracking.thesis.settings import LEAST_SENSORS
 
 Array = NDArray[np.float64]
 
-LEAST_SENSORS: Final = 3
 _NO_POINT: Final = int(PointFlag.TOO_FEW_SENSORS | PointFlag.DEGENERATE | PointFlag.NO_CONVERGENCE)
 _MOST_TOGETHER: Final = 12
 """Readings of a sensor up to which combinations of four are looked for by prediction."""

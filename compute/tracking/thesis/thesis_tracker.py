@@ -15,8 +15,8 @@ from compute.tracking.thesis.point_lane import PointLane
 from compute.tracking.thesis.probabilistic_follower import ProbabilisticFollower
 from compute.tracking.thesis.reported import batch_of_reports
 from compute.tracking.thesis.sensor_lane import SensorLane
-from compute.tracking.thesis.settings import ThesisSettings
-from compute.tracking.thesis.space_points import LEAST_SENSORS, SpacePoints
+from compute.tracking.thesis.settings import LEAST_SENSORS, ThesisSettings
+from compute.tracking.thesis.space_points import SpacePoints
 from compute.tracking.thesis.window_follower import WindowFollower
 from compute.tracking.track_batch import TrackBatch
 

@@ -7,6 +7,8 @@ from pydantic import TypeAdapter
 from sqlalchemy import Select, delete, func, select
 from sqlalchemy.orm import Session
 
+from compute.errors import InvalidParameter
+from compute.tracking.thesis.settings import LEAST_SENSORS
 from service.calibrations.activation import active
 from service.calibrations.sensors import same_sensors
 from service.database.engine import insert
@@ -66,7 +68,7 @@ def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> D
         source=_SOURCE.dump_python(request.source, mode="json"),
         sensors=_SENSORS.dump_python(sensors, mode="json"),
         autostart=request.autostart,
-        tracking=_stored(request.tracking),
+        tracking=_stored(request.tracking, len(sensors)),
         created_at=now,
         updated_at=now,
     )
@@ -103,7 +105,8 @@ def change_device(
     if "autostart" in given:
         row.autostart = change.autostart
     if "tracking" in given:
-        row.tracking = _stored(_merged(tracking_of(row), change.tracking))
+        count = len(row.sensors if sensors is None else sensors)
+        row.tracking = _stored(_merged(tracking_of(row), change.tracking), count)
     if "source" in given and sensors is not None:
         described = _SENSORS.dump_python(sensors, mode="json")
         if described != row.sensors:
@@ -212,16 +215,23 @@ def _merged(tracking: Tracking, change: Tracking) -> Tracking:
     return tracking.model_copy(update=given)
 
 
-def _stored(tracking: Tracking) -> dict[str, Any] | None:
+def _stored(tracking: Tracking, sensors: int) -> dict[str, Any] | None:
     """Return what is stored: nothing of the defaults, which may get better.
 
     Raises:
-        InvalidParameter: the settings contradict one another.
+        InvalidParameter: the settings contradict one another, or cannot be of so many sensors.
     """
     tracking.tool_tracker()
     return tracking.model_dump(mode="json", exclude_defaults=True) or None
 
 
+    tracking.tracker()
+    if tracking.method != "readings" and sensors < LEAST_SENSORS:
+        raise InvalidParameter(
+            f"tracking.method is {tracking.method!r}, and the device has {sensors} sensors; this "
+            f"method makes points of {LEAST_SENSORS} or more: take readings",
+            method=tracking.method,
+        )
 def sensors_of_row(row: DeviceRow) -> list[Sensor]:
     """Return the device's sensors."""
     return _SENSORS.validate_python(row.sensors)

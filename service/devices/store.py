@@ -222,9 +222,6 @@ def _stored(tracking: Tracking, sensors: int) -> dict[str, Any] | None:
         InvalidParameter: the settings contradict one another, or cannot be of so many sensors.
     """
     tracking.tool_tracker()
-    return tracking.model_dump(mode="json", exclude_defaults=True) or None
-
-
     tracking.tracker()
     if tracking.method != "readings" and sensors < LEAST_SENSORS:
         raise InvalidParameter(
@@ -232,6 +229,9 @@ def _stored(tracking: Tracking, sensors: int) -> dict[str, Any] | None:
             f"method makes points of {LEAST_SENSORS} or more: take readings",
             method=tracking.method,
         )
+    return tracking.model_dump(mode="json", exclude_defaults=True) or None
+
+
 def sensors_of_row(row: DeviceRow) -> list[Sensor]:
     """Return the device's sensors."""
     return _SENSORS.validate_python(row.sensors)

@@ -31,6 +31,18 @@ def active(session: Session, device_id: str) -> Target | None:
     return None if pointer is None else Target(pointer.calibration_id, pointer.table_id)
 
 
+def active_at(session: Session, device_id: str, moment: datetime) -> Target | None:
+    """Return what the device used at a moment, None without a calibration."""
+    query = (
+        select(ActivationRow)
+        .where(ActivationRow.device_id == device_id, ActivationRow.activated_at <= moment)
+        .order_by(ActivationRow.id.desc())
+        .limit(1)
+    )
+    found = session.scalars(query).first()
+    return None if found is None else Target(found.calibration_id, found.table_id)
+
+
 def lock_device(session: Session, device_id: str) -> None:
     """Let other moves of the pointer wait (SQLite: they do from the transaction's begin)."""
     session.execute(select(DeviceRow.id).where(DeviceRow.id == device_id).with_for_update())

@@ -22,6 +22,7 @@ class BoardEntry:
         poses: of all tools of the device, by name; those that are not seen too.
         calibration_id: the calibration in force.
         frame_rate_hz: frames of the device per second; 0 when not known.
+        table_id: the correction table in force with it; None: none.
         arrived_s: when it was made, as time.monotonic() counts [s]: the wall clock may be set.
     """
 
@@ -31,6 +32,7 @@ class BoardEntry:
     poses: Mapping[str, ToolPose]
     calibration_id: str | None
     frame_rate_hz: float = 0.0
+    table_id: str | None = None
     arrived_s: float = field(default_factory=time.monotonic)
 
 

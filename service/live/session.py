@@ -173,6 +173,7 @@ class DeviceSession:
             {pose.tool: pose for pose in motion.poses_of(len(batch.frames) - 1)},
             batch.calibration_id,
             self.description.frame_rate_hz,
+            batch.table_id,
         )
         self.poses.put(entry)
 

@@ -12,8 +12,8 @@ from service.openigtlink.errors import BadMessage, CommandRefused
 from service.openigtlink.host import Host, WireTool
 from service.openigtlink.message import Message
 from service.openigtlink.points import wanted_points
-from service.openigtlink.pose_contents import Point, read_start, write_points
-from service.openigtlink.session import SERVER, Kind, Session, Wanted
+from service.openigtlink.pose_contents import read_start, write_points
+from service.openigtlink.session import LANDMARKS, SERVER, Kind, Session, Wanted
 from service.openigtlink.snapshot import Snapshot
 from service.openigtlink.text_contents import (
     Command,
@@ -41,6 +41,8 @@ KNOWN: Final = frozenset(
 """Types that are read; others are skipped."""
 _OLD_COMMAND: Final = "CMD_"
 _OLD_REPLY: Final = "ACK_"
+_VOID_TOLD: Final = 5
+"""Registrations whose landmarks are withheld that are told of by name."""
 
 
 class Answers:
@@ -100,7 +102,7 @@ class Answers:
             BadMessage: its content is none of its type.
         """
         if message.type == "GET_POINT":
-            return [await self._points(session, message)]
+            return await self._points(session, message)
         if message.type == "STRING":
             reply = await self._run(session, "", read_string(message.content))
             device = f"{_OLD_REPLY}{message.device[len(_OLD_COMMAND) :]}"[:20]
@@ -185,18 +187,29 @@ class Answers:
         result = _answer(session, message, f"RTS_{rest}", write_result(done=done))
         return [result, *answers]
 
-    async def _points(self, session: Session, message: Message) -> Message:
+    async def _points(self, session: Session, message: Message) -> Sequence[Message]:
+        """Return POINT, and a STATUS where landmarks are withheld."""
         snapshot = self._newest()
-        points: tuple[Point, ...] = ()
-        if snapshot is not None:
-            device = snapshot.entry.device_id
-            try:
-                landmarks = await self._host.landmarks(device)
-            except LumilineError as error:
-                return session.status(StatusCode.UNKNOWN_ERROR, "NoPoints", error.detail)
-            tools = [tool for tool in self._tools() if tool.device_id == device]
-            points = wanted_points(message.device, snapshot, tools, landmarks)
-        return _answer(session, message, "POINT", write_points(points))
+        if snapshot is None:
+            return [_answer(session, message, "POINT", write_points(()))]
+        device = snapshot.entry.device_id
+        try:
+            landmarks = await self._host.landmarks(device)
+        except LumilineError as error:
+            return [session.status(StatusCode.UNKNOWN_ERROR, "NoPoints", error.detail)]
+        # What came into force while they were read counts.
+        snapshot = self._newest() or snapshot
+        tools = [tool for tool in self._tools() if tool.device_id == device]
+        found = wanted_points(message.device, snapshot, tools, landmarks)
+        answers = [_answer(session, message, "POINT", write_points(found.points))]
+        if found.bound:
+            session.gave_landmarks(snapshot)
+        if found.void:
+            more = len(found.void) - _VOID_TOLD
+            told = [*found.void[:_VOID_TOLD], *([f"and {more} more"] if more > 0 else [])]
+            text = f"landmarks are withheld: {'; '.join(told)}"
+            answers.append(session.status(StatusCode.UNKNOWN_ERROR, "INVALID", text, LANDMARKS))
+        return answers
 
 
 def _is_command(message: Message) -> bool:

@@ -7,6 +7,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from service.tools.made_with import MadeWith
 from service.tools.tip_limit import TipLimit
 
 Array = NDArray[np.float64]
@@ -41,11 +42,14 @@ class Landmark:
         name: of it.
         position_mm: in the coordinates of ``owner`` [mm].
         owner: the tool, or the device, that it is fixed to.
+        made_with: the registration that it is of, and what that was measured with; None: it
+            holds with whatever is in force.
     """
 
     name: str
     position_mm: tuple[float, float, float]
     owner: str
+    made_with: MadeWith | None = None
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """The points that GET_POINT asks for: markers and tips of the tools that are seen, landmarks."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,33 +18,55 @@ _TIP = (255, 0, 0, 255)
 _LANDMARK = (0, 255, 0, 255)
 
 
+@dataclass(frozen=True)
+class WantedPoints:
+    """What there is of what was asked for.
+
+    Args:
+        points: that can be given.
+        void: why landmarks are not given any more, each registration once.
+        bound: whether landmarks are given that hold only as long as nothing else is in force.
+    """
+
+    points: tuple[Point, ...]
+    void: tuple[str, ...] = ()
+    bound: bool = False
+
+
 def wanted_points(
     name: str,
-    snapshot: Snapshot | None,
+    snapshot: Snapshot,
     tools: Sequence[WireTool],
     landmarks: Sequence[Landmark],
-) -> tuple[Point, ...]:
+) -> WantedPoints:
     """Return the points of a name, in the frame that poses of their tool are given in.
 
     Args:
         name: of a tool, its transform, ``Landmarks``, ``Markers``; empty: all.
         snapshot: the newest poses; markers of tools that are not seen have no place.
         tools: of the device.
-        landmarks: likewise.
+        landmarks: likewise; those that were measured with what is not in force are withheld.
     """
     points: list[Point] = []
     by_id = {tool.id: tool for tool in tools}
-    for pose in snapshot.poses if snapshot is not None else ():
+    for pose in snapshot.poses:
         tool = by_id.get(pose.source.tool)
         names = (pose.name.short, pose.name.full, pose.source.tool, "Markers", "")
         if tool is not None and pose.valid and pose.placed is not None and name in names:
             points += _of_tool(tool, pose, pose.placed)
-    points += (
-        Point(one.name, "Landmark", one.position_mm, _LANDMARK, owner=one.owner)
-        for one in landmarks
-        if name in ("", "Landmarks", one.owner, one.name)
-    )
-    return tuple(points)
+    in_force = snapshot.entry.calibration_id, snapshot.entry.table_id
+    void: dict[str, None] = {}
+    bound = False
+    for one in landmarks:
+        if name not in ("", "Landmarks", one.owner, one.name):
+            continue
+        why = None if one.made_with is None else one.made_with.why_not_with(*in_force)
+        if why is not None:
+            void[why] = None
+            continue
+        bound = bound or one.made_with is not None
+        points.append(Point(one.name, "Landmark", one.position_mm, _LANDMARK, owner=one.owner))
+    return WantedPoints(tuple(points), tuple(void), bound)
 
 
 def _of_tool(tool: WireTool, pose: WirePose, placed: tuple[Array, Array]) -> Iterable[Point]:

@@ -26,6 +26,7 @@ from service.security.attempt import record_more
 from service.security.principal import Act, Principal, current_act
 from service.security.refusals import Refusals
 from service.tools.bodies import body_of
+from service.tools.made_with import made_with
 from service.tools.registration_schema import NewRegistration
 from service.tools.tip_limit import tip_limit_of
 
@@ -112,8 +113,9 @@ class ServiceHost:
         with self._database.read() as session:
             for row in session.scalars(query):
                 asked = NewRegistration.model_validate(row.asked)
+                owner, of = frame_name(row.reference_id), made_with(session, row)
                 found += (
-                    Landmark(f"{row.id} {one.name}", one.measured_mm, frame_name(row.reference_id))
+                    Landmark(f"{row.id} {one.name}", one.measured_mm, owner, of)
                     for one in asked.fiducials
                 )
         return tuple(found[:_MOST])

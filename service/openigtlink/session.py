@@ -14,6 +14,9 @@ Kind = Literal["TRANSFORM", "POSITION", "TDATA", "QTDATA"]
 SERVER: Final = "Lumiline"
 """Name of messages that are of no tool."""
 
+LANDMARKS: Final = "Landmarks"
+"""Name of what is said of them."""
+
 _EARLY: Final = 1e-4
 """How much too early a frame may be for the least time between two [s]."""
 
@@ -61,6 +64,8 @@ class Session:
     _told: dict[str, PoseStatus] = field(default_factory=dict)
     _refused: dict[str, str] = field(default_factory=dict)
     _stale: bool = False
+    _landmarks: tuple[str, str | None, str | None] | None = None
+    """Device, calibration and table that landmarks which the client has were given with."""
 
     def received(self, header: Header | Message) -> None:
         """Take note of a message's header."""
@@ -89,6 +94,10 @@ class Session:
                 del self.wanted[kind]
                 parts.append(self.told(StatusCode.NOT_FOUND, "NoFrame", error.detail))
         return b"".join(parts)
+
+    def gave_landmarks(self, snapshot: Snapshot) -> None:
+        """Take note that the client has landmarks, with what is in force in a frame."""
+        self._landmarks = _in_force(snapshot)
 
     def stale(self, device_id: str, age_s: float) -> bytes:
         """Return the STATUS for when no frame comes in time; nothing if the client knows."""
@@ -130,6 +139,13 @@ class Session:
                 self.status(StatusCode.CONFIGURATION_ERROR, "NotSent", f"tool {tool}: {why}")
                 for tool, why in self._refused.items()
             ]
+        if self._landmarks is not None and self._landmarks != _in_force(snapshot):
+            self._landmarks = None
+            text = (
+                "another calibration or correction table is in force than when landmarks were "
+                "asked for: those do not hold any more; ask again"
+            )
+            found.append(self.status(StatusCode.UNKNOWN_ERROR, "INVALID", text, LANDMARKS))
         now = {}
         for pose in snapshot.poses:
             name, status = pose.name.short, pose.status
@@ -145,3 +161,8 @@ class Session:
         ]
         self._told = now
         return found
+
+
+def _in_force(snapshot: Snapshot) -> tuple[str, str | None, str | None]:
+    entry = snapshot.entry
+    return entry.device_id, entry.calibration_id, entry.table_id

@@ -51,7 +51,8 @@ def calibrate(
             f"({seen or 'no frame came'}{f'; {tap.reason}' if tap.reason else ''})",
             poses=0,
         )
-    return _found(kind, chosen)
+    calibration_id, table_id = tap.in_force or (None, None)
+    return _found(kind, chosen) | {"calibration": calibration_id, "table": table_id}
 
 
 def evenly(poses: list[ToolPose], most: int) -> list[ToolPose]:

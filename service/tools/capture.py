@@ -64,6 +64,7 @@ def captured(live: LiveManager, asked: NewCapturedTool) -> tuple[RigidBody, Orig
             frames=min(one.poses for one in still),
             sigma_mm=[float(np.sqrt(np.trace(one.covariance_mm2))) for one in still],
             calibration=calibration_id,
+            table=(tap.in_force or (None, None))[1],
         ),
     )
 

@@ -18,6 +18,7 @@ from service.live.motion_messages import pose_message
 from service.live.pose_board import BoardEntry
 from service.tools.bodies import tip_of
 from service.tools.frames import in_frame
+from service.tools.made_with import MadeWith, made_with
 from service.tools.registrations import frame_from_measured
 from service.tools.schema import TRACKER, Pose
 
@@ -34,29 +35,13 @@ class Frame:
         name: of it.
         reference: the tool that it goes with; None: it stays in the tracker's.
         frame_from: the transform to it from that tool's; None: it is that tool's.
-        fixed: whether it was measured in the tracker's world, that of a calibration.
-        calibration: that one; None: none was active then.
+        made_with: what it was registered with; None: it is no registered frame.
     """
 
     name: str
     reference: str | None = None
     frame_from: Transform | None = None
-    fixed: bool = False
-    calibration: str | None = None
-
-    def why_not_with(self, calibration: str) -> str | None:
-        """Return why poses made with a calibration cannot be given in it; None: they can."""
-        if not self.fixed or self.calibration == calibration:
-            return None
-        measured = (
-            "without an active calibration"
-            if self.calibration is None
-            else f'with calibration "{self.calibration}"'
-        )
-        return (
-            f'registration "{self.name}" was measured {measured}, and "{calibration}" is in force: '
-            "its world may be another; register again"
-        )
+    made_with: MadeWith | None = None
 
 
 def frame_of(session: Session, tool: ToolRow, wanted: str | None) -> Frame:
@@ -88,8 +73,7 @@ def frame_of(session: Session, tool: ToolRow, wanted: str | None) -> Frame:
             name,
             found.reference_id,
             frame_from_measured(found),
-            fixed=found.reference_id is None,
-            calibration=found.result.get("calibration"),
+            made_with(session, found),
         )
     if name == tool.id:
         raise InvalidParameter(f'frame "{name}" is the tool\'s own; ask for another', frame=name)
@@ -107,10 +91,10 @@ def newest_pose(live: LiveManager, tool: ToolRow, frame: Frame, most_tip_sd_mm: 
     """
     entry = live.poses.newest().get(tool.device_id)
     now_ns = time.time_ns()
-    pose = _of_board(live, tool.id, tool.device_id, entry, now_ns)
+    pose = board_pose(live, tool.id, tool.device_id, entry, now_ns)
     reference = None
     if frame.reference is not None:
-        reference = _of_board(live, frame.reference, tool.device_id, entry, now_ns)
+        reference = board_pose(live, frame.reference, tool.device_id, entry, now_ns)
     spread = tip_of(tool).covariance_mm2
     moved = in_frame(
         pose,
@@ -119,8 +103,8 @@ def newest_pose(live: LiveManager, tool: ToolRow, frame: Frame, most_tip_sd_mm: 
         None if spread is None else np.array(spread),
         most_tip_sd_mm,
     )
-    if entry is not None and entry.calibration_id is not None:
-        why = frame.why_not_with(entry.calibration_id)
+    if frame.made_with is not None and entry is not None and entry.calibration_id is not None:
+        why = frame.made_with.why_not_with(entry.calibration_id, entry.table_id)
         if why is not None:
             moved = ToolPose(tool.id, PoseStatus.INVALID, why, moved.exposure_ns, moved.sequence)
     seen = entry is not None
@@ -131,6 +115,7 @@ def newest_pose(live: LiveManager, tool: ToolRow, frame: Frame, most_tip_sd_mm: 
         "sequence": moved.sequence if seen else None,
         "age_s": None if entry is None else _age_s(entry, moved, now_ns),
         "calibration": None if entry is None else entry.calibration_id,
+        "table": None if entry is None else entry.table_id,
         "matrix": None,
     }
     if moved.rotation is not None and moved.translation_mm is not None:
@@ -140,7 +125,7 @@ def newest_pose(live: LiveManager, tool: ToolRow, frame: Frame, most_tip_sd_mm: 
     return Pose.model_validate(members)
 
 
-def _of_board(
+def board_pose(
     live: LiveManager, tool_id: str, device_id: str, entry: BoardEntry | None, now_ns: int
 ) -> ToolPose:
     """Return what the board has of a tool, or the reason why it has nothing to go by."""

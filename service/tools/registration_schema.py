@@ -86,6 +86,11 @@ class Registration(Document):
         description="Active when it was made. Without a `reference` the frame is one of its world: "
         "while another is in force, poses in it are `INVALID`.",
     )
+    table: str | None = Field(
+        default=None,
+        description="The correction table that was active with it. While another one, or none, "
+        "is in force, poses in the frame are `INVALID`, with a `reference`, too.",
+    )
     matrix: tuple[tuple[float, float, float, float], ...] = Field(
         description="From the frame to where points were measured, 4 x 4, row by row."
     )

@@ -10,10 +10,10 @@ from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
 from compute.pose.transform import Transform
-from service.calibrations.activation import active
 from service.database.engine import insert
 from service.database.models import RegistrationRow, ToolRow
 from service.errors import RegistrationExists, UnknownRegistration
+from service.tools.made_with import what_is_active
 from service.tools.registration_schema import NewRegistration, Registration
 from service.tools.schema import TRACKER
 from service.tools.store import get_tool
@@ -106,7 +106,7 @@ def _measured_covariance(request: NewRegistration) -> Array | None:
 def add_registration(
     session: Session, request: NewRegistration, result: dict[str, Any]
 ) -> RegistrationRow:
-    """Store a registration with the calibration that is active; the device's row is locked.
+    """Store a registration with what is active; the device's row is locked.
 
     Raises:
         RegistrationExists: the id is taken, by a registration or by a tool.
@@ -131,13 +131,12 @@ def add_registration(
                 f'"{request.device}"',
                 reference=tool.id,
             )
-    pointer = active(session, request.device)
     row = RegistrationRow(
         id=request.id,
         device_id=request.device,
         reference_id=request.reference,
         asked=request.model_dump(mode="json", exclude={"note"}),
-        result=result | {"calibration": None if pointer is None else pointer.calibration_id},
+        result=result | what_is_active(session, request.device),
         note=request.note,
         created_at=datetime.now(UTC),
     )

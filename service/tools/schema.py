@@ -116,6 +116,9 @@ class Origin(Document):
         description="Standard deviation in space of each captured marker's place [mm].",
     )
     calibration: str | None = Field(default=None, description="In force during the capture.")
+    table: str | None = Field(
+        default=None, description="The correction table that was in force with it; null: none."
+    )
 
 
 class Tool(Document):
@@ -150,7 +153,8 @@ class Pose(Document):
     )
     sequence: int | None = Field(description="Number of the frame.")
     age_s: float | None = Field(description="Since the exposure, when this was answered.")
-    calibration: str | None
+    calibration: str | None = Field(description="In force for this frame.")
+    table: str | None = Field(description="The correction table in force with it; null: none.")
     translation_mm: Position | None = Field(description="The tool's origin in the frame.")
     rotation: Matrix3 | None = Field(description="R_frame_tool, row by row.")
     quaternion_wxyz: tuple[float, float, float, float] | None = Field(
@@ -213,5 +217,11 @@ class ToolCalibration(Document):
         "right."
     )
     swing_deg: float = Field(description="RMS angle by which the tool swung where it did least.")
+    calibration: str | None = Field(
+        default=None, description="In force while poses were collected; null: not kept."
+    )
+    table: str | None = Field(
+        default=None, description="The correction table that was in force with it; null: none."
+    )
     asked: NewToolCalibration
     created_at: Moment

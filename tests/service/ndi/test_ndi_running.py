@@ -1,7 +1,9 @@
 """The answerer as a part of the service."""
 
 import socket
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,6 +74,27 @@ def test_tools_of_a_device_that_never_ran(tmp_path: Path):
             assert ask(connection, "INIT") == "OKAY"
             assert ask(connection, "PHSR 02") == "0101001"
             assert ask(connection, "PHINF 010004") == "probe".ljust(20)
+            # Its limit is known, too: the pose's deviation is 0.37 mm at the tip, the origin.
+            live = client.app.state.live
+            for limit_mm, given in ((0.3, False), (0.5, True)):
+                change = {"limits": {"tip_sd_mm": limit_mm}}
+                assert client.patch("/api/v1/tools/probe", json=change).status_code == 200
+                until_given(connection, live, given)
+
+
+def until_given(connection: socket.socket, live: Any, given: bool) -> None:
+    """Wait until a changed limit is known."""
+    at = np.zeros(3)
+    end = time.monotonic() + 60.0
+    for command in ("INIT", "PHSR 02", "PINIT 01", "PENA 01D", "TSTART"):
+        ask(connection, command)
+    while time.monotonic() < end:
+        live.poses.put(entry(pose("probe", translation_mm=at, tip_mm=at), device="sim"))
+        told = ask(connection, "TX 0003")
+        # Missing with the information that it does not fit well: not because it has got old.
+        if ("MISSING" not in told) if given else (told[-27:-25] == "01"):
+            return
+    pytest.fail(told)
 
 
 def test_it_does_not_unless_they_do(tmp_path: Path):

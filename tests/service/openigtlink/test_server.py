@@ -28,6 +28,7 @@ from service.openigtlink.text_contents import (
     write_command,
     write_string,
 )
+from service.tools.made_with import MadeWith
 from tests.service.openigtlink.wire import (
     LOOPS,
     FakeHost,
@@ -262,6 +263,54 @@ def test_points_are_markers_tips_and_landmarks():
             }
             marks = await peer.ask(Message("GET_POINT", "Landmarks"), "POINT")
             assert [point.name for point in read_points(marks.content)] == ["nose"]
+
+    run(test)
+
+
+def test_landmarks_do_not_outlive_what_they_were_measured_with():
+    """Void are those in the world of another calibration, and all those of another table."""
+    fixed, carried = MadeWith("ct", True, "first", None), MadeWith("mr", False, "first", None)
+    host = FakeHost(
+        marked=[
+            Landmark("ct nose", (1.0, 2.0, 3.0), "Tracker", fixed),
+            Landmark("ct chin", (1.0, 2.0, 4.0), "Tracker", fixed),
+            Landmark("mr ear", (4.0, 5.0, 6.0), "Ref", carried),
+        ]
+    )
+
+    async def test() -> None:
+        async with serving(host) as served:
+            peer = await served.joined()
+
+            async def asked() -> list[str]:
+                marks = await peer.ask(Message("GET_POINT", "Landmarks"), "POINT")
+                return [point.name for point in read_points(marks.content)]
+
+            async def told() -> str:
+                return read_status((await peer.of("STATUS", "Landmarks")).content).text
+
+            served.put(1)
+            await peer.of("TRANSFORM")
+            assert await asked() == ["ct nose", "ct chin", "mr ear"]
+            # Who has them is told when they do not hold any more, without asking, once.
+            served.board.put(entry(2, in_force=("second", None)))
+            assert "do not hold any more" in await told()
+            assert await asked() == ["mr ear"]
+            text = await told()
+            assert text.count('registration "ct" was measured with calibration "first"') == 1
+            assert '"second" is in force' in text
+            served.board.put(entry(3, in_force=("first", "map")))
+            assert "do not hold any more" in await told()
+            assert await asked() == []
+            text = await told()
+            assert text.count("register again") == 2
+            assert 'registration "mr" was measured without a correction table, and "map"' in text
+            # They hold again with what they were measured with, and nothing is told then.
+            served.put(4)
+            assert await asked() == ["ct nose", "ct chin", "mr ear"]
+            served.put(5)
+            await peer.send(Message("GET_STATUS", "probeToTracker"))
+            assert (await peer.of("STATUS")).device == "probeToTracker"
 
     run(test)
 

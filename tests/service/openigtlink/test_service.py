@@ -17,6 +17,7 @@ from service.openigtlink.pose_contents import read_points
 from service.openigtlink.text_contents import (
     Command,
     read_command,
+    read_status,
     write_command,
 )
 from service.settings import Settings
@@ -102,6 +103,31 @@ def test_tools_of_the_database_are_sent(service: tuple[TestClient, RecordedLive,
     assert "lumiline_openigtlink_clients 1.0" in text
     assert 'lumiline_openigtlink_messages_received_total{type="GET_POINT"} 1.0' in text
     assert "lumiline_openigtlink_frames_sent_total" in text
+
+
+def test_limits_of_the_database_hold_relative_to_the_reference(
+    service: tuple[TestClient, RecordedLive, Socket],
+):
+    client, live, wire = service
+    others = [[1.3 * value for value in marker] for marker in MARKERS]
+    for body in (
+        {"id": "ref", "markers_mm": others},
+        {"id": "probe", "markers_mm": MARKERS, "reference": "ref", "limits": {"tip_sd_mm": 0.6}},
+    ):
+        answer = client.post("/api/v1/tools", json=body | {"device": "sim", "title": "A tool"})
+        assert answer.status_code == 201, answer.text
+    here = {"covariance": np.diag([0.0] * 3 + [0.1] * 3), "tip_mm": pose("probe").translation_mm}
+    server = client.app.state.openigtlink  # type: ignore[attr-defined]
+    while set(server.named("sim").names) != {"probe", "ref"}:
+        live.poses.put(entry(1, [pose(tool, **here) for tool in ("probe", "ref")]))
+        time.sleep(0.01)
+    live.poses.put(entry(2, [pose(tool, **here) for tool in ("probe", "ref")]))
+    told = wire.of("STATUS")
+    while told.device != "probeToRef":
+        told = wire.of("STATUS")
+    status = read_status(told.content)
+    assert status.name == "HIGH_ERROR"
+    assert status.text.endswith("in this frame is 0.775 mm; 0.6 mm is the most")
 
 
 def test_changes_are_refused_and_audited_once_a_minute(

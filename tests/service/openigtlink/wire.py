@@ -86,11 +86,17 @@ def pose(tool: str, number: int = 0, status: PoseStatus = PoseStatus.OK, **more:
 
 
 def entry(
-    number: int = 0, poses: Sequence[ToolPose] | None = None, device: str = "sim"
+    number: int = 0,
+    poses: Sequence[ToolPose] | None = None,
+    device: str = "sim",
+    in_force: tuple[str, str | None] = ("first", None),
 ) -> BoardEntry:
     given = [pose("probe", number), pose("ref", number)] if poses is None else poses
     by_name = {one.tool: one for one in given}
-    return BoardEntry(device, number, START_NS + number, by_name, "first", 200.0)
+    calibration, table = in_force
+    return BoardEntry(
+        device, number, START_NS + number, by_name, calibration, 200.0, table_id=table
+    )
 
 
 class Peer:

@@ -45,7 +45,8 @@ def placed() -> dict[int, np.ndarray]:
 
 
 def test_a_tool_is_what_it_shows(sqlite_client: Any, running: RecordedLive):
-    running.batches = [tool_batch([pivoting("none", 400)], placed())]
+    batch = tool_batch([pivoting("none", 400)], placed())
+    running.batches = [replace(batch, table_id="map")]
     answer = sqlite_client.post("/api/v1/tool-captures", json=ASKED | {"seconds": 0.05})
     assert answer.status_code == 201, answer.text
     tool = answer.json()
@@ -54,7 +55,7 @@ def test_a_tool_is_what_it_shows(sqlite_client: Any, running: RecordedLive):
     np.testing.assert_allclose(pdist(markers), pdist(SHAPE), atol=6 * np.sqrt(2) * 0.02 / 10)
     np.testing.assert_allclose(markers.mean(axis=0), 0.0, atol=1e-9)
     assert (tool["origin"]["kind"], tool["origin"]["calibration"]) == ("captured", "sim-nominal")
-    assert tool["origin"]["frames"] == 100
+    assert (tool["origin"]["table"], tool["origin"]["frames"]) == ("map", 100)
     # At least the noise over the root of the frames, at most all of it, as if it were common.
     sigma = np.array(tool["origin"]["sigma_mm"])
     assert (sigma > 0.5 * 0.02 * np.sqrt(3) / 10).all()
@@ -143,10 +144,11 @@ def test_a_pointer_gets_the_tip_that_it_was_pivoted_about(
     client: Any, running: RecordedLive, soon: None
 ):
     assert made(client, POINTER, tip_mm=None).status_code == 201
-    running.batches = [tool_batch([pivoting("pointer", 100)])]
+    running.batches = [replace(tool_batch([pivoting("pointer", 100)]), table_id="map")]
     answer = client.post("/api/v1/tools/pointer/pivot-calibrations", json={})
     assert answer.status_code == 201, answer.text
     found = answer.json()
+    assert (found["calibration"], found["table"]) == ("sim-nominal", "map")
     covariance = np.array(found["tip_covariance_mm2"])
     error = np.array(found["tip_mm"]) - TIP_MM
     assert error @ np.linalg.solve(covariance, error) < 30.0  # chi-square of 3: 1e-6 beyond it

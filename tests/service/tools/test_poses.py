@@ -9,8 +9,12 @@ import pytest
 
 from compute.camera.rotation import rotation_matrix
 from compute.pose.tool_pose import PoseStatus, ToolPose
+from service.correction_tables import upload
+from service.database.models import RegistrationRow
 from service.live.pose_board import BoardEntry
 from service.live.session import DeviceStatus
+from tests.service.correction_tables.tables import content
+from tests.service.correction_tables.test_correction_tables import nominal_hash, send
 from tests.service.recorded_live import RecordedLive
 from tests.service.tools.batches import pose
 from tests.service.tools.test_tools_api import PATIENT, POINTER, code, made
@@ -25,10 +29,12 @@ def put(
     age_s: float = 0.0,
     rate_hz: float = 100.0,
     calibration: str = "sim-nominal",
+    table: str | None = None,
 ) -> None:
     now = time.time_ns() - int(age_s * 1e9)
     poses = tuple(replace(one, exposure_ns=now) for one in poses)
-    entry = BoardEntry("sim", 7, now, {one.tool: one for one in poses}, calibration, rate_hz)
+    by_name = {one.tool: one for one in poses}
+    entry = BoardEntry("sim", 7, now, by_name, calibration, rate_hz, table_id=table)
     live.poses.put(entry)
 
 
@@ -203,6 +209,52 @@ def test_a_frame_that_goes_with_a_tool_outlives_the_calibration(tools: Any, live
     poses = pose("pointer", 7, TURN, at), pose("patient", 7, TURN, at)
     put(live, *poses, calibration="moved")
     assert asked(tools, frame="ct")["status"] == "OK"
+
+
+@pytest.mark.parametrize("reference", [None, "patient"])
+def test_a_frame_that_was_measured_with_another_table_is_none(
+    tools: Any, live: RecordedLive, reference: str | None
+):
+    """What a table corrects moves points, those of a reference tool by another amount."""
+    assert registered(tools, reference=reference)["table"] is None
+    at = TURN @ np.array([150.0, 0.0, 0.0])
+    poses = pose("pointer", 7, TURN, at), pose("patient", 7, TURN, at)
+    put(live, *poses)
+    assert asked(tools, frame="ct")["status"] == "OK"
+    put(live, *poses, table="map")
+    found = asked(tools, frame="ct")
+    assert (found["status"], found["table"]) == ("INVALID", "map")
+    assert 'registration "ct" was measured without a correction table, and "map"' in found["reason"]
+    assert found["matrix"] is found["translation_mm"] is found["tip_mm"] is None
+    assert asked(tools, frame="tracker")["status"] == "OK"
+    put(live, *poses)
+    assert asked(tools, frame="ct")["status"] == "OK"
+
+
+def test_a_frame_knows_the_table_that_it_was_measured_with(
+    tools: Any, live: RecordedLive, monkeypatch: pytest.MonkeyPatch
+):
+    here = lambda function, data, **_: function(lambda *_: None, data)  # noqa: E731
+    monkeypatch.setattr(upload, "call_apart", here)
+    assert send(tools, content(nominal_hash(tools)), id="map").status_code == 201
+    assert tools.post("/api/v1/correction-tables/map/activate").status_code == 200
+    assert registered(tools)["table"] == "map"
+    close = TURN @ np.array([150.0, 0.0, 0.0])
+    put(live, pose("pointer", 7, TURN, close), table="map")
+    assert asked(tools, frame="ct")["status"] == "OK"
+    put(live, pose("pointer", 7, TURN, close))
+    found = asked(tools, frame="ct")
+    assert found["status"] == "INVALID"
+    assert 'with correction table "map", and none is in force' in found["reason"]
+    # One that was stored before tables were kept: the history of activations tells.
+    with tools.app.state.database.write() as session:
+        row = session.get(RegistrationRow, "ct")
+        members = {name: getattr(row, name) for name in RegistrationRow.__table__.c.keys()}  # noqa: SIM118
+        members["result"] = {k: value for k, value in row.result.items() if k != "table"}
+        session.add(RegistrationRow(**members | {"id": "older"}))
+    assert 'with correction table "map"' in asked(tools, frame="older")["reason"]
+    put(live, pose("pointer", 7, TURN, close), table="map")
+    assert asked(tools, frame="older")["status"] == "OK"
 
 
 def test_the_limit_holds_in_the_frame_that_is_asked_for(tools: Any, live: RecordedLive):

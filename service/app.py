@@ -16,6 +16,7 @@ from service.cross_origin import CrossOriginGuard
 from service.devices.router import router as devices
 from service.drift_checks.router import router as drift_checks
 from service.head import HeadAsGet
+from service.holds.router import router as holds
 from service.lifespan import running
 from service.line_scans.router import router as line_scans
 from service.live.manager import LiveManager
@@ -110,6 +111,7 @@ def create_app(
         recordings_router,
         tools,
         registrations,
+        holds,
         line_scans,
         device_profiles,
         stream,

@@ -382,7 +382,7 @@ class ToolExists(LumilineError):
 
 
 class ToolInUse(LumilineError):
-    """Poses of other tools, or registrations, are relative to the tool."""
+    """Poses of other tools, or registrations, are relative to the tool, or a hold watches it."""
 
     code = "tool-in-use"
 
@@ -415,6 +415,30 @@ class RegistrationExists(LumilineError):
     """The id that a registration is to have is taken, by a registration or by a tool."""
 
     code = "registration-exists"
+
+
+class UnknownHold(LumilineError):
+    """No beam hold has this id."""
+
+    code = "unknown-hold"
+
+
+class HoldExists(LumilineError):
+    """The id that a beam hold is to have is taken."""
+
+    code = "hold-exists"
+
+
+class TooManyHolds(LumilineError):
+    """The device has as many beam holds as it may; delete one."""
+
+    code = "too-many-holds"
+
+
+class HoldReplaced(LumilineError):
+    """The hold was deleted and created again while its reference was measured; do it again."""
+
+    code = "hold-replaced"
 
 
 class DatabaseDamaged(LumilineError):

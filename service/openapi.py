@@ -97,6 +97,10 @@ TAGS: Final = [
         "description": "Rigid tools with markers: geometry, tip, poses, registration to images.",
     },
     {
+        "name": "holds",
+        "description": "Beam holds: a signal when a patient leaves the tolerance.",
+    },
+    {
         "name": "recordings",
         "description": "Line scans and results of running devices in files, to be replayed.",
     },

@@ -10,6 +10,7 @@ from starlette.datastructures import State
 
 from compute.errors import LumilineError
 from service.errors import NotReady, UpgradeRequired
+from service.live.hold_now import hold_part
 from service.live.manager import LiveManager
 from service.live.messages import describe_message, encode
 from service.live.subscription import StreamEnded, Subscription, Wanted
@@ -107,7 +108,15 @@ def _greeting(live: LiveManager, subscription: Subscription) -> dict[str, Any]:
         "reason": status.reason,
         "link": status.link.state if status.link else None,
         "calibration": status.calibration_id,
+        **_holds(live, wanted),
     }
+
+
+def _holds(live: LiveManager, wanted: Wanted) -> dict[str, Any]:
+    """Return how beam holds stand, for who asked for them: frames may never come."""
+    if "holds" not in wanted.content:
+        return {}
+    return {"holds": [hold_part(now) for now in live.holds.of_device(wanted.device_id)]}
 
 
 async def _forward(websocket: WebSocket, subscription: Subscription) -> None:

@@ -145,6 +145,11 @@ class HoldMonitor:
         self._gate = HoldGate(limits.rules, latched=latched)
 
     @property
+    def seen_ns(self) -> int | None:
+        """When something was last measured [ns]; None: not yet."""
+        return self._gate.seen_ns
+
+    @property
     def keeps_latch(self) -> bool:
         """Whether what goes on from here has to be acknowledged before it releases."""
         return self._gate.keeps_latch
@@ -215,6 +220,11 @@ class MarkerHoldMonitor:
         self._limits, self._least = limits, least_markers
         self._names = names or tuple(str(one + 1) for one in range(len(self._reference)))
         self._gate = HoldGate(limits.rules, latched=latched)
+
+    @property
+    def seen_ns(self) -> int | None:
+        """When something was last measured [ns]; None: not yet."""
+        return self._gate.seen_ns
 
     @property
     def keeps_latch(self) -> bool:

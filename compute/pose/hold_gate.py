@@ -140,6 +140,11 @@ class HoldGate:
         return 0 if self._time is None else self._time
 
     @property
+    def seen_ns(self) -> int | None:
+        """When something was last measured, on the measurements' clock [ns]; None: not yet."""
+        return self._seen
+
+    @property
     def keeps_latch(self) -> bool:
         """Whether what goes on from here has to be acknowledged before it releases."""
         return self._rules.latched and (self._latched or self._released)

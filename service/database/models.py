@@ -367,6 +367,32 @@ class RegistrationRow(Base):
     created_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
+class HoldRow(Base):
+    """A beam hold of a device: what it watches, and how far that may move.
+
+    ``tool_id`` is the tool that it watches, if so; ``reference`` how all was at set-up, None: that
+    is not known.
+    """
+
+    __tablename__ = "holds"
+    __table_args__ = (
+        ForeignKeyConstraint(["tool_id", "device_id"], ["tools.id", "tools.device_id"]),
+        Index(None, "device_id"),
+    )
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
+    tool_id: Mapped[str | None] = mapped_column(String(63))
+    title: Mapped[str] = mapped_column(String(200))
+    watch: Mapped[dict[str, Any]] = mapped_column(JSON)
+    limits: Mapped[dict[str, Any]] = mapped_column(JSON)
+    rules: Mapped[dict[str, Any]] = mapped_column(JSON)
+    reference: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    note: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
+    updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
 class ApiKeyRow(Base):
     """A key that was given out; of its text only the digest is here."""
 

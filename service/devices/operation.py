@@ -20,7 +20,7 @@ from service.calibrations.sensors import check_sensors, listed, same_sensors
 from service.correction_tables import store as tables
 from service.correction_tables.schema import CorrectionTableDocument
 from service.database.engine import Database
-from service.database.models import DeviceRow
+from service.database.models import DeviceRow, HoldRow
 from service.devices import store
 from service.devices.drivers import make_driver, sensors_of
 from service.devices.schema import Device, DeviceChange, NewDevice
@@ -229,8 +229,18 @@ class Operation:
         except Exception:  # noqa: BLE001 - committed: an error would say that it was not
             _log.exception("device %s does not follow its tools as stored yet", device_id)
 
+    def _watch_holds(self) -> None:
+        """Let the live side know the beam holds of devices that do not run yet."""
+        with self._database.read() as session:
+            having = select(DeviceRow).where(DeviceRow.id.in_(select(HoldRow.device_id)))
+            rows = session.scalars(having.order_by(DeviceRow.id)).all()
+            known = [(row.id, tracked_of(session, row)) for row in rows]
+        for device_id, tracked in known:
+            self._follow(device_id, tracked)
+
     def autostart(self, *also: str) -> None:
         """Start all devices that say so, and these; one that fails keeps no other waiting."""
+        self._watch_holds()
         with self._database.read() as session:
             wanted = session.scalars(
                 select(DeviceRow.id).where(DeviceRow.autostart).order_by(DeviceRow.id)

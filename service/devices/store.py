@@ -20,6 +20,7 @@ from service.database.models import (
     CorrectionTableRow,
     DeviceRow,
     DriftCheckRow,
+    HoldRow,
     QualityCheckRow,
     ReconstructionRow,
     RegistrationRow,
@@ -129,8 +130,8 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
 
     Raises:
         UnknownDevice.
-        DeviceInUse: calibrations, reconstructions, captures, runs, tools or registrations belong
-            to it, and ``cascade`` is not asked.
+        DeviceInUse: calibrations, reconstructions, captures, runs, tools, registrations or
+            holds belong to it, and ``cascade`` is not asked.
     """
     row = get_device(session, device_id, lock=True)
     if cascade:
@@ -144,6 +145,7 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
             DriftCheckRow,
             QualityCheckRow,
             WatchSampleRow,
+            HoldRow,
             RegistrationRow,
             ToolCalibrationRow,
             ToolRow,
@@ -159,6 +161,7 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
             runs=RunRow,
             tools=ToolRow,
             registrations=RegistrationRow,
+            holds=HoldRow,
         )
     session.execute(delete(WatchRow).where(WatchRow.device_id == device_id))
     session.delete(row)
@@ -169,7 +172,7 @@ def _refuse_if_used(
     session: Session,
     device_id: str,
     why: str,
-    **others: type[CaptureRow | RunRow | ToolRow | RegistrationRow],
+    **others: type[CaptureRow | RunRow | ToolRow | RegistrationRow | HoldRow],
 ) -> None:
     """Raise DeviceInUse when calibrations, reconstructions or ``others`` belong to a device."""
     kinds = {"calibrations": CalibrationRow, "reconstructions": ReconstructionRow, **others}

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from compute.reconstruction.estimate import PointBatch
 from compute.signal.peaks import PeakBatch
 from hardware.frame import LineFrame
+from service.live.hold_now import HoldNow
 from service.live.motion import Motion
 
 
@@ -25,6 +26,7 @@ class FrameBatch:
         points: N points of all frames.
         owner: index of the frame of each point, ascending, shape (N,).
         motion: tracks and tool poses; None: the device is not tracked.
+        holds: the device's beam holds after each frame; empty: it has none.
     """
 
     device_id: str
@@ -36,3 +38,4 @@ class FrameBatch:
     points: PointBatch
     owner: NDArray[np.intp]
     motion: Motion | None = None
+    holds: tuple[tuple[HoldNow, ...], ...] = ()

@@ -78,6 +78,9 @@ class InOrder:
                         continue
                 if self._missed:
                     return self._told()
+                if not entry.is_for(self._variant):
+                    self._next = entry.end
+                    continue
                 if entry.batch is None:
                     if frames:
                         return self._taken(frames)
@@ -138,7 +141,7 @@ class Newest:
 
     def take(self, *, due: bool) -> Taken | None:
         """Return what is sent now."""
-        message = self._log.message_since(self._message)
+        message = self._log.message_since(self._message, self._variant)
         if message is not None:
             self._message = message.end
             return Taken(message.payload(self._variant, message.first), frames=False)

@@ -6,6 +6,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from service.live.batch import FrameBatch
+from service.live.messages import Content
 from service.live.stream_batch import StreamBatch
 from service.live.stream_log import StreamLog
 from service.live.subscription import Subscription, Wanted
@@ -64,9 +65,14 @@ class Hub:
         self.log(batch.device_id).append_batch(StreamBatch.of(batch))
         self._tell(batch.device_id, _wake_for_frames)
 
-    def publish(self, device_id: str, message: dict[str, Any]) -> None:
-        """Put a message that is no frame into the device's log; callable from any thread."""
-        self.log(device_id).append(message)
+    def publish(
+        self, device_id: str, message: dict[str, Any], content: Content | None = None
+    ) -> None:
+        """Put a message that is no frame into the device's log; callable from any thread.
+
+        ``content``: only clients who asked for it get it; None: all.
+        """
+        self.log(device_id).append(message, content)
         self._tell(device_id, _wake)
 
     def end(self, device_id: str, message: dict[str, Any]) -> None:

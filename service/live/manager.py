@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from threading import RLock
 
 import numpy as np
@@ -13,6 +14,8 @@ from hardware.driver import DeviceDescription, Driver
 from hardware.link import LinkedDriver, LinkState
 from service.errors import DeviceNotRunning
 from service.live.compute_thread import ComputeThread
+from service.live.hold_board import HoldBoard
+from service.live.hold_watchdog import HoldWatchdog
 from service.live.hub import Hub
 from service.live.in_force import NOTHING, InForce
 from service.live.latency import LatencyCounts
@@ -35,6 +38,7 @@ RING_LEAST = 256
 FIRST_ATTEMPT_S = 3.0
 """How long a start waits for a device that may not be there; then it goes on by itself."""
 _LOOK_S = 0.1
+STOPPED = "the device is stopped"
 
 Accept = Callable[[DeviceDescription], None]
 """Raises a LumilineError when a device is not what it should be."""
@@ -61,6 +65,10 @@ class LiveManager:
         self.hub = Hub() if hub is None else hub
         self.poses = PoseBoard()
         """The newest poses of all tools."""
+        self.holds = HoldBoard(partial(self.hub.publish, content="holds"))
+        """Whether beams are held."""
+        self._watchdog = HoldWatchdog(self.holds)
+        self._watchdog.start()
         self._compute_device = compute_device
         self._find_profile = find_profile
         self._compute = ComputeThread()
@@ -185,6 +193,7 @@ class LiveManager:
             opening = self._openings.pop(device_id, None)
             if opening is not None:
                 opening.cancel()
+                self.holds.fail(device_id, STOPPED)
                 self.hub.publish(device_id, status_message(device_id, "stopped", None))
                 return
             session = self._sessions.get(device_id)
@@ -196,6 +205,7 @@ class LiveManager:
             # Behind the last batch in hand, so that nothing of it is published after this.
             self._compute.submit(lambda: self._compute.remove(device_id)).result()
             self.poses.remove(device_id)
+            self.holds.fail(device_id, STOPPED)
             if was_running:
                 self.hub.publish(device_id, status_message(device_id, "stopped", None))
 
@@ -206,6 +216,7 @@ class LiveManager:
             self._sessions.pop(device_id, None)
             self._refused.pop(device_id, None)
             self._tracked.pop(device_id, None)
+            self.holds.forget(device_id)
             self.hub.end(device_id, status_message(device_id, "deleted", None))
 
     def set_calibration(self, device_id: str, found: InForce) -> None:
@@ -230,6 +241,7 @@ class LiveManager:
         """Say what of a device is followed: from the next batch on, or once it is started."""
         with self._lock:
             self._tracked[device_id] = tracked
+            self.holds.set(device_id, tracked.holds)
             session = self._sessions.get(device_id)
             if session is not None and session.running:
                 self._compute.submit(lambda: session.set_tracked(tracked)).result()
@@ -349,6 +361,7 @@ class LiveManager:
                 reader.stop()
         for opening in openings:
             opening.join()
+        self._watchdog.close()
 
     def _prepare(
         self, device_id: str, description: DeviceDescription, model: LineModel
@@ -357,7 +370,9 @@ class LiveManager:
         capacity = max(RING_LEAST, int(RING_SECONDS * description.frame_rate_hz))
         ring = FrameRing(capacity, self._compute.wake)
         processor = DeviceProcessor(device_id, description, self._compute_device, model)
-        return DeviceSession(device_id, description, processor, ring, self.hub, self.poses)
+        return DeviceSession(
+            device_id, description, processor, ring, self.hub, self.poses, self.holds
+        )
 
     def _tell_behind(self, session: DeviceSession) -> None:
         """Tell the clients how a device stands now, behind its last frames."""
@@ -367,6 +382,10 @@ class LiveManager:
                 pass
             if not session.connected:
                 self.poses.remove(session.device_id)
+                if not session.stopped:
+                    status = session.status()
+                    why = "" if status.reason is None else f": {status.reason}"
+                    self.holds.fail(session.device_id, f"the device is {status.state}{why}")
             if not session.stopped:
                 self.hub.publish(session.device_id, session.status_message())
 

@@ -12,11 +12,12 @@ from compute.flags import flag_names
 from compute.reconstruction.estimate import PointFlag
 from compute.signal.peaks import PeakFlag
 from hardware.driver import DeviceDescription
+from service.live.hold_now import hold_part
 from service.live.motion_messages import tool_lists, track_lists
 from service.live.peak_finding import peak_method
 from service.live.stream_batch import StreamBatch
 
-Content = Literal["points", "peaks", "tracks", "tools"]
+Content = Literal["points", "peaks", "tracks", "tools", "holds"]
 Encoding = Literal["msgpack", "json"]
 CONTENTS: Final[tuple[Content, ...]] = get_args(Content)
 ENCODINGS: Final[tuple[Encoding, ...]] = get_args(Encoding)
@@ -91,6 +92,9 @@ def frame_messages(
             messages, tool_lists(batch.motion, first, len(frames)), strict=True
         ):
             message["tools"] = tools
+    if "holds" in content:
+        for index, message in enumerate(messages, first):
+            message["holds"] = [hold_part(now) for now in batch.holds[index]] if batch.holds else []
     return messages
 
 

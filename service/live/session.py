@@ -2,12 +2,13 @@
 
 import logging
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
 from hardware.driver import DeviceDescription
 from hardware.link import LinkState
+from service.live.hold_board import HoldBoard
 from service.live.hub import Hub
 from service.live.in_force import NOTHING
 from service.live.latency import Latency
@@ -85,6 +86,7 @@ class DeviceSession:
         ring: FrameRing,
         hub: Hub,
         poses: PoseBoard | None = None,
+        holds: HoldBoard | None = None,
     ) -> None:
         self.device_id = device_id
         self.description = description
@@ -93,6 +95,8 @@ class DeviceSession:
         self.hub = hub
         self.poses = PoseBoard() if poses is None else poses
         """Where the newest poses are put up."""
+        self.holds = holds
+        """What says whether beams are held; None: nothing does."""
         self.pose_counts = PoseCounts()
         self._board_s = -BOARD_SECONDS
         self.not_followed = 0
@@ -121,8 +125,11 @@ class DeviceSession:
         try:
             follow = self._keeps_up(len(frames))
             batch = self.processor.process(frames, follow=follow)
+            if self.holds is not None:
+                # Before all others: whoever holds a beam waits for nothing else.
+                batch = replace(batch, holds=self.holds.take(batch))
             if batch.motion is not None and batch.motion.poses:
-                # Before all others: who steers by a pose waits for nothing else.
+                # Before the streams: who steers by a pose waits for nothing else.
                 self._put_up(batch, batch.motion)
             self._offer(batch)
             self.hub.publish_batch(batch)
@@ -210,6 +217,8 @@ class DeviceSession:
         if self.reader is not None:
             self.reader.close_driver()
         self.poses.remove(self.device_id)
+        if self.holds is not None:
+            self.holds.fail(self.device_id, f"the device failed: {self.failure}")
         self.hub.publish(self.device_id, status_message(self.device_id, "failed", self.failure))
 
     @property

@@ -10,6 +10,7 @@ from compute.reconstruction.estimate import PointBatch
 from compute.signal.peaks import PeakBatch
 from hardware.frame import FrameFlag
 from service.live.batch import FrameBatch
+from service.live.hold_now import HoldNow
 from service.live.motion import Motion
 
 
@@ -72,6 +73,7 @@ class StreamBatch:
     points: PointBatch
     owner: NDArray[np.intp]
     motion: Motion | None = None
+    holds: tuple[tuple[HoldNow, ...], ...] = ()
 
     @classmethod
     def of(cls, batch: FrameBatch) -> Self:
@@ -96,4 +98,5 @@ class StreamBatch:
             batch.points,
             batch.owner,
             batch.motion,
+            batch.holds,
         )

@@ -29,6 +29,7 @@ class LogEntry:
         at_s: when they came (``time.monotonic``).
         batch: the frames; None: ``message`` is the one message.
         message: a status message.
+        content: that of clients who are to get the message; None: all are.
     """
 
     first: int
@@ -36,6 +37,7 @@ class LogEntry:
     at_s: float
     batch: StreamBatch | None = None
     message: dict[str, Any] | None = None
+    content: Content | None = None
     _all: dict[Variant, list[Payload]] = field(default_factory=dict)
     _single: dict[tuple[Variant, int], Payload] = field(default_factory=dict)
 
@@ -43,6 +45,10 @@ class LogEntry:
     def end(self) -> int:
         """The number after the last message's."""
         return self.first + self.count
+
+    def is_for(self, variant: Variant) -> bool:
+        """Whether clients of a variant get it."""
+        return self.content is None or self.content in variant[0]
 
     def payloads(self, variant: Variant) -> list[Payload]:
         """Return all messages, encoded."""
@@ -127,15 +133,19 @@ class StreamLog:
         if batch.frames:
             self._append(len(batch.frames), batch, None)
 
-    def append(self, message: dict[str, Any]) -> None:
-        """Add a message that is no frame."""
-        self._append(1, None, dict(message))
+    def append(self, message: dict[str, Any], content: Content | None = None) -> None:
+        """Add a message that is no frame, for all clients, or those of a content."""
+        self._append(1, None, dict(message), content)
 
     def _append(
-        self, count: int, batch: StreamBatch | None, message: dict[str, Any] | None
+        self,
+        count: int,
+        batch: StreamBatch | None,
+        message: dict[str, Any] | None,
+        content: Content | None = None,
     ) -> None:
         with self._lock:
-            entry = LogEntry(self.next, count, time.monotonic(), batch, message)
+            entry = LogEntry(self.next, count, time.monotonic(), batch, message, content)
             self._entries.append(entry)
             if batch is None:
                 self._messages.append(entry)
@@ -163,9 +173,11 @@ class StreamLog:
                 start = bisect_right(entries, number, key=lambda entry: entry.end)
             return list(islice(entries, start, start + most))
 
-    def message_since(self, number: int) -> LogEntry | None:
-        """Return the oldest message that is no frame, from this number on."""
+    def message_since(self, number: int, variant: Variant) -> LogEntry | None:
+        """Return the oldest message for a variant that is no frame, from this number on."""
         if not self._messages or self._messages[-1].first < number:
             return None
         with self._lock:
-            return next((entry for entry in self._messages if entry.first >= number), None)
+            return next(
+                (one for one in self._messages if one.first >= number and one.is_for(variant)), None
+            )

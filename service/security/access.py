@@ -64,6 +64,17 @@ ACCESS: Final[Mapping[str, Access]] = {
     "calibrate-spin": "write:calibration",
     "create-registration": "write:calibration",
     "delete-registration": "write:calibration",
+    # Who may see where a patient is may see whether that is within the limits; who may say what
+    # the limits are may say where the patient is to be, and that the beam may go on.
+    "list-holds": "read:stream",
+    "get-hold": "read:stream",
+    "get-hold-state": "read:stream",
+    "create-hold": "write:calibration",
+    "change-hold": "write:calibration",
+    "delete-hold": "write:calibration",
+    "set-hold-reference": "write:calibration",
+    "remove-hold-reference": "write:calibration",
+    "acknowledge-hold": "write:calibration",
     "list-quality-checks": "read:calibration",
     "get-quality-check": "read:calibration",
     "get-quality": "read:calibration",

@@ -9,11 +9,12 @@ Scope = Literal[
 SCOPES: Final[tuple[Scope, ...]] = get_args(Scope)
 
 SCOPE_MEANINGS: Final[Mapping[Scope, str]] = {
-    "read:stream": "measure: devices and their state, the stream, tools and their poses, points "
-    "from posted readings",
+    "read:stream": "measure: devices and their state, the stream, tools and their poses, beam "
+    "holds, points from posted readings",
     "read:calibration": "read calibrations, reports, tables, captures, runs and the history",
     "write:calibration": "make, activate, roll back, retire and delete what belongs to "
-    "calibration; make, change and delete tools and registrations",
+    "calibration; make, change and delete tools, registrations and beam holds, and acknowledge "
+    "these",
     "admin:hardware": "create, change, delete, start and stop devices",
     "admin:keys": "make and revoke keys of any scope, and read the audit log",
 }

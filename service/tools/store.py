@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from compute.errors import InvalidParameter
 from compute.pose.rigid_body import RigidBody
 from service.database.engine import insert
-from service.database.models import RegistrationRow, ToolCalibrationRow, ToolRow
+from service.database.models import HoldRow, RegistrationRow, ToolCalibrationRow, ToolRow
 from service.errors import (
     MarkersTaken,
     ToolExists,
@@ -209,8 +209,14 @@ def delete_tool(session: Session, row: ToolRow) -> None:
     """Delete a tool and its calibrations.
 
     Raises:
-        ToolInUse: another tool's poses, or a registration, are relative to it.
+        ToolInUse: another tool's poses, or a registration, are relative to it, or a hold watches
+            it.
     """
+    hold = session.scalar(
+        select(HoldRow.id).where(HoldRow.tool_id == row.id).order_by(HoldRow.id).limit(1)
+    )
+    if hold is not None:
+        raise ToolInUse(f'hold "{hold}" watches tool "{row.id}"; delete it first', tool=row.id)
     for table, what in ((ToolRow, "tool"), (RegistrationRow, "registration")):
         user = session.scalar(
             select(table.id).where(table.reference_id == row.id).order_by(table.id).limit(1)

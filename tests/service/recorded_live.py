@@ -1,6 +1,7 @@
 """A live side that records its calls, and the test client, for tests of the REST side."""
 
 import warnings
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,6 +9,8 @@ from numpy.typing import NDArray
 
 from hardware.driver import DeviceDescription, Driver
 from service.errors import DeviceNotRunning
+from service.holds.capture import ReferenceTap
+from service.live.hold_board import HoldBoard
 from service.live.hub import Hub
 from service.live.in_force import NOTHING, InForce
 from service.live.latency import LatencyCounts
@@ -81,6 +84,7 @@ class RecordedLive(LiveManager):
         self.seen_px = np.full(4, 1000.0)
         self.in_force: dict[str, InForce] = {}
         self.poses = PoseBoard()
+        self.holds = HoldBoard(partial(self.hub.publish, content="holds"))
         self.tracked: dict[str, Tracked] = {}
         self.answers = True
         self.busy = 0.0
@@ -129,6 +133,7 @@ class RecordedLive(LiveManager):
     def forget_device(self, device_id: str) -> None:
         self.calls.append(("forget", device_id))
         self.states.pop(device_id, None)
+        self.holds.forget(device_id)
 
     def set_calibration(self, device_id: str, found: InForce) -> None:
         self.calls.append(("calibration", device_id, found.calibration_id, found.calibration))
@@ -136,6 +141,7 @@ class RecordedLive(LiveManager):
 
     def set_tracked(self, device_id: str, tracked: Tracked) -> None:
         self.tracked[device_id] = tracked
+        self.holds.set(device_id, tracked.holds)
 
     def pose_counts(self) -> dict[str, dict[str, ToolCounts]]:
         return {}
@@ -162,7 +168,7 @@ class RecordedLive(LiveManager):
 
     def attach(self, session: DeviceSession, tap: Tap) -> None:
         self.calls.append(("attach", session.device_id))
-        if isinstance(tap, PointTap | WatchTap | PoseTap):
+        if isinstance(tap, PointTap | WatchTap | PoseTap | ReferenceTap):
             for batch in self.batches:
                 tap.offer(batch)
 

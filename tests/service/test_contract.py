@@ -49,6 +49,9 @@ RULES_BEYOND_THE_SCHEMA = {
     "capture-tool",
     "change-tool",
     "create-registration",
+    "create-hold",
+    "change-hold",
+    "set-hold-reference",
 }
 
 

@@ -1,0 +1,1 @@
+"""Beam holds: a signal when a patient leaves the tolerance, as a resource."""

@@ -1,0 +1,177 @@
+"""Stored beam holds as what the live side watches."""
+
+import json
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from compute.errors import InvalidParameter
+from compute.pose.hold import HoldLimits
+from compute.pose.hold_gate import HoldRules
+from compute.pose.transform import Transform
+from service.database.models import HoldRow
+from service.holds.schema import (
+    GivenReference,
+    Limits,
+    LitWatch,
+    Rules,
+    ToolWatch,
+    Watch,
+)
+from service.live.hold_spec import (
+    HoldReference,
+    LitSpec,
+    Spec,
+    StrobedSpec,
+    ToolSpec,
+    WatchedHold,
+)
+
+_WATCH: TypeAdapter[Watch] = TypeAdapter(Watch)
+
+
+def watch_of(row: HoldRow) -> Watch:
+    """Return what a hold watches."""
+    return _WATCH.validate_python(row.watch)
+
+
+def spec_of(watch: Watch) -> Spec:
+    """Return the same as the live side has it.
+
+    Raises:
+        InvalidParameter: it contradicts itself.
+    """
+    if isinstance(watch, ToolWatch):
+        if watch.axes is not None:
+            Transform(np.array(watch.axes), np.zeros(3))
+        return ToolSpec(watch.tool, watch.target_mm, watch.axes)
+    count = watch.markers if isinstance(watch, LitWatch) else len(watch.markers)
+    least = count if watch.least_markers is None else watch.least_markers
+    if least > count:
+        raise InvalidParameter(f"least_markers is {least}, and {count} are watched")
+    if isinstance(watch, LitWatch):
+        return LitSpec(count, least, watch.near_mm, watch.seen_as)
+    if len(set(watch.markers)) != count:
+        raise InvalidParameter(f"markers is {list(watch.markers)}; name each marker once")
+    return StrobedSpec(tuple(watch.markers), least)
+
+
+def limits_of(limits: Limits, rules: Rules, watch: Watch) -> HoldLimits:
+    """Return limits and rules as monitors have them.
+
+    Raises:
+        InvalidParameter: there is no limit, or one that means nothing for what is watched.
+    """
+    found = HoldLimits(
+        limits.shift_mm,
+        limits.axis_mm,
+        limits.turn_rad,
+        limits.chance,
+        limits.release,
+        HoldRules(round(rules.most_gap_s * 1e9), round(rules.settle_s * 1e9), rules.latched),
+    )
+    if not isinstance(watch, ToolWatch) and limits.turn_rad is not None:
+        raise InvalidParameter(
+            f"turn_rad is {limits.turn_rad}, and markers do not turn; leave it out, or watch a tool"
+        )
+    if isinstance(watch, LitWatch):
+        most = max(limits.shift_mm or 0.0, *(limits.axis_mm or (0.0,)), 0.0)
+        if watch.near_mm <= most:
+            raise InvalidParameter(
+                f"near_mm is {watch.near_mm:g} mm and a limit {most:g} mm; markers must be looked "
+                "for farther away than they may move"
+            )
+    return found
+
+
+def checked_reference(given: GivenReference, watch: Watch) -> dict[str, Any]:
+    """Return the members of a Reference that is given.
+
+    Raises:
+        InvalidParameter: it is not one of what is watched.
+    """
+    tool = isinstance(watch, ToolWatch)
+    pose = given.rotation is not None and given.translation_mm is not None
+    nothing = given.rotation is None and given.translation_mm is None and given.covariance is None
+    if tool and (not pose or given.places_mm is not None):
+        raise InvalidParameter(
+            "the reference of a tool is its pose: give rotation and translation_mm, and no "
+            "places_mm"
+        )
+    if not tool and (not nothing or given.places_mm is None):
+        raise InvalidParameter(
+            "the reference of markers is their places: give places_mm, and neither rotation, "
+            "translation_mm nor covariance"
+        )
+    if tool:
+        Transform(np.array(given.rotation), np.array(given.translation_mm))
+        if given.covariance is not None:
+            _check_covariance(np.array(given.covariance))
+    elif given.places_mm is not None and len(given.places_mm) != (count := spec_of(watch).count):
+        raise InvalidParameter(
+            f"places_mm has {len(given.places_mm)} places; {count} markers are watched"
+        )
+    return {
+        **given.model_dump(mode="json"),
+        "covariances_mm2": None,
+        "kind": "given",
+        "frames": None,
+        "scatter_mm": None,
+    }
+
+
+def _check_covariance(given: NDArray[np.float64]) -> None:
+    scale = float(np.abs(given).max())
+    least = float(np.linalg.eigvalsh(0.5 * (given + given.T))[0])
+    if np.abs(given - given.T).max() > 1e-9 * scale or least < -1e-9 * scale:
+        raise InvalidParameter(
+            "covariance is none: it must be symmetric, and no eigenvalue negative; the smallest "
+            f"is {least:.3g}"
+        )
+
+
+def watched_of(row: HoldRow) -> WatchedHold:
+    """Return a stored hold as the live side watches it."""
+    watch = watch_of(row)
+    limits, rules = Limits.model_validate(row.limits), Rules.model_validate(row.rules)
+    members = [row.watch, row.limits, row.rules, row.reference]
+    return WatchedHold(
+        row.id,
+        row.device_id,
+        json.dumps(members, sort_keys=True),
+        spec_of(watch),
+        limits_of(limits, rules, watch),
+        None if row.reference is None else _reference(row.reference),
+    )
+
+
+def _reference(stored: dict[str, Any]) -> HoldReference:
+    pose = None
+    if stored["rotation"] is not None:
+        spread = stored["covariance"]
+        pose = Transform(
+            np.array(stored["rotation"]),
+            np.array(stored["translation_mm"]),
+            None if spread is None else np.array(spread),
+        )
+    places, spreads = stored["places_mm"], stored["covariances_mm2"]
+    return HoldReference(
+        stored["id"],
+        datetime.fromisoformat(stored["taken_at"]),
+        stored["calibration"],
+        stored["table"],
+        pose,
+        None if places is None else np.array(places, np.float64),
+        None if spreads is None else np.array(spreads, np.float64),
+    )
+
+
+def holds_of(session: Session, device_id: str) -> tuple[WatchedHold, ...]:
+    """Return all holds of a device, by id."""
+    rows = select(HoldRow).where(HoldRow.device_id == device_id).order_by(HoldRow.id)
+    return tuple(watched_of(row) for row in session.scalars(rows))

@@ -37,8 +37,9 @@ class SensorLane(Lane):
     the marker should be.
 
     Points that a follower made up are used only where fewer than three sensors saw the marker. A
-    sensor whose reading was left out for ``young_scans`` exposures is let go; likewise all, when
-    the sensors contradict one another so long and nobody knows which is wrong.
+    sensor whose reading was left out for ``young_scans`` exposures is let go. Where the sensors
+    contradict one another and nobody knows which is wrong there is no point, the marker is
+    predicted, and ambiguous; after as many exposures all its tracks are let go.
 
     Args:
         settings: of the method.
@@ -107,10 +108,23 @@ class SensorLane(Lane):
         solved = self.space.solve(readings, sigma, place, covariance)
         found: dict[int, SolvedPoints] = {}
         for row, marker in enumerate(self._markers):
-            self._take(marker, solved, row, points[marker.identity], time_ns)
-            if solved.found[row]:
+            if self._verified(marker, solved, row):
+                self._take(marker, solved, row, points[marker.identity], time_ns)
                 found[marker.identity] = solved.row(row)
         return found, points
+
+    def _verified(self, marker: BoundMarker, solved: SolvedPoints, row: int) -> bool:
+        """Let go of tracks that are another target's; return whether there is a point."""
+        if not solved.found[row]:
+            return False
+        left = np.arange(len(marker.tracks)) == solved.left_out[row]
+        marker.contradicted = np.where(left, marker.contradicted + 1, 0)
+        marker.unbind(marker.contradicted >= self.settings.young_scans)
+        marker.inconsistent = marker.inconsistent + 1 if solved.inconsistent[row] else 0
+        if marker.inconsistent >= self.settings.young_scans:
+            marker.unbind(np.ones(len(left), dtype=bool))
+            marker.inconsistent = 0
+        return not solved.inconsistent[row]
 
     def _take(
         self,
@@ -120,23 +134,14 @@ class SensorLane(Lane):
         points: list[SensorPoint | None],
         time_ns: int,
     ) -> None:
-        """Take a marker's new point, and let go of tracks that are not its."""
-        if not solved.found[row]:
-            return
-        seen = np.array([one is not None and one.peak >= 0 for one in points])
-        out = int(solved.left_out[row])
-        seen[out] &= out < 0
-        left = np.arange(len(seen)) == out
-        marker.contradicted = np.where(left, marker.contradicted + 1, 0)
-        marker.inconsistent = marker.inconsistent + 1 if solved.inconsistent[row] else 0
-        marker.unbind(marker.contradicted >= self.settings.young_scans)
-        if marker.inconsistent >= self.settings.young_scans:
-            marker.unbind(np.ones(len(seen), dtype=bool))
-            marker.inconsistent = 0
-            return
-        if seen.any():
+        """Take a marker's new point, if anything was seen of it."""
+        seen = [
+            one is not None and one.peak >= 0 and sensor != solved.left_out[row]
+            for sensor, one in enumerate(points)
+        ]
+        if any(seen):
             marker.trail.add(time_ns, solved.position_mm[row], solved.covariance_mm2[row])
-        if seen.sum() >= LEAST_SENSORS:
+        if sum(seen) >= LEAST_SENSORS:
             marker.seen_ns = time_ns
 
     @staticmethod
@@ -282,7 +287,7 @@ class SensorLane(Lane):
                     continue
                 taken[sensor] = point.peak
                 flags |= TrackFlag.MERGED if point.shared else TrackFlag.NONE
-            if solved is not None and solved.inconsistent[0]:
+            if one.inconsistent:
                 flags |= TrackFlag.AMBIGUOUS
             if solved is not None and solved.outside_map[0]:
                 flags |= TrackFlag.OUTSIDE_MAP

@@ -8,9 +8,12 @@ from numpy.typing import NDArray
 
 from compute.reconstruction.correspondence import (
     MatchSettings,
+    MeetingPoints,
+    Part,
     PredictedPoints,
     Predictor,
     group_peaks,
+    meeting_points,
 )
 from compute.reconstruction.estimate import PointBatch, PointFlag
 from compute.signal.peaks import PeakFlag
@@ -74,22 +77,16 @@ class PointFinder:
             free: which of them to look at.
             expected: where markers are looked for: three sensors are enough there.
         """
-        free = free & peaks.starts
-        counts = free.sum(axis=1)
-        if (counts > 0).sum() < 3:
+        packed = _packed(peaks, free)
+        if packed is None:
             return None
-        # Side by side from the first column on, as ``group_peaks`` wants them.
-        order = np.argsort(~free, axis=1, kind="stable")[:, : int(counts.max())]
-        packed = np.take_along_axis(free, order, axis=1)
-        position = np.where(packed, np.take_along_axis(peaks.position_px, order, axis=1), np.nan)
-        sigma = np.sqrt(np.take_along_axis(peaks.variance_px2, order, axis=1))
-        flags = np.where(packed, np.take_along_axis(peaks.flags, order, axis=1), 0)
+        order, position, sigma, merged = packed
         groups = group_peaks(
             self.solve,
             position,
-            np.where(packed, sigma, np.nan),
+            sigma,
             predict=self.predict,
-            merged=(flags & PeakFlag.MERGED) != 0,
+            merged=merged,
             predicted=expected if len(expected) else None,
             settings=self.settings,
         )
@@ -108,3 +105,34 @@ class PointFinder:
             np.where(place >= 0, groups.sigma_px[good], np.nan),
             groups.ambiguous[good],
         )
+
+    def meeting(
+        self,
+        peaks: FramePeaks,
+        free: NDArray[np.bool_],
+        part: Part,
+    ) -> tuple[MeetingPoints, float]:
+        """Return all points, ghosts with them, where free peaks meet; see ``meeting_points``."""
+        there = free & peaks.starts
+        position = np.where(there, peaks.position_px, np.nan)
+        sigma = np.where(there, np.sqrt(peaks.variance_px2), np.nan)
+        merged = (peaks.flags & PeakFlag.MERGED) != 0
+        return meeting_points(
+            self.solve, self.predict, position, sigma, merged, part, self.settings
+        )
+
+
+def _packed(
+    peaks: FramePeaks, free: NDArray[np.bool_]
+) -> tuple[NDArray[np.intp], Array, Array, NDArray[np.bool_]] | None:
+    """Return free peaks side by side from the first column on: indices, places, sigma, merged."""
+    free = free & peaks.starts
+    counts = free.sum(axis=1)
+    if (counts > 0).sum() < 3:
+        return None
+    order = np.argsort(~free, axis=1, kind="stable")[:, : int(counts.max())]
+    packed = np.take_along_axis(free, order, axis=1)
+    position = np.where(packed, np.take_along_axis(peaks.position_px, order, axis=1), np.nan)
+    sigma = np.sqrt(np.take_along_axis(peaks.variance_px2, order, axis=1))
+    flags = np.where(packed, np.take_along_axis(peaks.flags, order, axis=1), 0)
+    return order, position, np.where(packed, sigma, np.nan), (flags & PeakFlag.MERGED) != 0

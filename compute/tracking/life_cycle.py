@@ -5,10 +5,11 @@ from math import log
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.errors import InvalidParameter
 from compute.reconstruction.points import chi2_limit
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.states import combined
+from compute.tracking.states import States, combined
 from compute.tracking.tracks import Tracks
 
 Array = NDArray[np.float64]
@@ -50,6 +51,7 @@ def count_weak(
     tracks: Tracks,
     rows: NDArray[np.intp],
     degrees: NDArray[np.integer],
+    possible: NDArray[np.integer],
     in_view: NDArray[np.integer],
 ) -> None:
     """Count, for these tracks, exposures of fewer sensors than vouch for a place; forget others.
@@ -58,10 +60,12 @@ def count_weak(
         tracks: all.
         rows: of those that were looked for.
         degrees: how many sensors saw each of them.
+        possible: how many saw it or have a peak there that it may share.
         in_view: how many could have.
     """
     weak = tracks.weak[rows]
-    step = np.where(degrees >= VOUCHING_SENSORS, -1, np.where(in_view >= VOUCHING_SENSORS, 1, 0))
+    few = (possible < VOUCHING_SENSORS) & (in_view >= VOUCHING_SENSORS)
+    step = np.where(degrees >= VOUCHING_SENSORS, -1, np.where(few, 1, 0))
     tracks.weak[rows] = np.clip(weak + step, 0, 2 * WEAK_EXPOSURES)
 
 
@@ -118,6 +122,37 @@ def lost_one(
     cost = squared[near] + np.linalg.slogdet(total[near])[1]
     best = int(near[np.argmin(cost)])
     return free[best], len(near) > 1
+
+
+def not_taken(
+    motion: MotionModels, tracks: Tracks, given: States, place_mm: Array
+) -> NDArray[np.intp]:
+    """Return the rows of tracks that stay when markers are given; tentative ones may give way.
+
+    Args:
+        motion: M models.
+        tracks: all, at the time of what is given.
+        given: states of N markers.
+        place_mm: of these, shape (N, 3).
+
+    Raises:
+        InvalidParameter: a given marker may be one that is tracked.
+    """
+    keep = np.ones(len(tracks), dtype=np.bool_)
+    own, other = combined(motion, tracks.states), combined(motion, given)
+    for marker, (mean, covariance) in enumerate(zip(other.mean, other.covariance, strict=True)):
+        off = own.mean[:, :_MOTION] - mean[:_MOTION]
+        total = own.covariance[:, :_MOTION, :_MOTION] + covariance[:_MOTION, :_MOTION]
+        squared = (off * np.linalg.solve(total, off[..., None])[..., 0]).sum(axis=1)
+        same = squared <= chi2_limit(_MOTION, EXCHANGED)
+        for row in np.flatnonzero(same & tracks.confirmed)[:1]:
+            raise InvalidParameter(
+                f"marker {marker} at {place_mm[marker].tolist()} mm may be track "
+                f"{tracks.identity[row]} at {own.mean[row, :3].round(3).tolist()} mm; give only "
+                "markers that are not tracked"
+            )
+        keep &= ~same
+    return np.flatnonzero(keep)
 
 
 def exchangeable(motion: MotionModels, tracks: Tracks, rows: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -1,15 +1,22 @@
-"""States of new tracks: a place by readings of three sensors or more, any speed and direction."""
+"""States of new tracks: at a place by readings, of any velocity, or as they are given."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.reconstruction.points import chi2_limit
 from compute.tracking.motion_model import STATES, MotionModels
+from compute.tracking.point_matching import update_by_points
 from compute.tracking.reading_model import ReadingModel
+from compute.tracking.sequences import Sequence
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.states import States
+from compute.tracking.states import States, predicted
 
 Array = NDArray[np.float64]
 
+STRAY_POINT = 1e-4
+"""Chance that a marker's own point lies outside its gate."""
+_MOVING = 6
+_SPEEDS, _ACCELERATIONS = np.arange(3, 6), np.arange(6, 9)
 
 def new_states(
     model: ReadingModel,
@@ -45,16 +52,69 @@ def new_states(
     place = np.linalg.inv(weighted @ slope)
     with_bias = -(place @ weighted) @ bias
 
-    models = len(motion)
-    mean = np.zeros((count, models, STATES))
-    mean[..., :3] = place_mm[:, None]
-    covariance = np.zeros((count, models, STATES, STATES))
-    covariance[..., :3, :3] = place[:, None]
-    axes = np.arange(3)
-    covariance[..., 3 + axes, 3 + axes] = settings.start_speed_mm_s**2
+    mean = np.zeros((count, _MOVING))
+    mean[:, :3] = place_mm
+    covariance = np.zeros((count, _MOVING, _MOVING))
+    covariance[:, :3, :3] = place
+    covariance[:, _SPEEDS, _SPEEDS] = settings.start_speed_mm_s**2
+    states = given_states(motion, settings, mean, covariance, sensors)
+    states.with_bias[..., :3, :] = with_bias[:, None]
+    return states, bias
+
+
+def given_states(
+    motion: MotionModels,
+    settings: TrackerSettings,
+    mean: Array,
+    covariance: Array,
+    sensors: int,
+) -> States:
+    """Return the states of markers whose place and velocity are given.
+
+    Args:
+        motion: M models, all as likely.
+        settings: deviation of the acceleration at the start.
+        mean: places and velocities, shape (N, 6).
+        covariance: of these, shape (N, 6, 6).
+        sensors: how many there are; what is given owes nothing to their constant errors.
+    """
+    count, models = len(mean), len(motion)
+    whole = np.zeros((count, models, STATES))
+    whole[..., :_MOVING] = mean[:, None]
+    spread = np.zeros((count, models, STATES, STATES))
+    spread[..., :_MOVING, :_MOVING] = covariance[:, None]
     for own, has in enumerate(motion.with_acceleration):
         if has:
-            covariance[:, own, 6 + axes, 6 + axes] = settings.start_acceleration_mm_s2**2
-    biased = np.zeros((count, models, STATES, sensors))
-    biased[..., :3, :] = with_bias[:, None]
-    return States(mean, covariance, biased, np.full((count, models), 1.0 / models)), bias
+            spread[:, own, _ACCELERATIONS, _ACCELERATIONS] = settings.start_acceleration_mm_s2**2
+    return States(
+        whole,
+        spread,
+        np.zeros((count, models, STATES, sensors)),
+        np.full((count, models), 1.0 / models),
+    )
+
+
+def replayed(
+    model: ReadingModel, motion: MotionModels, settings: TrackerSettings, points: Sequence
+) -> tuple[States, Array] | None:
+    """Return the state after a sequence of points, and the constant errors' covariance there.
+
+    None: a point is off, it does not move as markers do.
+    """
+    states, bias = new_states(model, motion, settings, points.place_mm[:1], points.sigma_px[:1])
+    used = points.peaks >= 0
+    for at in range(1, len(points.time_ns)):
+        step = np.array([(points.time_ns[at] - points.time_ns[at - 1]) * 1e-9])
+        update = update_by_points(
+            model,
+            settings,
+            predicted(motion, states, step),
+            bias,
+            points.position_px[at : at + 1],
+            np.where(used[at : at + 1], points.sigma_px[at : at + 1], 1.0) ** 2,
+            points.place_mm[at : at + 1],
+        )
+        if float(update.nis[0]) > chi2_limit(int(used[at].sum()), STRAY_POINT):
+            return None
+        states = update.states
+    return states, bias

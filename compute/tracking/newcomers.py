@@ -9,6 +9,7 @@ from compute.reconstruction.correspondence import PredictedPoints
 from compute.tracking.frame_peaks import FramePeaks
 from compute.tracking.left_over import FoundPoints, PointFinder
 from compute.tracking.life_cycle import (
+    VOUCHED_HITS,
     VOUCHING_SENSORS,
     WEAK_EXPOSURES,
     confirmable,
@@ -18,15 +19,19 @@ from compute.tracking.life_cycle import (
 )
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.native.associator import Associator
-from compute.tracking.new_states import new_states
+from compute.tracking.new_states import new_states, replayed
 from compute.tracking.point_matching import match_points, update_by_points
 from compute.tracking.reading_model import Predicted, ReadingModel
 from compute.tracking.seen import Seen
+from compute.tracking.sequences import Sequences
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.states import combined
+from compute.tracking.tracklets import Tracklets
 from compute.tracking.tracks import Tracks
 
 Array = NDArray[np.float64]
+
+MANY = 700.0
 
 
 class Newcomers:
@@ -53,16 +58,26 @@ class Newcomers:
     ) -> None:
         self._model, self._motion, self._settings = model, motion, settings
         self._finder, self._associator = finder, associator
+        self._sequences = Sequences(settings, finder)
+        self._tracklets = Tracklets(model, motion, settings, associator)
         self._next = 1
         self._searched_ns: dict[int | None, int] = {}
 
     def renew(self, model: ReadingModel, finder: PointFinder, associator: Associator) -> None:
         """Go on with other cameras."""
         self._model, self._finder, self._associator = model, finder, associator
+        self._sequences = Sequences(self._settings, finder)
+        self._tracklets = Tracklets(model, self._motion, self._settings, associator)
 
     def reset(self) -> None:
         """Forget when it was searched; numbers go on."""
         self._searched_ns.clear()
+
+    def numbers(self, count: int) -> int:
+        """Return the first of so many identity numbers that nobody has had."""
+        first = self._next
+        self._next += count
+        return first
 
     def find(
         self,
@@ -91,14 +106,17 @@ class Newcomers:
         due |= marker is not None and not (tracks.marker == marker).any()
         begun = tentative[tracks.hits[tentative] == 0]
         new: tuple[Tracks, Seen] | None = None
-        if due or len(begun):
+        # What a weak track has may be another marker's; it may find it again itself.
+        weak = tracks.confirmed & (tracks.weak >= WEAK_EXPOSURES)
+        free = free_peaks(peaks, seen, weak)
+        if marker is None and (self._many(free) or len(self._tracklets)):
+            new = self._searched(free, peaks, time_ns)
+        elif due or len(begun):
             self._searched_ns[marker] = time_ns
-            # What a weak track has may be another marker's; it may find it again itself.
-            weak = tracks.confirmed & (tracks.weak >= WEAK_EXPOSURES)
             lost = tracks.confirmed & (seen.degrees() < 3)
             open_ = np.union1d(begun, part[weak[part] | lost[part]])
             points = self._finder.find(
-                peaks, _free(peaks, seen, weak), self._expected(tracks, open_)
+                peaks, free_peaks(peaks, seen, weak), self._expected(tracks, open_)
             )
             if points is not None:
                 others = self._match(tracks, open_, points, seen, peaks, marker, time_ns)
@@ -123,7 +141,7 @@ class Newcomers:
         """Update tentative tracks, of which the velocity is known, by peaks that are left."""
         if len(rows) == 0:
             return
-        left = replace(peaks, usable=_free(peaks, seen, np.zeros(len(tracks), dtype=np.bool_)))
+        left = replace(peaks, usable=free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_)))
         found = self._associator.associate(tracks.states.rows(rows), tracks.bias[rows], left)
         tracks.states.put(rows, found.states)
         seen.peaks[rows], seen.nis[rows] = found.peaks, found.nis
@@ -237,27 +255,61 @@ class Newcomers:
         states, bias = new_states(
             self._model, self._motion, self._settings, place, points.sigma_px[rows]
         )
-        count = len(rows)
-        identity = np.arange(self._next, self._next + count, dtype=np.int64)
-        self._next += count
-        seen = Seen.nothing(count, len(self._model))
+        seen = Seen.nothing(len(rows), len(self._model))
         seen.peaks[:] = points.peaks[rows]
-        tracks = Tracks(
+        tracks = Tracks.begun(
             states,
-            identity,
-            np.full(count, -1 if marker is None else marker, dtype=np.int32),
-            np.zeros(count, dtype=np.bool_),
-            points.ambiguous[rows].copy(),
-            np.full(count, time_ns, dtype=np.int64),
-            np.full(count, time_ns, dtype=np.int64),
-            np.zeros(count, dtype=np.int32),
-            np.zeros(count, dtype=np.int32),
-            np.zeros(count, dtype=np.int32),
-            np.zeros(count, dtype=np.int32),
-            np.zeros(count),
             bias,
             place,
+            first=self.numbers(len(rows)),
+            marker=marker,
+            time_ns=time_ns,
+            confirmed=False,
+            uncertain=points.ambiguous[rows],
         )
+        return tracks, seen
+
+    def _many(self, free: NDArray[np.bool_]) -> bool:
+        """Return whether too many combinations meet by chance for one exposure to tell."""
+        counts = np.sort(free.sum(axis=1))
+        counts = counts[counts > 0]
+        return len(counts) >= VOUCHING_SENSORS and float(np.prod(counts[-4:].astype(float))) > MANY
+
+    def _searched(
+        self, free: NDArray[np.bool_], peaks: FramePeaks, time_ns: int
+    ) -> tuple[Tracks, Seen] | None:
+        """Return the tracks that tracklets have turned out to be; begin more of these."""
+        self._tracklets.follow(time_ns, peaks, free)
+        left = free.copy()
+        track, sensor = np.nonzero((explained := self._tracklets.explained()) >= 0)
+        left[sensor, explained[track, sensor]] = False
+        if self._many(left):
+            for one in self._sequences.find(time_ns, peaks, left):
+                begun = replayed(self._model, self._motion, self._settings, one)
+                if begun is not None:
+                    self._tracklets.begin(*begun, one.place_mm[-1:], one.peaks[-1:], time_ns)
+        else:
+            self._sequences.forget()
+        found = self._tracklets.decide()
+        if found is None:
+            return None
+        count = len(found)
+        seen = Seen.nothing(count, len(self._model))
+        seen.peaks[:], seen.nis[:] = found.peaks, found.nis
+        tracks = Tracks.begun(
+            found.states,
+            found.bias,
+            found.place_mm,
+            first=self.numbers(count),
+            marker=None,
+            time_ns=time_ns,
+            confirmed=False,
+            uncertain=np.zeros(count, dtype=np.bool_),
+        )
+        # They have been followed for long enough.
+        tracks.hits[:] = self._settings.confirm_hits
+        tracks.vouched[:] = VOUCHED_HITS
+        tracks.evidence[:] = np.inf
         return tracks, seen
 
     def _confirm(
@@ -285,7 +337,7 @@ class Newcomers:
         return keep
 
 
-def _free(peaks: FramePeaks, seen: Seen, weak: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def free_peaks(peaks: FramePeaks, seen: Seen, weak: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return which peaks no track explains that is to be relied on, shape (S, K)."""
     free = peaks.usable.copy()
     track, sensor = np.nonzero((seen.peaks >= 0) & ~weak[:, None])

@@ -10,15 +10,18 @@ from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.correspondence import MatchSettings, Predictor
 from compute.tracking.frame_peaks import FramePeaks
+from compute.tracking.given_starts import GivenStarts
 from compute.tracking.left_over import PointFinder
-from compute.tracking.life_cycle import count_weak, exchangeable
+from compute.tracking.life_cycle import VOUCHING_SENSORS, count_weak, exchangeable, not_taken
 from compute.tracking.motion_model import MotionModels
-from compute.tracking.newcomers import Newcomers
+from compute.tracking.new_states import given_states
+from compute.tracking.newcomers import Newcomers, free_peaks
 from compute.tracking.reading_model import ReadingModel
 from compute.tracking.report import batch_of
 from compute.tracking.seen import Seen
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.states import combined, predicted
+from compute.tracking.states import States, combined, predicted
+from compute.tracking.strangers import beside_after, doubted, hidden_now
 from compute.tracking.track_batch import TrackBatch
 from compute.tracking.tracks import Tracks
 
@@ -63,6 +66,8 @@ class Tracker:
         self._newcomers = Newcomers(self.model, self.motion, settings, finder, self._associator)
         self._tracks = Tracks.empty(len(self.motion), len(self.model))
         self._time_ns: int | None = None
+        self._begun_ns: int | None = None
+        self._last_ns: int | None = None
 
     def _made(
         self,
@@ -112,8 +117,66 @@ class Tracker:
     def reset(self) -> None:
         """Forget all tracks; the next ones have new numbers."""
         self._tracks = Tracks.empty(len(self.motion), len(self.model))
-        self._time_ns = None
+        self._time_ns = self._begun_ns = None
         self._newcomers.reset()
+
+    def begin_at(
+        self,
+        time_ns: int,
+        position_mm: Array,
+        velocity_mm_s: Array,
+        covariance: Array,
+        marker: int | None = None,
+    ) -> NDArray[np.int64]:
+        """Begin confirmed tracks of markers that are known to be there; return their numbers.
+
+        For places that are known by other means: from a set-up, or of a frame of markers (thesis,
+        section 7.2.2). They are looked for in the exposures from then on; those that are not seen
+        within ``coast_s`` end. Tentative tracks that may be the same markers give way.
+
+        Args:
+            time_ns: when they are there; not before the last exposure, which may be the next one.
+            position_mm: shape (N, 3).
+            velocity_mm_s: shape (N, 3); zeros for markers at rest.
+            covariance: of place and velocity, shape (N, 6, 6), or (6, 6) for each.
+            marker: strobe slot, of a single marker; None: not known.
+
+        Raises:
+            InvalidParameter: other shapes, values that are not finite, a covariance that is not
+                positive definite, a time before the last exposure's, several markers with one
+                strobe slot, or a marker that may be one that is tracked already.
+        """
+        starts = GivenStarts.of(position_mm, velocity_mm_s, covariance)
+        last = max((t for t in (self._time_ns, self._begun_ns) if t is not None), default=time_ns)
+        if time_ns < last:
+            raise InvalidParameter(
+                f"time_ns is {time_ns}, the exposure or start before was at {last}; it must not be "
+                "earlier"
+            )
+        if marker is not None and (marker < 0 or len(starts) > 1):
+            raise InvalidParameter(
+                f"marker is {marker} for {len(starts)} markers; it must be 0 or more, for one"
+            )
+        states = given_states(
+            self.motion, self.settings, starts.mean, starts.covariance, len(self.model)
+        )
+        self._predict(np.arange(len(self._tracks)), time_ns)
+        self._tracks = self._tracks.rows(
+            not_taken(self.motion, self._tracks, states, starts.mean[:, :3])
+        )
+        begun = Tracks.begun(
+            states,
+            self.model.bias_covariance(starts.mean[:, :3]),
+            starts.mean[:, :3],
+            first=self._newcomers.numbers(len(starts)),
+            marker=marker,
+            time_ns=time_ns,
+            confirmed=True,
+            uncertain=np.zeros(len(starts), dtype=np.bool_),
+        )
+        self._tracks = self._tracks.joined(begun)
+        self._begun_ns = time_ns
+        return begun.identity.copy()
 
     def step(
         self,
@@ -141,16 +204,23 @@ class Tracker:
                 f"time_ns is {time_ns}, the exposure before was at {self._time_ns}; it must be "
                 "later (after a jump of the clock, reset the tracker)"
             )
+        if self._begun_ns is not None and time_ns < self._begun_ns:
+            raise InvalidParameter(
+                f"time_ns is {time_ns}, markers were given for {self._begun_ns}; it must not be "
+                "earlier"
+            )
         if marker is not None and marker < 0:
             raise InvalidParameter(f"marker is {marker}; it must be 0 or more, or None")
         peaks = FramePeaks.of(position_px, sigma_px, peak_flags, len(self.model), self.settings)
-        self._time_ns = time_ns
+        self._last_ns, self._time_ns = self._time_ns, time_ns
         tracks = self._tracks
         seen = Seen.nothing(len(tracks), len(self.model))
         part = self._taking_part(marker)
         self._predict(part, time_ns)
         followed = part[tracks.confirmed[part]]
         self._follow(followed, peaks, seen, marker, time_ns)
+        if marker is None:
+            self._note_strangers(followed, peaks, seen, time_ns)
         self._tracks, seen = self._newcomers.find(tracks, part, seen, peaks, marker, time_ns)
         return batch_of(self.model, self.motion, self._tracks, seen, peaks, time_ns)
 
@@ -198,13 +268,15 @@ class Tracker:
         tracks = self._tracks
         if len(rows) == 0 or not peaks.usable.any():
             return
-        found = self._associator.associate(tracks.states.rows(rows), tracks.bias[rows], peaks)
+        weighed = self._doubted(rows, peaks, time_ns)
+        found = self._associator.associate(tracks.states.rows(rows), tracks.bias[rows], weighed)
         tracks.states.put(rows, found.states)
         seen.peaks[rows], seen.nis[rows] = found.peaks, found.nis
         seen.merged[rows] = found.merged.any(axis=1)
         seen.doubtful[rows] = found.doubtful
         degrees = (found.peaks >= 0).sum(axis=1)
-        count_weak(tracks, rows, degrees, found.in_view)
+        possible = self._possible(found.states, found.peaks, degrees, found.in_view, peaks)
+        count_weak(tracks, rows, degrees, possible, found.in_view)
         alive = rows[found.evidence >= BEYOND_DOUBT]
         tracks.seen_ns[alive] = time_ns
         if marker is not None:
@@ -213,3 +285,51 @@ class Tracker:
             tracks.uncertain[known] = False
         else:
             tracks.uncertain[exchangeable(self.motion, tracks, rows)] = True
+
+    def _doubted(self, rows: NDArray[np.intp], peaks: FramePeaks, time_ns: int) -> FramePeaks:
+        """Return the peaks, less certain where one that is not tracked may be merged with them."""
+        tracks = self._tracks
+        if not tracks.beside[rows, :, 2].any() or self._last_ns is None:
+            return peaks
+        step = np.full(len(rows), (time_ns - self._last_ns) * 1e-9)
+        hidden = hidden_now(tracks.beside[rows], step, self.settings)
+        some = np.flatnonzero(hidden.any(axis=1))
+        if len(some) == 0:
+            return peaks
+        place = combined(self.motion, tracks.states.rows(rows[some])).mean[:, :3]
+        reading = self.model.predict(place).reading_px
+        return doubted(peaks, reading, hidden[some], self.settings)
+
+    def _note_strangers(
+        self, rows: NDArray[np.intp], peaks: FramePeaks, seen: Seen, time_ns: int
+    ) -> None:
+        """Note the peaks that are no track's beside those that are."""
+        tracks = self._tracks
+        free = free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_))
+        if len(rows) == 0 or not (free.any() or tracks.beside[rows, :, 2].any()):
+            return
+        before = time_ns if self._last_ns is None else self._last_ns
+        step = np.full(len(rows), (time_ns - before) * 1e-9)
+        tracks.beside[rows] = beside_after(
+            tracks.beside[rows], seen.peaks[rows], peaks, free, step, self.settings
+        )
+
+    def _possible(
+        self,
+        states: States,
+        own: NDArray[np.int32],
+        degrees: NDArray[np.integer],
+        in_view: NDArray[np.int32],
+        peaks: FramePeaks,
+    ) -> NDArray[np.integer]:
+        """Return how many sensors saw each track, or have a peak there that it may share, (T,)."""
+        possible = degrees.copy()
+        few = np.flatnonzero((degrees < VOUCHING_SENSORS) & (in_view >= VOUCHING_SENSORS))
+        if len(few):
+            place = combined(self.motion, states.rows(few)).mean[:, :3]
+            reading = self.model.predict(place).reading_px
+            with np.errstate(invalid="ignore"):
+                apart = np.abs(peaks.position_px - reading[..., None])
+                shared = ((apart <= self.settings.merge_px) & peaks.usable).any(axis=2)
+            possible[few] = ((own[few] >= 0) | shared).sum(axis=1)
+        return possible

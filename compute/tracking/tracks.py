@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.tracking.states import States
+from compute.tracking.strangers import FIELDS
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,8 @@ class Tracks:
         evidence: log likelihood ratio of an unconfirmed track to false peaks, shape (T,).
         bias: covariance of the readings' constant errors at ``bias_mm``, shape (T, S, S) [px^2].
         bias_mm: where that was worked out, shape (T, 3).
+        beside: peaks of markers that are not tracked, beside its own; see ``strangers``, shape
+            (T, S, 3).
     """
 
     states: States
@@ -47,6 +50,7 @@ class Tracks:
     evidence: Array
     bias: Array
     bias_mm: Array
+    beside: Array
 
     @classmethod
     def empty(cls, models: int, sensors: int) -> Self:
@@ -66,6 +70,51 @@ class Tracks:
             np.empty(0),
             np.empty((0, sensors, sensors)),
             np.empty((0, 3)),
+            np.empty((0, sensors, FIELDS)),
+        )
+
+    @classmethod
+    def begun(
+        cls,
+        states: States,
+        bias: Array,
+        place_mm: Array,
+        *,
+        first: int,
+        marker: int | None,
+        time_ns: int,
+        confirmed: bool,
+        uncertain: NDArray[np.bool_],
+    ) -> Self:
+        """Return new tracks, seen now.
+
+        Args:
+            states: of N markers.
+            bias: covariance of the readings' constant errors there, shape (N, S, S) [px^2].
+            place_mm: shape (N, 3).
+            first: number of the first; the others follow.
+            marker: strobe slot of them all; None: not known.
+            time_ns: of the states.
+            confirmed: whether they are markers for sure.
+            uncertain: whether an identity is not sure, shape (N,).
+        """
+        count = len(states)
+        return cls(
+            states,
+            np.arange(first, first + count, dtype=np.int64),
+            np.full(count, -1 if marker is None else marker, dtype=np.int32),
+            np.full(count, confirmed, dtype=np.bool_),
+            uncertain.copy(),
+            np.full(count, time_ns, dtype=np.int64),
+            np.full(count, time_ns, dtype=np.int64),
+            np.zeros(count, dtype=np.int32),
+            np.zeros(count, dtype=np.int32),
+            np.zeros(count, dtype=np.int32),
+            np.zeros(count, dtype=np.int32),
+            np.zeros(count),
+            bias,
+            place_mm.copy(),
+            np.zeros((count, bias.shape[1], FIELDS)),
         )
 
     def __len__(self) -> int:

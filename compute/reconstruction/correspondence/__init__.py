@@ -2,6 +2,11 @@
 
 from compute.reconstruction.correspondence.group import group_peaks
 from compute.reconstruction.correspondence.match import match_peaks
+from compute.reconstruction.correspondence.meeting_points import (
+    MeetingPoints,
+    Part,
+    meeting_points,
+)
 from compute.reconstruction.correspondence.outside import PredictedPoints
 from compute.reconstruction.correspondence.predictor import Predictor
 from compute.reconstruction.correspondence.result import Correspondence
@@ -11,8 +16,11 @@ __all__ = [
     "FALSE_REJECTION",
     "Correspondence",
     "MatchSettings",
+    "MeetingPoints",
+    "Part",
     "PredictedPoints",
     "Predictor",
     "group_peaks",
     "match_peaks",
+    "meeting_points",
 ]

@@ -35,25 +35,20 @@ def tracks_at(places_mm: list[list[float]], velocity_mm_s: list[list[float]]) ->
     mean = np.zeros((count, 1, 9))
     mean[:, 0, :3], mean[:, 0, 3:6] = places_mm, velocity_mm_s
     covariance = np.diag([1.0] * 3 + [100.0] * 3 + [1e4] * 3)
-    none = Tracks.empty(1, SENSORS)
-    return Tracks(
+    return Tracks.begun(
         States(
             mean,
             np.broadcast_to(covariance, (count, 1, 9, 9)).copy(),
             np.zeros((count, 1, 9, SENSORS)),
             np.ones((count, 1)),
         ),
-        np.arange(1, count + 1, dtype=np.int64),
-        np.full(count, -1, np.int32),
-        np.ones(count, np.bool_),
-        np.zeros(count, np.bool_),
-        np.zeros(count, np.int64),
-        np.zeros(count, np.int64),
-        *(np.zeros(count, getattr(none, name).dtype) for name in ("hits", "vouched", "misses")),
-        np.zeros(count, np.int32),
-        np.zeros(count),
         np.zeros((count, SENSORS, SENSORS)),
-        mean[:, 0, :3].copy(),
+        mean[:, 0, :3],
+        first=1,
+        marker=None,
+        time_ns=0,
+        confirmed=True,
+        uncertain=np.zeros(count, np.bool_),
     )
 
 
@@ -95,12 +90,12 @@ def test_a_track_at_a_ghost_gives_way() -> None:
     tracks = tracks_at([still, still, still], [still, still, still])
     rows = np.array([0, 1])
     for _ in range(WEAK_EXPOSURES):
-        count_weak(tracks, rows, np.array([3.0, 4.0]), np.array([4.0, 4.0]))
+        count_weak(tracks, rows, np.array([3.0, 4.0]), np.array([3.0, 4.0]), np.array([4.0, 4.0]))
     peaks = np.array([[0, 1, -1, 2], [3, 3, 3, 3], [0, 1, 5, 6]], dtype=np.int32)
     assert replaced(tracks, peaks, 2, rows) == 0
     assert replaced(tracks, peaks, 2, np.array([1])) is None
     for _ in range(WEAK_EXPOSURES):
-        count_weak(tracks, rows, np.array([3.0, 4.0]), np.array([3.0, 4.0]))
+        count_weak(tracks, rows, np.array([3.0, 4.0]), np.array([3.0, 4.0]), np.array([3.0, 4.0]))
     assert tracks.weak[0] == WEAK_EXPOSURES
 
 

@@ -1,0 +1,197 @@
+"""Meeting points: all combinations of a frame's peaks that meet, ghosts among them."""
+
+from dataclasses import dataclass
+from math import inf, log
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.reconstruction.correspondence.candidates import Candidates, Chance, Solve, solved
+from compute.reconstruction.correspondence.cover import covering_triples
+from compute.reconstruction.correspondence.peaks import FramePeaks
+from compute.reconstruction.correspondence.predictor import Predictor
+from compute.reconstruction.correspondence.settings import MatchSettings
+from compute.reconstruction.correspondence.stepwise import completed
+
+Array = NDArray[np.float64]
+
+MOST_TRIPLES: Final = 10_000
+"""Combinations of three peaks that are tried in an exposure; more are tried part by part."""
+MOST_MEETING: Final = 600
+"""Points that are returned, the likeliest."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeetingPoints:
+    """N combinations of three peaks or more that meet in a point.
+
+    Args:
+        choice: index of each sensor's peak, in the order given; -1: none, shape (N, S).
+        place_mm: shape (N, 3).
+        covariance_mm2: shape (N, 3, 3).
+        position_px: of the peaks; NaN where there is none, shape (N, S).
+        sigma_px: of the peaks; NaN where there is none, shape (N, S).
+        log_peaks: log likelihood ratio of these peaks being one marker's to being no one's,
+            integrated over space [mm^3]; other sensors missed it, shape (N,).
+        log_alone: with a marker anywhere; minus infinity where three peaks say nothing, shape (N,).
+    """
+
+    choice: NDArray[np.intp]
+    place_mm: Array
+    covariance_mm2: Array
+    position_px: Array
+    sigma_px: Array
+    log_peaks: Array
+    log_alone: Array
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.choice)
+
+    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MeetingPoints":
+        """Return some of them."""
+        return MeetingPoints(
+            self.choice[index],
+            self.place_mm[index],
+            self.covariance_mm2[index],
+            self.position_px[index],
+            self.sigma_px[index],
+            self.log_peaks[index],
+            self.log_alone[index],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Which part of a frame's combinations is tried.
+
+    Args:
+        turn: which of the triples of sensors, that no marker escapes, to start from.
+        first_px: first reading of its first sensor that is looked at.
+    """
+
+    turn: int = 0
+    first_px: float = -inf
+
+
+def meeting_points(
+    solve: Solve,
+    predict: Predictor,
+    position_px: Array,
+    sigma_px: Array,
+    merged: NDArray[np.bool_] | None,
+    part: Part,
+    settings: MatchSettings,
+) -> tuple[MeetingPoints, float]:
+    """Return the points where peaks meet: of nearly all sensors, or of three where one is expected.
+
+    With up to four sensors all of them, with five all but one, with six or more all but two; which
+    markers escape one triple of sensors, start from another one in the next exposure.
+
+    Args:
+        solve: reconstructs.
+        predict: the sensors.
+        position_px: shape (S, K); NaN where there are fewer.
+        sigma_px: their standard deviations, shape (S, K).
+        merged: peaks that may be two markers', shape (S, K).
+        part: of the combinations.
+        settings: the model of peaks.
+
+    Returns:
+        The points, and the first reading of the part that comes next; minus infinity: all were
+        tried.
+    """
+    peaks = FramePeaks.of(position_px, sigma_px, merged, settings.merged_px)
+    seeing = np.flatnonzero(peaks.count > 0)
+    chance = Chance()
+    found: list[Candidates] = []
+    following = -inf
+    if len(seeing) >= 4:
+        least = max(4, len(seeing) - 2)
+        bases = covering_triples(len(seeing), least)
+        base = seeing[list(bases[part.turn % len(bases)])]
+        free, following = _slice(peaks, base, part.first_px)
+        choice, _ = completed(
+            solve,
+            predict,
+            peaks,
+            free,
+            (int(base[0]), int(base[1]), int(base[2])),
+            least,
+            settings.most_points,
+            chance,
+        )
+        if len(choice):
+            found.append(solved(solve, peaks, choice).found)
+    return _merged(predict, peaks, found, settings), following
+
+
+def _slice(
+    peaks: FramePeaks, base: NDArray[np.intp], first_px: float
+) -> tuple[NDArray[np.bool_], float]:
+    """Return the peaks that are looked at, and the first of the next part."""
+    free = np.isfinite(peaks.position_px)
+    others = int(peaks.count[base[1]] * peaks.count[base[2]])
+    room = max(MOST_TRIPLES // max(others, 1), 1)
+    sensor = int(base[0])
+    line = peaks.position_px[sensor, : peaks.count[sensor]]
+    begin = int(np.searchsorted(line, first_px))
+    if begin >= len(line):
+        begin = 0
+    free[sensor, : len(line)] = False
+    free[sensor, begin : begin + room] = True
+    return free, float(line[begin + room]) if begin + room < len(line) else -inf
+
+
+def _merged(
+    predict: Predictor, peaks: FramePeaks, found: list[Candidates], settings: MatchSettings
+) -> MeetingPoints:
+    """Return candidates as points, each combination once, in an order of their own."""
+    sensors = len(peaks)
+    if not found or sum(len(one) for one in found) == 0:
+        none = np.empty(0)
+        return MeetingPoints(
+            np.empty((0, sensors), np.intp),
+            np.empty((0, 3)),
+            np.empty((0, 3, 3)),
+            np.empty((0, sensors)),
+            np.empty((0, sensors)),
+            none,
+            none,
+        )
+    whole = found[0]
+    for one in found[1:]:
+        whole = whole.joined(one)
+    _, index = np.unique(whole.choice, axis=0, return_index=True)
+    whole = whole.take(index)
+    used = whole.choice >= 0
+    missed = (~used & predict(whole.position_mm).in_view).sum(axis=1)
+    crowd = np.log(settings.detection) - np.log(_density(peaks, settings))
+    peaks_only = whole.log_fit + used @ crowd
+    peaks_only += missed * settings.log_missed
+    alone = np.where(
+        used.sum(axis=1) > 3, peaks_only + log(settings.markers_per_mm3), -inf
+    )
+    if len(whole) > MOST_MEETING:
+        best = np.sort(np.argsort(-peaks_only, kind="stable")[:MOST_MEETING])
+        whole, used, peaks_only, alone = whole.take(best), used[best], peaks_only[best], alone[best]
+    position, sigma = peaks.readings(whole.choice)
+    given = np.where(used, peaks.given[np.arange(sensors), whole.choice], -1)
+    return MeetingPoints(
+        given,
+        whole.position_mm,
+        whole.covariance_mm2,
+        position,
+        sigma,
+        peaks_only,
+        alone,
+    )
+
+
+def _density(peaks: FramePeaks, settings: MatchSettings) -> Array:
+    """Return how densely peaks lie, whoever's they are, shape (S,) [1/px]."""
+    last = peaks.position_px[np.arange(len(peaks)), np.maximum(peaks.count - 1, 0)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        density = (peaks.count - 1) / (last - peaks.position_px[:, 0])
+    return np.maximum(np.where(peaks.count >= 3, density, 0.0), settings.false_per_px)

@@ -1,0 +1,59 @@
+"""The likeliest set of sequences of points of which no two have the same peaks."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MOST_ROUNDS: Final = 50
+
+
+def likeliest_set(score: Array, conflict: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which of C sequences are taken: none with a conflict, of a large sum of scores.
+
+    The best first, then as long as that adds up to more: one that is left out for those taken that
+    it is in conflict with, or several that are left out for the one that keeps them out. A ghost of
+    two markers may be likelier than either of them; it is not likelier than both.
+
+    Args:
+        score: log likelihood ratios, above 0, shape (C,).
+        conflict: symmetric, none with itself, shape (C, C).
+    """
+    order = np.argsort(-score, kind="stable")
+    taken = np.zeros(len(score), dtype=np.bool_)
+    for index in order.tolist():
+        taken[index] = not (conflict[index] & taken).any()
+    for _ in range(MOST_ROUNDS):
+        if not (_one_for_all(score, conflict, taken) or _several_for_one(score, conflict, taken)):
+            break
+    return taken
+
+
+def _one_for_all(score: Array, conflict: NDArray[np.bool_], taken: NDArray[np.bool_]) -> bool:
+    gain = np.where(taken, -np.inf, score - conflict @ np.where(taken, score, 0.0))
+    best = int(gain.argmax()) if len(gain) else 0
+    if len(gain) == 0 or not gain[best] > 0.0:
+        return False
+    taken[conflict[best]] = False
+    taken[best] = True
+    return True
+
+
+def _several_for_one(score: Array, conflict: NDArray[np.bool_], taken: NDArray[np.bool_]) -> bool:
+    kept_out_by = (conflict & taken[:, None]).sum(axis=0)
+    changed = False
+    for one in np.flatnonzero(taken).tolist():
+        waiting = np.flatnonzero(conflict[one] & ~taken & (kept_out_by == 1))
+        waiting = waiting[np.argsort(-score[waiting], kind="stable")]
+        several: list[int] = []
+        for index in waiting.tolist():
+            if not conflict[index, several].any():
+                several.append(index)
+        if score[several].sum() > score[one]:
+            taken[one] = False
+            taken[several] = True
+            kept_out_by = (conflict & taken[:, None]).sum(axis=0)
+            changed = True
+    return changed

@@ -1,0 +1,323 @@
+"""Tracklets: markers, perhaps, each followed on its own until the peaks say which are."""
+
+from dataclasses import dataclass, replace
+from math import log
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.tracking.frame_peaks import FramePeaks
+from compute.tracking.likeliest_set import likeliest_set
+from compute.tracking.motion_model import MotionModels
+from compute.tracking.native.associator import Associator
+from compute.tracking.reading_model import ReadingModel
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.states import States, combined, predicted
+
+Array = NDArray[np.float64]
+
+WINDOW: Final = 16
+"""Exposures that are remembered."""
+LEAST_AGE: Final = 8
+"""Exposures after which a tracklet may be a marker."""
+TRIED_AGE: Final = 5
+"""Exposures after which a tracklet that too few sensors see is given up."""
+STEADY: Final = 0.65
+"""Part of the exposures in which a sensor must have seen it, or a peak that may be shared."""
+HOPELESS: Final = 0.45
+"""Part below which it is given up."""
+LEAST_SEEN: Final = 3
+"""Exposures in which it must have been seen by each of the sensors that count."""
+LEAST_OWN: Final = 2
+"""Peaks of its own that it must have in an exposure; without them it is given up."""
+MOST_BLIND: Final = 3
+"""Exposures without them, in a row."""
+SHARED: Final = 0.2
+"""Part of its peaks beyond which a tracklet is in conflict with another one that has them too."""
+SAME: Final = 0.6
+"""Part beyond which it is the same one."""
+SURE: Final = 2.0
+"""How many times the score of a rival leaves no doubt."""
+MOST: Final = 80
+"""Tracklets that are followed."""
+
+
+@dataclass(eq=False)
+class _Kept:
+    """T tracklets.
+
+    Args:
+        states: at the last exposure.
+        bias: as of tracks, shape (T, S, S).
+        place_mm: where that was worked out, shape (T, 3).
+        peaks: of the last exposures, the newest last; -1: none, shape (T, W, S).
+        missed: whether a sensor had no peak there, not even one that may be shared, (T, W, S).
+        score: log likelihood ratio to no one's peaks, of each exposure, shape (T, W).
+        age: exposures, shape (T,).
+        blind: exposures in a row without peaks enough, shape (T,).
+        vouched: exposures that a fourth sensor saw it in, shape (T,).
+        nis: of the last exposure, shape (T,).
+    """
+
+    states: States
+    bias: Array
+    place_mm: Array
+    peaks: NDArray[np.int32]
+    missed: NDArray[np.bool_]
+    score: Array
+    age: NDArray[np.intp]
+    blind: NDArray[np.intp]
+    nis: Array
+
+    def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "_Kept":
+        return _Kept(
+            self.states.rows(index),
+            self.bias[index],
+            self.place_mm[index],
+            self.peaks[index],
+            self.missed[index],
+            self.score[index],
+            self.age[index],
+            self.blind[index],
+            self.nis[index],
+        )
+
+    def joined(self, other: "_Kept") -> "_Kept":
+        return _Kept(
+            self.states.joined(other.states),
+            np.concatenate([self.bias, other.bias]),
+            np.concatenate([self.place_mm, other.place_mm]),
+            np.concatenate([self.peaks, other.peaks]),
+            np.concatenate([self.missed, other.missed]),
+            np.concatenate([self.score, other.score]),
+            np.concatenate([self.age, other.age]),
+            np.concatenate([self.blind, other.blind]),
+            np.concatenate([self.nis, other.nis]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.age)
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMarkers:
+    """N markers.
+
+    Args:
+        states: at the exposure.
+        bias: as of tracks, shape (N, S, S).
+        place_mm: where that was worked out, shape (N, 3).
+        peaks: of the exposure; -1: none, shape (N, S).
+        nis: of the exposure, shape (N,).
+    """
+
+    states: States
+    bias: Array
+    place_mm: Array
+    peaks: NDArray[np.int32]
+    nis: Array
+
+    def __len__(self) -> int:
+        """Return the number of markers."""
+        return len(self.nis)
+
+
+class Tracklets:
+    """Follows what may be markers, each as if it were alone, and says which are.
+
+    Ghosts have peaks of markers. Followed together with these they would take them; followed alone,
+    each peak may be several tracklets', and over some exposures it shows which set of them explains
+    all: a ghost loses a sensor when its markers move apart, and what it explains, its markers do as
+    well, each with more besides.
+
+    Args:
+        model: of the readings.
+        motion: M models.
+        settings: of the tracker.
+        associator: of peaks with tracks.
+    """
+
+    def __init__(
+        self,
+        model: ReadingModel,
+        motion: MotionModels,
+        settings: TrackerSettings,
+        associator: Associator,
+    ) -> None:
+        self._model, self._motion, self._settings = model, motion, settings
+        self._associator = associator
+        self._kept: _Kept | None = None
+        self._time_ns = 0
+
+    def __len__(self) -> int:
+        """Return the number of tracklets."""
+        return 0 if self._kept is None else len(self._kept)
+
+    def forget(self) -> None:
+        """Forget all."""
+        self._kept = None
+
+    def explained(self) -> NDArray[np.int32]:
+        """Return the peaks of the tracklets that are well seen, in the last exposure, (N, S)."""
+        if self._kept is None:
+            return np.empty((0, len(self._model)), dtype=np.int32)
+        kept = self._kept
+        return kept.peaks[(kept.age >= TRIED_AGE) & self._steady(STEADY, LEAST_SEEN), -1]
+
+    def begin(
+        self, states: States, bias: Array, place_mm: Array, peaks: NDArray[np.int32], time_ns: int
+    ) -> None:
+        """Follow N more, seen now by these peaks (N, S), if there is room and none has them yet."""
+        new = len(states)
+        if self._kept is not None and len(self._kept):
+            own = self._kept.peaks[:, -1]
+            same = ((own[None] == peaks[:, None]) & (peaks[:, None] >= 0)).sum(axis=2)
+            fresh = same.max(axis=1) < 3
+        else:
+            fresh = np.ones(new, dtype=np.bool_)
+        rows: list[int] = []
+        for row in np.flatnonzero(fresh).tolist():
+            like = ((peaks[rows] == peaks[row]) & (peaks[row] >= 0)).sum(axis=1)
+            if len(self) + len(rows) < MOST and (len(rows) == 0 or like.max() < 3):
+                rows.append(row)
+        if not rows:
+            return
+        index = np.array(rows)
+        sensors = len(self._model)
+        history = np.full((len(rows), WINDOW, sensors), -1, dtype=np.int32)
+        history[:, -1] = peaks[index]
+        added = _Kept(
+            states.rows(index),
+            bias[index],
+            place_mm[index],
+            history,
+            np.zeros(history.shape, dtype=np.bool_),
+            np.zeros((len(rows), WINDOW)),
+            np.zeros(len(rows), dtype=np.intp),
+            np.zeros(len(rows), dtype=np.intp),
+            np.zeros(len(rows)),
+        )
+        self._kept = added if self._kept is None else self._kept.joined(added)
+        self._time_ns = time_ns
+
+    def follow(self, time_ns: int, peaks: FramePeaks, free: NDArray[np.bool_]) -> None:
+        """Update all by the peaks that are free, shape (S, K); give up those that fail."""
+        kept = self._kept
+        if kept is None or len(kept) == 0:
+            self._time_ns = time_ns
+            return
+        step = np.full(len(kept), (time_ns - self._time_ns) * 1e-9)
+        self._time_ns = time_ns
+        states = predicted(self._motion, kept.states, step)
+        left = replace(peaks, usable=free)
+        crowd = _log_crowd(peaks, self._settings)
+        kept.peaks = np.roll(kept.peaks, -1, axis=1)
+        kept.missed = np.roll(kept.missed, -1, axis=1)
+        kept.score = np.roll(kept.score, -1, axis=1)
+        base = log(self._settings.false_per_px)
+        for one in range(len(kept)):
+            row = np.array([one])
+            found = self._associator.associate(states.rows(row), kept.bias[row], left)
+            kept.states.put(row, found.states)
+            kept.peaks[one, -1] = found.peaks[0]
+            used = found.peaks[0] >= 0
+            # Against other markers' peaks, not against false ones.
+            kept.score[one, -1] = found.evidence[0] - (used * (crowd - base)).sum()
+            kept.nis[one] = found.nis[0]
+        there = self._model.predict(combined(self._motion, kept.states).mean[:, :3])
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(peaks.position_px - there.reading_px[..., None])
+            shared = ((apart <= self._settings.merge_px) & peaks.usable).any(axis=2)
+        used = kept.peaks[:, -1] >= 0
+        kept.missed[:, -1] = ~used & ~shared & there.in_view
+        kept.score[:, -1] += kept.missed[:, -1].sum(axis=1) * log(1.0 - self._settings.detection)
+        kept.age += 1
+        kept.blind = np.where(used.sum(axis=1) >= LEAST_OWN, 0, kept.blind + 1)
+        good = (kept.blind < MOST_BLIND) & ((kept.age < TRIED_AGE) | self._steady(HOPELESS, 0))
+        self._kept = kept.rows(good)
+        self._join()
+
+    def decide(self) -> FoundMarkers | None:
+        """Return those that are markers, and follow them no longer; None: there are none."""
+        kept = self._kept
+        if kept is None or len(kept) == 0:
+            return None
+        score = kept.score.sum(axis=1)
+        ready = np.flatnonzero(score > 0.0)
+        if len(ready) == 0:
+            return None
+        sizes, shared = _shared(kept.peaks[ready])
+        smaller = np.minimum(sizes[:, None], sizes[None])
+        conflict = shared > SHARED * smaller
+        np.fill_diagonal(conflict, val=False)
+        score = score[ready]
+        taken = likeliest_set(score, conflict)
+        rival = np.where(conflict, score, 0.0).max(axis=1)
+        sure = np.where(kept.age[ready] >= WINDOW, 1.0, SURE)
+        good = taken & (kept.age[ready] >= LEAST_AGE) & self._steady(STEADY, LEAST_SEEN)[ready]
+        good &= (score > sure * rival) & (kept.blind[ready] == 0)
+        if not good.any():
+            return None
+        found = ready[good]
+        markers = FoundMarkers(
+            kept.states.rows(found),
+            kept.bias[found],
+            kept.place_mm[found],
+            kept.peaks[found, -1],
+            kept.nis[found],
+        )
+        stay = np.ones(len(kept), dtype=np.bool_)
+        stay[found] = False
+        # What lived on their peaks is a ghost.
+        stay[ready[conflict[good].any(axis=0)]] = False
+        self._kept = kept.rows(stay)
+        return markers
+
+    def _steady(self, part: float, least_seen: int) -> NDArray[np.bool_]:
+        """Return which have been seen by enough sensors in such a part of the exposures."""
+        kept = self._kept
+        assert kept is not None
+        seen = (kept.peaks >= 0).sum(axis=1)
+        # Where a peak may be shared, a sensor says nothing.
+        asked = seen + kept.missed.sum(axis=1)
+        good = (seen >= part * asked) & (seen >= least_seen)
+        sensors = len(self._model)
+        least = sensors if sensors <= 4 else max(4, sensors - 2)
+        steady: NDArray[np.bool_] = good.sum(axis=1) >= least
+        return steady
+
+    def _join(self) -> None:
+        """Of tracklets that have come to have the same peaks, keep the likeliest."""
+        kept = self._kept
+        if kept is None or len(kept) < 2:
+            return
+        sizes, shared = _shared(kept.peaks[:, -4:])
+        same = (shared > SAME * np.minimum(sizes[:, None], sizes[None])) & (shared > 0)
+        order = np.argsort(-kept.score.sum(axis=1), kind="stable")
+        stay = np.zeros(len(kept), dtype=np.bool_)
+        for one in order.tolist():
+            stay[one] = not (same[one] & stay).any()
+        if not stay.all():
+            self._kept = kept.rows(stay)
+
+
+def _shared(peaks: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return how many peaks each of C has (C, W, S), and every two in common, shape (C, C)."""
+    there = peaks >= 0
+    same = (peaks[:, None] == peaks[None]) & there[:, None]
+    return there.sum(axis=(1, 2)), same.sum(axis=(2, 3))
+
+
+def _log_crowd(peaks: FramePeaks, settings: TrackerSettings) -> Array:
+    """Return the log of how densely peaks lie, whoever's they are, shape (S,)."""
+    place = np.where(peaks.usable, peaks.position_px, np.nan)
+    count = peaks.usable.sum(axis=1)
+    density = np.full(len(place), settings.false_per_px)
+    many = count >= 3
+    if many.any():
+        width = np.nanmax(place[many], axis=1) - np.nanmin(place[many], axis=1)
+        density[many] = np.maximum(
+            density[many], (count[many] - 1) / np.maximum(width, settings.merge_px)
+        )
+    return np.log(density)

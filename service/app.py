@@ -39,6 +39,8 @@ from service.security.router import router as keys
 from service.server import router as server
 from service.settings import Settings
 from service.stream import router as stream
+from service.tools.frames_router import router as frames
+from service.tools.points_router import router as points
 from service.tools.registrations_router import router as registrations
 from service.tools.router import router as tools
 from service.version import package_version
@@ -52,8 +54,9 @@ types. Every example below works as it stands on a new server, which has the sim
 `sim`, but for those of the correction tables `sim-map` and `sim-map-spare`: post the mapping run
 first, with that `result_id`; those of the key `examplekey00`: the server chooses a key's id; and
 those of the recording `earlier.h5`: record one of that name; and those that look at a tool or
-calibrate one (`tool-captures`, `pivot-calibrations`, `spin-calibrations`): show the device the tool
-first, as docs/tools.md says.
+calibrate one (`tool-captures`, `pivot-calibrations`, `spin-calibrations`), measure with it or by
+it (`points`, strobed markers of a registration), or measure a hold's reference: show the device the
+tool or the markers first, as docs/tools.md and docs/holds.md say.
 """
 
 
@@ -110,7 +113,9 @@ def create_app(
         reconstructions,
         recordings_router,
         tools,
+        points,
         registrations,
+        frames,
         holds,
         line_scans,
         device_profiles,

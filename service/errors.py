@@ -399,6 +399,12 @@ class ToolReplaced(LumilineError):
     code = "tool-replaced"
 
 
+class TipNotCalibrated(LumilineError):
+    """The tool's working point is not known: it was neither given nor found by pivoting."""
+
+    code = "tip-not-calibrated"
+
+
 class MarkersTaken(LumilineError):
     """Another tool of the device has a strobed marker of this number."""
 

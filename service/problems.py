@@ -33,6 +33,8 @@ _STATUS: Final[dict[str, int]] = {
     own.ToolInUse.code: 409,
     own.TooManyTools.code: 409,
     own.ToolReplaced.code: 409,
+    domain.UnknownFrame.code: 404,
+    own.TipNotCalibrated.code: 409,
     own.MarkersTaken.code: 409,
     own.RegistrationExists.code: 409,
     own.UnknownHold.code: 404,

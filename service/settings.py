@@ -82,6 +82,10 @@ class Settings(BaseSettings):
     """Largest request body [bytes]."""
     table_limit_bytes: int = Field(default=64 * 1024 * 1024, ge=1024)
     """Largest file of a correction table that is uploaded [bytes]."""
+    surface_points: int = Field(default=2000, ge=12)
+    """Most measured points of a registration by a surface: some milliseconds each."""
+    surface_size: int = Field(default=100_000, ge=12)
+    """Most vertices, and most triangles, or points of such a surface."""
     body_seconds: float = Field(default=60.0, gt=0.0, le=3600.0)
     """Within which a request's body has to arrive [s]."""
     authentication: Literal["loopback-open", "required"] = "loopback-open"

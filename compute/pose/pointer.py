@@ -12,6 +12,7 @@ from compute.errors import InvalidParameter, NotStill, TooFewPoses
 
 Array = NDArray[np.float64]
 
+_NOTHING: Final = np.zeros((3, 3))
 _DRIFT_CHANCE: Final = 1e-4
 """A drift is one when chance makes as much of it in one still capture of 10 000."""
 
@@ -51,8 +52,8 @@ class StillPoint:
     Args:
         position_mm: the mean, shape (3,) [mm].
         covariance_mm2: of the mean, shape (3, 3) [mm^2]: the scatter over the number of
-            positions, and what their own covariances say beyond the scatter, which is common to
-            all of them (calibration, tip) and no mean makes smaller.
+            positions, and what is common to all of them and no mean makes smaller: what is known
+            to be, such as the tip's own, and what their other covariances say beyond the scatter.
         deviation_mm: standard deviation of a position in space [mm].
         drift_mm: movement from begin to end, by a straight line [mm].
         poses: number of positions.
@@ -74,6 +75,7 @@ def still_point(
     positions_mm: Array,
     covariances_mm2: Array | None = None,
     settings: StillSettings | None = None,
+    shared_mm2: Array | None = None,
 ) -> StillPoint:
     """Return the mean of a tip's positions, all of them, if it was held still.
 
@@ -83,6 +85,8 @@ def still_point(
             shape (N, 3) [mm].
         covariances_mm2: shape (N, 3, 3) [mm^2]; None: the scatter is all that is known.
         settings: what counts as still.
+        shared_mm2: what of these covariances is known to be common to all positions,
+            shape (N, 3, 3) [mm^2]; None: nothing.
 
     Raises:
         TooFewPoses: there are too few, over too short a time, or with a gap.
@@ -113,8 +117,10 @@ def still_point(
             most_mm=wanted.most_drift_mm,
         )
     covariance = scatter / count
+    shared = np.zeros((3, 3)) if shared_mm2 is None else np.mean(shared_mm2, axis=0)
     if covariances_mm2 is not None:
-        covariance = covariance + _beyond(np.mean(covariances_mm2, axis=0), scatter)
+        own = np.mean(covariances_mm2, axis=0) - shared
+        covariance = covariance + shared + _beyond(own, scatter)
     return StillPoint(
         mean, covariance, deviation, drift, count, int(times_ns[0]), int(times_ns[-1])
     )
@@ -170,7 +176,7 @@ class StillCapture:
     def __init__(self, settings: StillSettings | None = None) -> None:
         """Begin a capture."""
         self._settings = settings or StillSettings()
-        self._held: deque[tuple[int, Array, Array | None]] = deque()
+        self._held: deque[tuple[int, Array, Array | None, Array]] = deque()
         self._error: NotStill | TooFewPoses | None = None
 
     @property
@@ -197,16 +203,24 @@ class StillCapture:
         return None if position_mm is None else self.take()
 
     def put(
-        self, time_ns: int, position_mm: Array | None, covariance_mm2: Array | None = None
+        self,
+        time_ns: int,
+        position_mm: Array | None,
+        covariance_mm2: Array | None = None,
+        shared_mm2: Array | None = None,
     ) -> None:
-        """Add a position without looking whether the tip is still: quick; see ``add``."""
+        """Add a position without looking whether the tip is still: quick; see ``add``.
+
+        ``shared_mm2`` is what of its covariance is common to all positions.
+        """
         held, wanted = self._held, self._settings
         if held and time_ns <= held[-1][0]:
             held.clear()
         if position_mm is None:
             self._error = TooFewPoses("the tip is not seen")
             return
-        held.append((time_ns, np.asarray(position_mm, np.float64), covariance_mm2))
+        shared = _NOTHING if shared_mm2 is None else shared_mm2
+        held.append((time_ns, np.asarray(position_mm, np.float64), covariance_mm2, shared))
         # As short as it may be, lest the movement before it counts.
         while len(held) > 1 and (time_ns - held[1][0]) * 1e-9 >= wanted.seconds:
             held.popleft()
@@ -214,13 +228,14 @@ class StillCapture:
     def take(self) -> StillPoint | None:
         """Return the point if the last ``seconds`` that were put in were still, and begin anew."""
         held = self._held
-        known = [one for _, _, one in held if one is not None]
+        known = [one for _, _, one, _ in held if one is not None]
         try:
             found = still_point(
-                np.array([one for one, _, _ in held], np.int64),
-                np.array([one for _, one, _ in held]).reshape(-1, 3),
+                np.array([one for one, _, _, _ in held], np.int64),
+                np.array([one for _, one, _, _ in held]).reshape(-1, 3),
                 np.array(known) if len(known) == len(held) else None,
                 self._settings,
+                np.array([one for _, _, _, one in held]) if held else None,
             )
         except (NotStill, TooFewPoses) as error:
             self._error = error

@@ -16,6 +16,10 @@ _NEIGHBOURS: Final = 12
 _CANDIDATES: Final = 16
 _FIRST: Final = 3
 """Candidates that are looked at before the others, most of which then cannot be nearer."""
+_SIZES: Final = 4.0
+"""Largest ratio of the reaches of triangles that are searched together."""
+_AT_ONCE: Final = 200_000
+"""Triangles that are looked at together, unless one point needs more."""
 
 
 class Surface(Protocol):
@@ -103,8 +107,7 @@ class TriangleMesh:
     _corners: Array = field(init=False, repr=False)
     _units: Array = field(init=False, repr=False)
     _reach: Array = field(init=False, repr=False)
-    _radius: float = field(init=False, repr=False)
-    _tree: cKDTree = field(init=False, repr=False)
+    _levels: "tuple[_Level, ...]" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         vertices = _checked(self.vertices_mm, "vertices_mm")
@@ -129,8 +132,12 @@ class TriangleMesh:
         object.__setattr__(self, "_units", across[real] / size[real, None])
         reach = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
         object.__setattr__(self, "_reach", reach)
-        object.__setattr__(self, "_radius", float(reach.max()))
-        object.__setattr__(self, "_tree", cKDTree(middles))
+        size_class = np.floor(np.log(reach / reach.max()) / np.log(_SIZES)).astype(np.intp)
+        levels = []
+        for one in np.unique(size_class):
+            faces = np.flatnonzero(size_class == one)
+            levels.append(_Level(faces, float(reach[faces].max()), cKDTree(middles[faces])))
+        object.__setattr__(self, "_levels", tuple(levels))
 
     @property
     def exact_normals(self) -> bool:
@@ -140,51 +147,70 @@ class TriangleMesh:
     def nearest(self, points_mm: Array) -> tuple[Array, Array]:
         """Return the nearest places on the triangles, exactly, and the directions off them."""
         points = np.asarray(points_mm, np.float64)
-        few = min(_CANDIDATES, len(self._corners))
-        query = self._tree.query(points, np.arange(1, few + 1))
-        away, found = np.asarray(query[0], np.float64), np.asarray(query[1], np.intp)
-        face = found[:, 0].copy()
-        place = nearest_on_triangles(points, self._corners[face])
-        best = np.linalg.norm(place - points, axis=1)
-        # A triangle further off by its middle may be nearer by no more than its own reach.
-        for start, end in pairwise(sorted({1, min(_FIRST, few), few})):
-            owner, which = np.nonzero(
-                away[:, start:end] - self._reach[found[:, start:end]] < best[:, None]
-            )
-            self._look(points, owner, found[owner, start + which], place, face, best)
-        rows = np.flatnonzero((few < len(self._corners)) & (away[:, -1] - self._radius < best))
-        if len(rows):
-            lists = self._tree.query_ball_point(
-                points[rows], best[rows] + self._radius * (1.0 + 1e-9)
-            )
-            owner = np.repeat(rows, [len(one) for one in lists])
-            near = np.concatenate([np.asarray(one, np.intp) for one in lists])
-            self._look(points, owner, near, place, face, best)
+        near = _Nearest(points, self._corners)
+        for level in self._levels:
+            level.search(near, self._reach)
         # Beside an edge or a corner the distance grows along the way to it, not along a normal.
-        off = points - place
-        length = np.linalg.norm(off, axis=1, keepdims=True)
-        tiny = length <= 1e-9 * self._radius
-        return place, np.where(tiny, self._units[face], off / np.where(tiny, 1.0, length))
+        off = points - near.place
+        length = near.distance[:, None]
+        tiny = length <= 1e-9 * self._levels[-1].radius
+        return near.place, np.where(tiny, self._units[near.face], off / np.where(tiny, 1.0, length))
 
-    def _look(
-        self,
-        points: Array,
-        owner: NDArray[np.intp],
-        near: NDArray[np.intp],
-        place: Array,
-        face: NDArray[np.intp],
-        best: Array,
-    ) -> None:
-        """Put in what is nearer, of triangles ``near`` to the points ``owner``."""
-        places = nearest_on_triangles(points[owner], self._corners[near])
-        distance = np.linalg.norm(places - points[owner], axis=1)
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """Triangles of about one size: among those of all sizes the large ones hide the small."""
+
+    faces: NDArray[np.intp]
+    radius: float
+    tree: cKDTree
+
+    def search(self, near: "_Nearest", reach: Array) -> None:
+        """Look at all of them that may be nearer; a triangle is by at most its own reach."""
+        few = min(_CANDIDATES, len(self.faces))
+        query = self.tree.query(near.points, np.arange(1, few + 1))
+        away, found = np.asarray(query[0], np.float64), self.faces[query[1]]
+        for start, end in pairwise(sorted({0, 1, min(_FIRST, few), few})):
+            closest = away[:, start:end] - reach[found[:, start:end]]
+            owner, which = np.nonzero(closest < near.distance[:, None])
+            near.look(owner, found[owner, start + which])
+        rows = np.flatnonzero((few < len(self.faces)) & (away[:, -1] - self.radius < near.distance))
+        if not len(rows):
+            return
+        most = near.distance[rows] + self.radius * (1.0 + 1e-9)
+        counts = self.tree.query_ball_point(near.points[rows], most, return_length=True)
+        # In parts: of points in the middle of a sphere all triangles are about the nearest.
+        for part in np.split(
+            np.arange(len(rows)),
+            np.flatnonzero(np.diff(np.cumsum(counts) // _AT_ONCE)) + 1,
+        ):
+            lists = self.tree.query_ball_point(near.points[rows[part]], most[part])
+            owner = np.repeat(rows[part], [len(one) for one in lists])
+            near.look(owner, self.faces[np.concatenate(lists).astype(np.intp)])
+
+
+class _Nearest:
+    """The nearest places to points so far."""
+
+    def __init__(self, points: Array, corners: Array) -> None:
+        self.points = points
+        self.place = np.zeros_like(points)
+        self.distance = np.full(len(points), np.inf)
+        self.face = np.zeros(len(points), np.intp)
+        self._corners = corners
+
+    def look(self, owner: NDArray[np.intp], faces: NDArray[np.intp]) -> None:
+        """Put in what is nearer, of triangles ``faces`` to the points ``owner``."""
+        places = nearest_on_triangles(self.points[owner], self._corners[faces])
+        distance = np.linalg.norm(places - self.points[owner], axis=1)
         # The nearest of each point comes first.
         order = np.lexsort((distance, owner))
         rows, first = np.unique(owner[order], return_index=True)
         chosen = order[first]
-        nearer = distance[chosen] < best[rows]
+        nearer = distance[chosen] < self.distance[rows]
         rows, chosen = rows[nearer], chosen[nearer]
-        place[rows], face[rows], best[rows] = places[chosen], near[chosen], distance[chosen]
+        self.place[rows], self.face[rows] = places[chosen], faces[chosen]
+        self.distance[rows] = distance[chosen]
 
 
 def nearest_on_triangles(points: Array, corners: Array) -> Array:

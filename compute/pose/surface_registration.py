@@ -1,5 +1,6 @@
 """Surface registration: points on a surface refine a registration (iterative closest points)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -35,7 +36,7 @@ class SurfaceSettings:
         least_points: fewest points; a surface holds six unknowns only where it bends.
         trim: share of the points, those furthest off, that are left out at every step, below a
             half.
-        most_steps: before it is given up.
+        most_steps: before it is given up; halved ones count.
         least_hold: smallest share of the best held motion's stiffness that the worst held one
             may have: the square of the ratio of their deviations.
         most_rms_mm: largest RMS distance of the points kept [mm].
@@ -108,6 +109,7 @@ def register_surface(
     surface: Surface,
     start: Transform,
     settings: SurfaceSettings | None = None,
+    tell: Callable[[], None] = lambda: None,
 ) -> SurfaceRegistration:
     """Refine a registration so that points come to lie on a surface.
 
@@ -121,6 +123,7 @@ def register_surface(
         surface: a PointCloud or a TriangleMesh.
         start: T_surface_points, such as that of paired points; the answer is the one near it.
         settings: how it is done.
+        tell: called before every look at where the points lie; what it raises ends this.
 
     Raises:
         TooFewPoints: fewer than asked for.
@@ -130,6 +133,7 @@ def register_surface(
         InvalidParameter, NonFiniteValue: the points are not what they should be.
     """
     wanted = settings or SurfaceSettings()
+    surface = _Told(surface, tell)
     points = np.asarray(points_mm, np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise InvalidParameter(f"the points have shape {points.shape}; it must be (N, 3)")
@@ -177,19 +181,37 @@ def register_surface(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """A surface that tells of every look at it."""
+
+    surface: Surface
+    tell: Callable[[], None]
+
+    @property
+    def exact_normals(self) -> bool:
+        return self.surface.exact_normals
+
+    def nearest(self, points_mm: Array) -> tuple[Array, Array]:
+        self.tell()
+        return self.surface.nearest(points_mm)
+
+
 def _iterate(
     points: Array, surface: Surface, rotation: Array, translation: Array, wanted: SurfaceSettings
 ) -> _Answer:
     """Return where steps end that bring the points nearer, whole or halved."""
     spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
     here = _at(points, surface, rotation, translation, wanted)
-    for steps in range(1, wanted.most_steps + 1):
+    steps = 0
+    while steps < wanted.most_steps:
         kept = here.kept
         if surface.exact_normals:
             step, middle = _to_planes(here.moved[kept], here.normals[kept], here.along[kept])
         else:
             step, middle = _to_places(here.moved[kept], here.places[kept])
         for _ in range(_HALVINGS):
+            steps += 1
             turn = rotation_matrix(step[:3])
             there = _at(
                 points,

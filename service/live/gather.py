@@ -1,6 +1,7 @@
 """Lets a tap have a running device's batches for some seconds."""
 
 import time
+from collections.abc import Callable
 from threading import Event
 from typing import Final
 
@@ -13,9 +14,16 @@ _LOOK_S: Final = 0.1
 
 
 def gather(
-    live: LiveManager, session: DeviceSession, tap: Tap, seconds: float, ended: Event
+    live: LiveManager,
+    session: DeviceSession,
+    tap: Tap,
+    seconds: float,
+    ended: Event,
+    look: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Attach a tap for so long, or until ``ended`` is set; waits.
+    """Attach a tap for so long, or until ``ended`` is set or ``look`` is true; waits.
+
+    ``look`` is called in the waiting thread, several times a second.
 
     Raises:
         DeviceNotRunning: the device stops or is lost meanwhile.
@@ -31,6 +39,8 @@ def gather(
                     "is up again",
                     part="server",
                 )
+            if look():
+                return
             if not session.connected:
                 raise DeviceNotRunning(
                     f'device "{session.device_id}" stopped or was lost while it was measured; '

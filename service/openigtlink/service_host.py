@@ -27,7 +27,7 @@ from service.security.principal import Act, Principal, current_act
 from service.security.refusals import Refusals
 from service.tools.bodies import body_of
 from service.tools.made_with import made_with
-from service.tools.registration_schema import NewRegistration
+from service.tools.registrations import measured_points
 from service.tools.tip_limit import tip_limit_of
 
 _log = logging.getLogger(__name__)
@@ -112,11 +112,10 @@ class ServiceHost:
         found: list[Landmark] = []
         with self._database.read() as session:
             for row in session.scalars(query):
-                asked = NewRegistration.model_validate(row.asked)
                 owner, of = frame_name(row.reference_id), made_with(session, row)
                 found += (
-                    Landmark(f"{row.id} {one.name}", one.measured_mm, owner, of)
-                    for one in asked.fiducials
+                    Landmark(f"{row.id} {name}", place, owner, of)
+                    for name, place in measured_points(row)
                 )
         return tuple(found[:_MOST])
 

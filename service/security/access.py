@@ -52,6 +52,9 @@ ACCESS: Final[Mapping[str, Access]] = {
     "get-tool": "read:stream",
     "get-tool-pose": "read:stream",
     "list-tool-calibrations": "read:stream",
+    "measure-point": "read:stream",
+    "list-frames": "read:stream",
+    "get-frame-transform": "read:stream",
     "list-registrations": "read:stream",
     "get-registration": "read:stream",
     # What a tool is and where its tip is decides what a pose means, as a calibration does; who

@@ -1,5 +1,6 @@
 """A tool's geometry from the points that a running device sees of it while it is held still."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -84,14 +85,19 @@ def _wanted(asked: NewCapturedTool, strobes: int) -> tuple[tuple[int, ...] | Non
                 f"strobe_markers, numbers 0 to {strobes - 1}"
             )
         return None, asked.markers
-    unknown = next((number for number in asked.strobe_markers if number >= strobes), None)
+    check_strobed(asked.device, asked.strobe_markers, strobes)
+    return tuple(asked.strobe_markers), len(asked.strobe_markers)
+
+
+def check_strobed(device_id: str, numbers: Sequence[int], strobes: int) -> None:
+    """Raise InvalidParameter when a device that strobes so many markers has not got these."""
+    unknown = next((number for number in numbers if number >= strobes), None)
     if unknown is not None:
         known = f"0 to {strobes - 1}" if strobes else "none: they are lit together"
         raise InvalidParameter(
-            f'device "{asked.device}" has no strobed marker {unknown}; it has {known}',
+            f'device "{device_id}" has no strobed marker {unknown}; it has {known}',
             marker=unknown,
         )
-    return tuple(asked.strobe_markers), len(asked.strobe_markers)
 
 
 def _check_seen(tracks: list[MarkerTrack], strobed: tuple[int, ...] | None, seconds: float) -> None:

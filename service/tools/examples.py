@@ -60,6 +60,16 @@ TOOL_IDS: Final[dict[str, Any]] = {
 SPUN_IDS: Final[dict[str, Any]] = {
     "clamp": {"summary": "of the example that captures it", "value": "clamp"}
 }
+_BOX_MM: Final = [[x, y, z] for z in (-120, 0) for y in (-100, 100) for x in (-70, 70)]
+_BOX: Final = [
+    [0, 1, 3], [0, 3, 2], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4],
+    [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 3, 7], [1, 7, 5],
+]  # fmt: skip
+_ON_THE_BOX_MM: Final = [
+    (-50, -80, 0), (50, -80, 0), (-50, 80, 0), (50, 80, 0), (0, 0, 0), (20, 50, 0),
+    (-70, -80, -20), (-70, 80, -20), (-70, 10, -100), (70, -80, -20), (70, 80, -100),
+    (70, 0, -60), (-50, -100, -20), (50, -100, -100), (0, 100, -20), (40, 100, -90),
+]  # fmt: skip
 NEW_REGISTRATIONS: Final[dict[str, Any]] = {
     "image": {
         "summary": "Five fiducials of an image, touched with the pointer",
@@ -80,6 +90,52 @@ NEW_REGISTRATIONS: Final[dict[str, Any]] = {
             "targets": [{"name": "target", "frame_mm": [0, 30, -60]}],
         },
     },
+    "plate": {
+        "summary": "Three markers on a plate, measured before",
+        "value": {
+            "id": "plate",
+            "kind": "three-markers",
+            "device": "sim",
+            "measured_mm": [[10, -20, 1500], [110, -20, 1500], [10, 60, 1500]],
+            "measured_sigma_mm": 0.05,
+        },
+    },
+    "plate-now": {
+        "summary": "Three strobed markers, held still for a second",
+        "description": _LIVE,
+        "value": {
+            "id": "plate-now",
+            "kind": "three-markers",
+            "device": "sim",
+            "strobe_markers": [4, 5, 6],
+        },
+    },
+    "image-by-skin": {
+        "summary": "The first example, refined by points on a surface of twelve triangles",
+        "description": "A real surface has some thousand triangles, and the points are some "
+        "hundred. Post the first example before.",
+        "value": {
+            "id": "image-by-skin",
+            "kind": "surface",
+            "device": "sim",
+            "parent": "image",
+            "surface": {"kind": "mesh", "vertices_mm": _BOX_MM, "triangles": _BOX},
+            "points_mm": [
+                [round(x + 10.3, 1), round(y - 20.2, 1), round(z + 1500.1, 1)]
+                for x, y, z in _ON_THE_BOX_MM
+            ],
+        },
+    },
+}
+NEW_POINTS: Final[dict[str, Any]] = {
+    "landmark": {
+        "summary": "A landmark in the tracker's frame, the tip held on it for half a second",
+        "description": _LIVE,
+        "value": {"name": "nasion", "frame": "tracker"},
+    },
+}
+FRAME_NAMES: Final[dict[str, Any]] = {
+    "image": {"summary": "of the registration of the example body", "value": "image"}
 }
 REGISTRATION_IDS: Final[dict[str, Any]] = {
     "image": {"summary": "of the example body", "value": "image"}

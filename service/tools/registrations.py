@@ -1,10 +1,11 @@
-"""Registrations in the database: made from paired points, kept as named frames."""
+"""Registrations in the database, kept as named frames."""
 
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from pydantic import TypeAdapter
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
@@ -12,13 +13,22 @@ from compute.errors import InvalidParameter
 from compute.pose.transform import Transform
 from service.database.engine import insert
 from service.database.models import RegistrationRow, ToolRow
-from service.errors import RegistrationExists, UnknownRegistration
-from service.tools.made_with import what_is_active
-from service.tools.registration_schema import NewRegistration, Registration
+from service.errors import CalibrationSwitched, RegistrationExists, UnknownRegistration
+from service.schema import Position
+from service.tools.made_with import made_with, what_is_active
+from service.tools.registration_schema import (
+    Asked,
+    NewPairedPoints,
+    NewSurface,
+    NewThreeMarkers,
+    Registration,
+)
 from service.tools.schema import TRACKER
 from service.tools.store import get_tool
 
-Array = NDArray[np.float64]
+NewAny = NewPairedPoints | NewThreeMarkers | NewSurface
+
+_ASKED: Final[TypeAdapter[Any]] = TypeAdapter(Asked)
 
 
 def get_registration(session: Session, registration_id: str) -> RegistrationRow:
@@ -38,75 +48,26 @@ def registrations(device_id: str | None) -> Select[RegistrationRow]:
     return found if device_id is None else found.where(RegistrationRow.device_id == device_id)
 
 
-def registered(request: NewRegistration) -> dict[str, Any]:
-    """Return what the paired points give, as it is stored.
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A registration that was computed, to be stored.
 
-    Raises:
-        CollinearPoints, DuplicatePoint, TooFewPoints, InvalidParameter, NoConvergence.
+    Args:
+        result: what was found.
+        asked: what is kept of the request.
+        reference: the tool that the points were measured relative to; None: the tracker.
+        measured_with: calibration and table in force when they were, where that is known; None:
+            what is active when it is stored.
     """
-    from compute.pose.registration import register_points
 
-    pairs = request.fiducials
-    names = [pair.name for pair in pairs]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InvalidParameter(f'two fiducials are called "{twice}"; give each a name of its own')
-    found = register_points(
-        np.array([pair.frame_mm for pair in pairs]),
-        np.array([pair.measured_mm for pair in pairs]),
-        None if request.frame_sigma_mm is None else request.frame_sigma_mm**2 * np.eye(3),
-        _measured_covariance(request),
-        names=names,
-    )
-    targets = np.array([target.frame_mm for target in request.targets]).reshape(-1, 3)
-    return {
-        "matrix": found.transform.matrix.tolist(),
-        "covariance": found.parameter_covariance[:6, :6].tolist(),
-        "fre_mm": found.fre_mm,
-        "fle_mm": found.fle_mm,
-        "residual_sigma": found.residual_sigma,
-        "fiducials": [
-            {
-                "name": name,
-                "residual_mm": residual.tolist(),
-                "error_mm": float(np.linalg.norm(residual)),
-            }
-            for name, residual in zip(names, found.residual_mm, strict=True)
-        ],
-        "targets": [
-            {"name": target.name, "error_mm": float(error), "covariance_mm2": spread.tolist()}
-            for target, error, spread in zip(
-                request.targets,
-                found.target_error(targets),
-                found.target_covariance(targets),
-                strict=True,
-            )
-        ],
-        "warnings": list(found.warnings),
-    }
+    result: dict[str, Any]
+    asked: dict[str, Any]
+    reference: str | None
+    measured_with: tuple[str | None, str | None] | None = None
 
 
-def _measured_covariance(request: NewRegistration) -> Array | None:
-    own = [pair.measured_covariance_mm2 for pair in request.fiducials]
-    sigma = request.measured_sigma_mm
-    if sigma is None:
-        given = [one is not None for one in own]
-        if not any(given):
-            return None
-        if not all(given):
-            name = request.fiducials[given.index(False)].name
-            raise InvalidParameter(
-                f'fiducial "{name}" has no covariance and others have; give all of them one, or '
-                "measured_sigma_mm for those without"
-            )
-    alike = np.eye(3) * (sigma or 0.0) ** 2
-    return np.array([alike if one is None else np.array(one) for one in own])
-
-
-def add_registration(
-    session: Session, request: NewRegistration, result: dict[str, Any]
-) -> RegistrationRow:
-    """Store a registration with what is active; the device's row is locked.
+def check_new(session: Session, request: NewAny, reference: str | None) -> None:
+    """Check the name of a new registration and what it is relative to.
 
     Raises:
         RegistrationExists: the id is taken, by a registration or by a tool.
@@ -123,20 +84,57 @@ def add_registration(
                 f'{what} "{request.id}" exists already; choose another id',
                 registration=request.id,
             )
-    if request.reference is not None:
-        tool = get_tool(session, request.reference)
+    if reference is not None:
+        tool = get_tool(session, reference)
         if tool.device_id != request.device:
             raise InvalidParameter(
                 f'tool "{tool.id}" is of device "{tool.device_id}"; the reference must be of '
                 f'"{request.device}"',
                 reference=tool.id,
             )
+
+
+def check_parent(session: Session, request: NewSurface, parent: RegistrationRow) -> None:
+    """Check that a registration can be refined, and the name of the new one.
+
+    Raises:
+        RegistrationExists: the new id is taken.
+        InvalidParameter: it is another device's, or its frame does not hold with what is active.
+    """
+    check_new(session, request, None)
+    if parent.device_id != request.device:
+        raise InvalidParameter(
+            f'registration "{parent.id}" is of device "{parent.device_id}", not of '
+            f'"{request.device}"; name one of the same device',
+            parent=parent.id,
+        )
+    active = what_is_active(session, request.device)
+    why = made_with(session, parent).why_not_with(active["calibration"], active["table"])
+    if why is not None:
+        raise InvalidParameter(f"{why}, and refine that one", parent=parent.id)
+
+
+def add_registration(session: Session, request: NewAny, made: Made) -> RegistrationRow:
+    """Store a registration with what is active; the device's row is locked.
+
+    Raises:
+        CalibrationSwitched: what its points were measured with is active no more.
+        RegistrationExists, UnknownTool, InvalidParameter: as ``check_new``.
+    """
+    check_new(session, request, made.reference)
+    active = what_is_active(session, request.device)
+    if made.measured_with not in (None, (active["calibration"], active["table"])):
+        raise CalibrationSwitched(
+            f'another calibration or table of device "{request.device}" was activated while '
+            f'registration "{request.id}" was made; do it again',
+            device=request.device,
+        )
     row = RegistrationRow(
         id=request.id,
         device_id=request.device,
-        reference_id=request.reference,
-        asked=request.model_dump(mode="json", exclude={"note"}),
-        result=result | what_is_active(session, request.device),
+        reference_id=made.reference,
+        asked=made.asked,
+        result=made.result | active,
         note=request.note,
         created_at=datetime.now(UTC),
     )
@@ -154,10 +152,23 @@ def frame_from_measured(row: RegistrationRow) -> Transform:
     return Transform(matrix[:3, :3], matrix[:3, 3], covariance).inverse()
 
 
+def measured_points(row: RegistrationRow) -> list[tuple[str, Position]]:
+    """Return the names and places of the points that a registration was measured at.
+
+    In the tracker's frame, or that of its reference tool; points on a surface have no names.
+    """
+    asked = _ASKED.validate_python(row.asked)
+    if isinstance(asked, NewPairedPoints):
+        return [(one.name, one.measured_mm) for one in asked.fiducials]
+    markers = document(row).markers
+    return [(one.name, one.measured_mm) for one in markers]
+
+
 def document(row: RegistrationRow) -> Registration:
     """Return a registration as clients see it."""
     members = {
         "id": row.id,
+        "kind": row.asked.get("kind", "paired-points"),
         "device": row.device_id,
         "reference": row.reference_id,
         "asked": row.asked,

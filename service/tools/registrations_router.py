@@ -8,25 +8,46 @@ from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 from compute.errors import (
     CollinearPoints,
     DuplicatePoint,
+    HighError,
     InvalidParameter,
     NoConvergence,
+    NotStill,
+    TooFewPoints,
+    TooFewPoses,
+    UndeterminedParameters,
 )
-from service.dependencies import DatabaseDep
+from service.database.engine import Database
+from service.dependencies import DatabaseDep, LiveDep, SettingsDep
 from service.devices.store import get_device
 from service.errors import (
+    Busy,
+    CalibrationSwitched,
+    DeviceNotRunning,
+    NoActiveCalibration,
+    NothingSeen,
     RegistrationExists,
     UnknownDevice,
     UnknownRegistration,
     UnknownTool,
 )
 from service.json_body import FromJson, JsonRoute
+from service.live.manager import LiveManager
 from service.openapi import problems
 from service.pages import PagingDep, page_of
 from service.parameters import DeviceFilter
 from service.schema import SLUG_PATTERN, Page
+from service.settings import Settings
 from service.tools import registrations as store
 from service.tools.examples import NEW_REGISTRATIONS, REGISTRATION_IDS
-from service.tools.registration_schema import NewRegistration, Registration
+from service.tools.made_with import what_is_active
+from service.tools.registration_schema import (
+    NewPairedPoints,
+    NewRegistration,
+    NewSurface,
+    NewThreeMarkers,
+    Registration,
+)
+from service.tools.waiting import refining, waiting
 
 router = APIRouter(prefix="/api/v1/registrations", tags=["tools"], route_class=JsonRoute)
 
@@ -55,32 +76,99 @@ def list_registrations(
 @router.post(
     "",
     operation_id="create-registration",
-    summary="Register paired points: a named frame",
+    summary="Register paired points, three markers, or a surface: a named frame",
     status_code=HTTP_201_CREATED,
     responses=problems(
         UnknownDevice,
         UnknownTool,
+        UnknownRegistration,
         RegistrationExists,
+        Busy,
+        DeviceNotRunning,
+        NoActiveCalibration,
+        CalibrationSwitched,
+        NothingSeen,
+        NotStill,
+        TooFewPoses,
+        TooFewPoints,
         CollinearPoints,
         DuplicatePoint,
+        UndeterminedParameters,
+        HighError,
         NoConvergence,
         InvalidParameter,
     ),
 )
 def create_registration(
-    request: NewRegistrationBody, database: DatabaseDep, response: Response
+    request: NewRegistrationBody,
+    database: DatabaseDep,
+    live: LiveDep,
+    settings: SettingsDep,
+    response: Response,
 ) -> Registration:
-    """Find where a frame lies from points known in it and measured, such as an image's.
+    """Find where a frame lies. Its `kind` says from what.
 
-    Tells how well the fiducials fit (FRE) and what to expect at targets (TRE). Poses can be asked
-    for in the frame from then on: `GET /api/v1/tools/{id}/pose?frame=ID`.
+    `paired-points`, also where none is given: points known in the frame, such as an image's, and
+    measured. Tells how well the fiducials fit (FRE).
+
+    `three-markers`: three markers make the frame, where they are given or a running device strobes
+    them. Hold them still until this answers.
+
+    `surface`: points measured on a surface that is known in the frame refine the registration
+    `parent`. Tells how far off it they are, and which motion it holds least.
+
+    All tell what to expect at targets (TRE). Poses can be asked for in the frame from then on:
+    `GET /api/v1/tools/{id}/pose?frame=ID`.
     """
-    result = store.registered(request)
+    asked = request.root
+    if isinstance(asked, NewPairedPoints):
+        made = _of_pairs(asked)
+    elif isinstance(asked, NewThreeMarkers):
+        made = _of_markers(database, live, asked)
+    else:
+        made = _of_surface(database, settings, asked)
     with database.write() as session:
-        get_device(session, request.device, lock=True)
-        made = store.document(store.add_registration(session, request, result))
-    response.headers["Location"] = f"/api/v1/registrations/{made.id}"
-    return made
+        get_device(session, asked.device, lock=True)
+        found = store.document(store.add_registration(session, asked, made))
+    response.headers["Location"] = f"/api/v1/registrations/{found.id}"
+    return found
+
+
+def _of_pairs(asked: NewPairedPoints) -> store.Made:
+    from service.tools.registration_pairs import paired
+
+    kept = asked.model_dump(mode="json", exclude={"note"})
+    return store.Made(paired(asked), kept, asked.reference)
+
+
+def _of_markers(database: Database, live: LiveManager, asked: NewThreeMarkers) -> store.Made:
+    from service.tools.registration_markers import of_markers
+
+    with database.read() as session:
+        get_device(session, asked.device)
+        store.check_new(session, asked, asked.reference)
+    if asked.strobe_markers is None:
+        return of_markers(live, asked)
+    with waiting():
+        return of_markers(live, asked)
+
+
+def _of_surface(database: Database, settings: Settings, asked: NewSurface) -> store.Made:
+    from service.tools.registration_surface import check_size, kept, refined
+
+    check_size(asked, settings)
+    with database.read() as session:
+        get_device(session, asked.device)
+        parent = store.get_registration(session, asked.parent)
+        store.check_parent(session, asked, parent)
+        start = store.frame_from_measured(parent)
+        active = what_is_active(session, asked.device)
+        reference, created = parent.reference_id, parent.created_at
+    with refining():
+        result = refined(asked, start)
+    of = {"parent": asked.parent, "parent_created_at": created.isoformat()}
+    with_these = (active["calibration"], active["table"])
+    return store.Made(result | of, kept(asked), reference, with_these)
 
 
 @router.get(

@@ -25,7 +25,9 @@ from service.live.tap import Tap
 from service.live.tracked import Tracked
 from service.quality.point_tap import PointTap
 from service.quality.watch_tap import WatchTap
+from service.tools.marker_tap import MarkerTap
 from service.tools.pose_tap import PoseTap
+from service.tools.tip_tap import TipTap
 
 if TYPE_CHECKING:
     from service.live.batch import FrameBatch
@@ -168,7 +170,7 @@ class RecordedLive(LiveManager):
 
     def attach(self, session: DeviceSession, tap: Tap) -> None:
         self.calls.append(("attach", session.device_id))
-        if isinstance(tap, PointTap | WatchTap | PoseTap | ReferenceTap):
+        if isinstance(tap, PointTap | WatchTap | PoseTap | ReferenceTap | MarkerTap | TipTap):
             for batch in self.batches:
                 tap.offer(batch)
 

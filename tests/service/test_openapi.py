@@ -21,7 +21,7 @@ from service.tools import calibrate
 from tests.service.correction_tables.tables import content as content_of_table
 from tests.service.quality.batches import strobed_batch
 from tests.service.recorded_live import RecordedLive, TestClient
-from tests.service.tools.batches import pivoting, spinning, tool_batch
+from tests.service.tools.batches import pivoting, resting, spinning, tool_batch
 
 # Strobed markers of the tool that an example captures.
 CLAMP = {
@@ -112,6 +112,7 @@ def test_every_example_works_on_a_new_server(
     live.batches = [
         strobed_batch(range(20)),
         tool_batch([pivoting("pointer", 60), spinning("clamp", 60)], CLAMP),
+        tool_batch([resting("pointer", 700, first=1000)]),
     ]
     # Poses are collected for as long as the example says, or until there are enough.
     monkeypatch.setattr(calibrate, "MOST_COLLECTED", 60)

@@ -37,6 +37,11 @@ def test_what_all_positions_share_no_mean_makes_smaller() -> None:
     found = still_point(times, positions, stated)
     assert np.allclose(np.diag(found.covariance_mm2)[:2], [0.25, 0.04], rtol=0.15)
     assert found.covariance_mm2[2, 2] < 0.005
+    # What is known to be shared is there even where the rest is stated as too small.
+    small = np.broadcast_to(shared + 1e-6 * np.eye(3), (60, 3, 3))
+    certain = still_point(times, positions, small, shared_mm2=np.broadcast_to(shared, (60, 3, 3)))
+    alone = still_point(times, positions)
+    assert np.allclose(certain.covariance_mm2, alone.covariance_mm2 + shared)
     # Stated as smaller than the scatter: the scatter counts.
     alone = still_point(times, positions, stated * 1e-6)
     assert np.allclose(alone.covariance_mm2, still_point(times, positions).covariance_mm2)

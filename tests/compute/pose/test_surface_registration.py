@@ -14,7 +14,7 @@ from compute.errors import (
     TooFewPoints,
     UndeterminedParameters,
 )
-from compute.pose.surface import PointCloud, TriangleMesh, nearest_on_triangles
+from compute.pose.surface import PointCloud, TriangleMesh, _Nearest, nearest_on_triangles
 from compute.pose.surface_registration import SurfaceSettings, register_surface
 from compute.pose.transform import Transform
 from tests.compute.pose.motions import Array
@@ -226,3 +226,41 @@ def test_requests_that_cannot_be_served_are_told_why() -> None:
         PointCloud(points[:5])
     with pytest.raises(InvalidParameter, match="normals"):
         PointCloud(points, np.zeros_like(points))
+
+
+def test_in_parts_the_nearest_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the middle of a body many triangles may be the nearest, and are looked at in parts."""
+    surface = mesh(300, (80.0, 80.0, 80.0), bumps=0.01)
+    points = np.random.default_rng(0).normal(size=(40, 3))
+    at_once = surface.nearest(points)
+    looked: list[int] = []
+    look = _Nearest.look
+
+    def counted(near: _Nearest, owner: Array, faces: Array) -> None:
+        looked.append(len(owner))
+        look(near, owner, faces)
+
+    monkeypatch.setattr(_Nearest, "look", counted)
+    monkeypatch.setattr("compute.pose.surface._AT_ONCE", 1000)
+    in_parts = surface.nearest(points)
+    assert sum(looked) > 5 * max(looked)
+    for one, other in zip(at_once, in_parts, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_it_is_ended_by_who_is_told() -> None:
+    surface, chance = mesh(200), np.random.default_rng(0)
+    points, start = on(surface, chance, 40), Transform.identity()
+    looks: list[None] = []
+    register_surface(points, surface, start, ALONE, lambda: looks.append(None))
+    assert len(looks) > 1
+
+    def enough() -> None:
+        if len(looks) == 3:
+            raise TimeoutError("enough")
+        looks.append(None)
+
+    looks.clear()
+    with pytest.raises(TimeoutError):
+        register_surface(points, surface, start, tell=enough)
+    assert len(looks) == 3

@@ -55,6 +55,16 @@ def pivoting(tool: str, count: int, swing_rad: float = 0.6) -> list[ToolPose]:
     return found
 
 
+def resting(
+    tool: str, count: int, first: int = 0, at_mm: Array = PIVOT_MM, seed: int = 9
+) -> list[ToolPose]:
+    """A tool at rest, its tip at a place, in a thousand frames a second from one on."""
+    rng = np.random.default_rng(seed)
+    rotation = rotation_matrix(np.array([0.3, -0.4, 0.5]))
+    centre = at_mm - rotation @ np.array(TIP_MM)
+    return [pose(tool, first + n, *noisy(rotation, centre, rng)) for n in range(count)]
+
+
 def spinning(tool: str, count: int) -> list[ToolPose]:
     """A tool that is turned about its Z axis, through (5, 0, 0)."""
     rng = np.random.default_rng(6)

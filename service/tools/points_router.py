@@ -1,0 +1,85 @@
+"""REST resource /api/v1/tools/{id}/points: where a tool's tip is held still."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Path
+
+from compute.errors import InvalidParameter, NotStill, TooFewPoses
+from service.dependencies import DatabaseDep, LiveDep
+from service.errors import (
+    Busy,
+    CalibrationSwitched,
+    DeviceNotRunning,
+    NoActiveCalibration,
+    NothingSeen,
+    TipNotCalibrated,
+    UnknownTool,
+)
+from service.json_body import FromJson, JsonRoute
+from service.openapi import problems
+from service.schema import SLUG_PATTERN
+from service.tools.bodies import tip_of
+from service.tools.examples import NEW_POINTS, TOOL_IDS
+from service.tools.point_schema import MeasuredPoint, NewPoint
+from service.tools.poses import frame_of
+from service.tools.store import get_tool
+from service.tools.tip_limit import tip_limit_of
+from service.tools.waiting import pointing
+
+router = APIRouter(prefix="/api/v1/tools", tags=["tools"], route_class=JsonRoute)
+
+NewPointBody = Annotated[NewPoint, FromJson(), Body(openapi_examples=NEW_POINTS)]
+ToolPath = Annotated[
+    str, Path(pattern=SLUG_PATTERN, description="The tool's id.", openapi_examples=TOOL_IDS)
+]
+
+
+@router.post(
+    "/{tool_id}/points",
+    operation_id="measure-point",
+    summary="Measure a point with a tool's tip",
+    responses=problems(
+        UnknownTool,
+        TipNotCalibrated,
+        Busy,
+        DeviceNotRunning,
+        NoActiveCalibration,
+        CalibrationSwitched,
+        NothingSeen,
+        NotStill,
+        TooFewPoses,
+        InvalidParameter,
+    ),
+)
+def measure_point(
+    tool_id: ToolPath, request: NewPointBody, database: DatabaseDep, live: LiveDep
+) -> MeasuredPoint:
+    """Hold the tip on the point until this answers: when it was still for long enough.
+
+    The answer has the mean place with its covariance, the tip's own included. It is not kept.
+    """
+    from service.tools.points import Pointer, measured
+
+    with database.read() as session:
+        tool = get_tool(session, tool_id)
+        tip = tip_of(tool)
+        if tip.position_mm is None:
+            raise TipNotCalibrated(
+                f'tool "{tool_id}" has no tip, and its origin is no place to touch with; pivot it '
+                "(pivot-calibrations), or give it tip_mm",
+                tool=tool_id,
+            )
+        frame = frame_of(session, tool, request.frame)
+        pointer = Pointer(tool_id, tool.device_id, tip_limit_of(session, tool))
+    with pointing():
+        found = measured(live, pointer, frame, request)
+    return MeasuredPoint.model_validate(
+        found
+        | {
+            "name": request.name,
+            "tool": tool_id,
+            "device": pointer.device,
+            "frame": frame.name,
+            "tip_calibration": tip.calibration,
+        }
+    )

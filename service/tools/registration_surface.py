@@ -1,0 +1,182 @@
+"""Registration by a surface: an earlier one refined by points measured on it."""
+
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.pose.surface import PointCloud, Surface, TriangleMesh
+from compute.pose.surface_registration import (
+    SurfaceRegistration,
+    SurfaceSettings,
+    register_surface,
+)
+from compute.pose.transform import Transform
+from service.settings import Settings
+from service.tools.registration_schema import NewSurface
+from service.tools.surface_schema import GivenCloud, GivenMesh
+from service.tools.targets import target_errors
+
+Array = NDArray[np.float64]
+
+MOST_S: Final = 60.0
+"""A registration takes about a second; one that takes as long keeps a core from others."""
+_LOOSE: Final = 0.01
+"""A motion held by less is told of: its deviation is more than ten times that of the best."""
+
+
+def check_size(request: NewSurface, settings: Settings) -> None:
+    """Refuse more points, or a larger surface, than the settings allow; raises InvalidParameter."""
+    _most("points_mm", len(request.points_mm), settings.surface_points, "surface_points")
+    given = request.surface
+    places = given.vertices_mm if isinstance(given, GivenMesh) else given.points_mm
+    name = "surface.vertices_mm" if isinstance(given, GivenMesh) else "surface.points_mm"
+    _most(name, len(places), settings.surface_size, "surface_size")
+    if isinstance(given, GivenMesh):
+        count = len(given.triangles)
+        _most("surface.triangles", count, settings.surface_size, "surface_size")
+
+
+def _most(name: str, count: int, most: int, setting: str) -> None:
+    if count > most:
+        raise InvalidParameter(
+            f"{name} has {count} items; this server takes {most} (its setting {setting}): send "
+            "fewer, evenly from all",
+            items=count,
+            most=most,
+        )
+
+
+def refined(
+    request: NewSurface, frame_from_measured: Transform, most_s: float = MOST_S
+) -> dict[str, Any]:
+    """Return what points on a surface make of an earlier registration, as it is stored.
+
+    Args:
+        request: with points and surface.
+        frame_from_measured: the earlier registration, to the frame from where points were
+            measured.
+        most_s: how long it may take [s].
+
+    Raises:
+        TooFewPoints, UndeterminedParameters, HighError, NoConvergence, InvalidParameter: as
+            ``register_surface``.
+    """
+    points = np.array(request.points_mm, dtype=np.float64)
+    arrays = _arrays(request.surface)
+    mesh = isinstance(request.surface, GivenMesh)
+    surface: Surface = TriangleMesh(*arrays) if mesh else PointCloud(*arrays)
+    found = register_surface(
+        points,
+        surface,
+        frame_from_measured,
+        SurfaceSettings(
+            trim=request.trim,
+            most_rms_mm=request.most_rms_mm,
+            start_turn_rad=float(np.radians(request.start_turn_deg)),
+            start_shift_mm=request.start_shift_mm,
+        ),
+        _within(most_s),
+    )
+    back = found.transform.inverse()
+    middle = points.mean(axis=0)
+    moved = found.transform.difference(frame_from_measured)
+    turned_deg = float(np.degrees(np.linalg.norm(moved[:3])))
+    shifted = found.transform.apply(middle) - frame_from_measured.apply(middle)
+    shifted_mm = float(np.linalg.norm(shifted))
+    other = found.other
+    return {
+        "matrix": back.matrix.tolist(),
+        "covariance": _known(back).tolist(),
+        "surface": {
+            "rms_mm": found.rms_mm,
+            "steps": found.steps,
+            "points": int(found.kept.sum()),
+            "distance_mm": found.distance_mm.tolist(),
+            "used": found.kept.tolist(),
+            "hold": found.hold,
+            "weakest": found.weakest,
+            "turned_deg": turned_deg,
+            "shifted_mm": shifted_mm,
+            "other": None
+            if other is None
+            else {"matrix": other.inverse().matrix.tolist(), "rms_mm": found.other_rms_mm},
+        },
+        "targets": target_errors(request.targets, back),
+        "warnings": _warnings(request, found, turned_deg, shifted_mm),
+    }
+
+
+def _within(most_s: float) -> Callable[[], None]:
+    """Return what raises InvalidParameter when it is called after so long [s]."""
+    end = time.monotonic() + most_s
+
+    def check() -> None:
+        if time.monotonic() >= end:
+            raise InvalidParameter(
+                f"the points were not brought onto the surface within {most_s:g} s; send fewer "
+                "points, a coarser surface, or a better start"
+            )
+
+    return check
+
+
+def kept(request: NewSurface) -> dict[str, Any]:
+    """Return what is kept of a request: the surface as its size and hash."""
+    given = request.surface
+    arrays = _arrays(given)
+    summary = {
+        "kind": given.kind,
+        "places": len(arrays[0]),
+        "triangles": len(given.triangles) if isinstance(given, GivenMesh) else None,
+        "sha256": hashlib.sha256(b"".join(one.tobytes() for one in arrays)).hexdigest(),
+    }
+    return request.model_dump(mode="json", exclude={"note", "surface"}) | {"surface": summary}
+
+
+def _arrays(given: GivenMesh | GivenCloud) -> list[NDArray[Any]]:
+    """Return the numbers of a surface: places, then triangles or normals."""
+    if isinstance(given, GivenMesh):
+        return [np.array(given.vertices_mm, "<f8"), np.array(given.triangles, "<i8")]
+    points = np.array(given.points_mm, "<f8")
+    return [points] if given.normals is None else [points, _rows(given.normals)]
+
+
+def _rows(given: Sequence[tuple[float, float, float]]) -> Array:
+    return np.array(given, "<f8").reshape(-1, 3)
+
+
+def _known(transform: Transform) -> Array:
+    assert transform.covariance is not None
+    return transform.covariance
+
+
+def _warnings(
+    request: NewSurface, found: SurfaceRegistration, turned_deg: float, shifted_mm: float
+) -> list[str]:
+    told = []
+    if found.hold < _LOOSE:
+        told.append(
+            f"the points hardly hold {found.weakest}: its deviation is "
+            f"{found.hold**-0.5:.0f} times that of the best held motion; take points where the "
+            "surface bends another way"
+        )
+    if found.other is not None and found.other_rms_mm is not None:
+        told.append(
+            f"the points lie about as well elsewhere, {found.other_rms_mm:.3g} mm RMS off the "
+            f"surface, and {found.rms_mm:.3g} mm here: look whether this is the right one"
+        )
+    for value, most, words in (
+        (turned_deg, request.start_turn_deg, f"turned by {turned_deg:.3g} degrees"),
+        (shifted_mm, request.start_shift_mm, f"shifted by {shifted_mm:.3g} mm"),
+    ):
+        if most > 0.0 and value > most:
+            told.append(
+                f"the earlier registration was {words}, more than the {most:g} that it may be "
+                "off: one of the two is wrong, or more has to be allowed"
+            )
+    return told

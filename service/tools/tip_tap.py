@@ -1,0 +1,68 @@
+"""TipTap: takes the poses of a tool and of its reference from a running device, as they come."""
+
+from collections import deque
+from collections.abc import Iterator
+from threading import Event
+from typing import Final
+
+from compute.pose.tool_pose import PoseStatus, ToolPose
+from service.live.batch import FrameBatch
+from service.live.in_force import InForce
+
+MOST_KEPT: Final = 20_000
+"""Frames that wait to be drained; the oldest go first."""
+
+Pair = tuple[ToolPose, ToolPose | None]
+
+
+class TipTap:
+    """Keeps the poses of a tool frame by frame, with one calibration in force all the time.
+
+    Args:
+        tool: its id.
+        reference: the tool that it is wanted relative to; None: the tracker.
+    """
+
+    def __init__(self, tool: str, reference: str | None) -> None:
+        self.ended = Event()
+        """Set when another calibration or table came into force."""
+        self.switched = False
+        self.in_force: tuple[str | None, str | None] | None = None
+        self._tool = tool
+        self._reference = reference
+        # Its append and popleft are atomic: one thread puts in, another takes out.
+        self._kept: deque[Pair] = deque(maxlen=MOST_KEPT)
+
+    def prepare(self, found: InForce) -> None:
+        """Do nothing: the batches say what they were made with."""
+
+    def offer(self, batch: FrameBatch) -> None:
+        """Take what is wanted of a batch; called in the compute thread."""
+        own = (batch.calibration_id, batch.table_id)
+        if self.in_force is None:
+            self.in_force = own
+        if own != self.in_force:
+            self.switched = True
+            self.ended.set()
+        if batch.motion is None or self.switched:
+            return
+        for frame in range(len(batch.frames)):
+            poses = {pose.tool: pose for pose in batch.motion.poses_of(frame)}
+            pose = poses.get(self._tool)
+            if pose is None:
+                continue
+            reference = None
+            if self._reference is not None:
+                reference = poses.get(self._reference) or ToolPose(
+                    self._reference,
+                    PoseStatus.UNKNOWN,
+                    "the device does not track it yet",
+                    pose.exposure_ns,
+                    pose.sequence,
+                )
+            self._kept.append((pose, reference))
+
+    def drained(self) -> Iterator[Pair]:
+        """Yield the poses that were not yet yielded, oldest first, each with the reference's."""
+        while self._kept:
+            yield self._kept.popleft()

@@ -179,6 +179,34 @@ class Registration(Answer):
     warnings: tuple[str, ...]
 
 
+class Hold(Answer):
+    """A beam hold."""
+
+    id: str
+    device: str
+    title: str
+    watch: dict[str, Any]
+    limits: dict[str, Any]
+    rules: dict[str, Any]
+    reference: dict[str, Any] | None
+
+
+class HoldState(Answer):
+    """Whether a beam is held now: only ``held`` false lets it go on."""
+
+    hold: str
+    device: str
+    held: bool
+    cause: str
+    reason: str | None
+    since_ns: int
+    exposure_ns: int | None
+    sequence: int | None
+    shift_mm: Vector3 | None
+    turn_rad: Vector3 | None
+    chance: float | None
+
+
 class Recording(Answer):
     """A recording in the server's folder."""
 

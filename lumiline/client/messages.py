@@ -11,6 +11,38 @@ Matrix = tuple[Vector, ...]
 
 
 @dataclass(frozen=True, slots=True)
+class BeamHold:
+    """Whether a beam is held: only ``held`` false lets it go on. ``reason`` says why it is."""
+
+    hold: str
+    held: bool
+    cause: str
+    reason: str | None
+    since_ns: int
+    shift_mm: Vector | None = None
+    turn_rad: Vector | None = None
+    chance: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class HoldChange:
+    """A beam is held now, or is not any more, or for another cause; sent at once."""
+
+    n: int
+    device: str
+    hold: str
+    held: bool
+    cause: str
+    reason: str | None
+    since_ns: int
+    exposure_ns: int | None
+    sequence: int | None
+    shift_mm: Vector | None = None
+    turn_rad: Vector | None = None
+    chance: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Hello:
     """The first message of a connection, and of every one that follows a lost one.
 
@@ -33,6 +65,7 @@ class Hello:
     reason: str | None
     link: str | None
     calibration: str | None
+    holds: tuple[BeamHold, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +182,7 @@ class Frame:
     peaks: tuple[Peak, ...] | None = None
     tracks: tuple[Track, ...] | None = None
     tools: tuple[ToolPose, ...] | None = None
+    holds: tuple[BeamHold, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +193,7 @@ class Other:
     members: Mapping[str, Any] = field(default_factory=dict)
 
 
-Message = Hello | Frame | Status | Missed | Other
+Message = Hello | Frame | Status | HoldChange | Missed | Other
 
 T = TypeVar("T")
 
@@ -167,6 +201,7 @@ _KINDS: Final[dict[str, type[Any]]] = {
     "hello": Hello,
     "frame": Frame,
     "status": Status,
+    "hold": HoldChange,
     "missed": Missed,
 }
 _PARTS: Final[dict[str, type[Any]]] = {
@@ -174,6 +209,7 @@ _PARTS: Final[dict[str, type[Any]]] = {
     "peaks": Peak,
     "tracks": Track,
     "tools": ToolPose,
+    "holds": BeamHold,
 }
 _MEMBERS: Final[dict[type[Any], tuple[tuple[str, bool], ...]]] = {
     kind: tuple((one.name, one.default is MISSING) for one in fields(kind))
@@ -198,7 +234,7 @@ def messages_of(given: object) -> tuple[Message, ...]:
     kind = _KINDS.get(given["type"])
     if kind is None:
         return (Other(given["type"], {key: one for key, one in given.items() if key != "type"}),)
-    if kind is Frame:
+    if kind in (Frame, Hello):
         given = dict(given)
         for name, part in _PARTS.items():
             if given.get(name) is not None:

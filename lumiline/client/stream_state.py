@@ -20,10 +20,19 @@ from lumiline.client.errors import (
     UnreadableMessage,
     problem_of,
 )
-from lumiline.client.messages import Frame, Hello, Message, Missed, Other, Status, messages_of
+from lumiline.client.messages import (
+    Frame,
+    Hello,
+    HoldChange,
+    Message,
+    Missed,
+    Other,
+    Status,
+    messages_of,
+)
 from lumiline.client.server import Server
 
-Content = Literal["points", "peaks", "tracks", "tools", "status"]
+Content = Literal["points", "peaks", "tracks", "tools", "holds", "status"]
 Mode = Literal["live", "lossless"]
 
 POLICY_CLOSE: Final = 1008
@@ -100,7 +109,7 @@ class StreamState:
 
     def taken(self, message: Message) -> Message:
         """Return a message that the program takes now, and count it."""
-        if isinstance(message, Frame | Status):
+        if isinstance(message, Frame | Status | HoldChange):
             self.had = message.n
         elif isinstance(message, Missed):
             self.had = message.first + message.messages - 1
@@ -128,7 +137,7 @@ class StreamState:
         for message in messages_of(_decoded(payload)):
             if isinstance(message, Hello):
                 self._greeted(message)
-            elif isinstance(message, Frame | Status):
+            elif isinstance(message, Frame | Status | HoldChange):
                 # After a lost connection the server may repeat; a program gets everything once.
                 if self.last is not None and message.n <= self.last:
                     continue

@@ -11,6 +11,7 @@ import typer
 from service.cli import (
     administration_commands,
     calibration_commands,
+    hold_commands,
     laboratory_commands,
     recording_commands,
     server_commands,
@@ -50,6 +51,7 @@ for _commands in (
     laboratory_commands,
     administration_commands,
     tools_commands,
+    hold_commands,
 ):
     _commands.register(app)
 

@@ -148,6 +148,8 @@ class HoldBoard:
             gap_ms = watch.most_gap_ns * 1e-6
             late_ms = gap_ms + 1e3 * (now_s - due_s)
             why = f"nothing was measured for {late_ms:.0f} ms; at most {gap_ms:.0f} ms are allowed"
+            if watch.why is not None:
+                why = f"{why}; {watch.why}"
             self._tell(watch, watch.fail(why, self._wall_ns()), anew=True)
 
     def _made(self, hold: WatchedHold, before: HoldWatch | None, now_ns: int) -> HoldWatch:

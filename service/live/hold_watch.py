@@ -37,6 +37,8 @@ class HoldWatch:
         self._sight = _sight(hold)
         self._last: tuple[int | None, int | None] = None, None  # host time and number of a frame
         self._measured_ns: int | None = None
+        self.why: str | None = None
+        """Why the newest frame showed not all that is watched; None: it did, or none came."""
         why = "nothing was measured yet"
         if self._monitor is None:
             why = NO_REFERENCE.format(id=hold.id)
@@ -69,11 +71,12 @@ class HoldWatch:
         if why is not None:
             return self.fail(why, frame.exposure_host_ns)
         shown = self._sight.of(batch, index)
+        self.why = shown.why
         state = self._stepped(frame.exposure_device_ns, shown)
         if self._monitor.seen_ns == frame.exposure_device_ns:
             self._measured_ns = frame.exposure_host_ns
         reason = state.reason
-        if state.cause is HoldCause.NO_DATA and shown.why is not None:
+        if state.cause is HoldCause.NO_DATA and shown.why and shown.why not in str(reason):
             reason = f"{reason}; {shown.why}"
         since = frame.exposure_host_ns if state.hold != self.now.held else self.now.since_ns
         self.now = HoldNow.of(self.hold.id, state, reason, since, *self._last)

@@ -283,13 +283,11 @@ class Newcomers:
         left = free.copy()
         track, sensor = np.nonzero((explained := self._tracklets.explained()) >= 0)
         left[sensor, explained[track, sensor]] = False
-        if self._many(left):
-            for one in self._sequences.find(time_ns, peaks, left):
+        for one in self._sequences.find(time_ns, peaks, left):
+            if self._tracklets.fresh(one.peaks[-1]):
                 begun = replayed(self._model, self._motion, self._settings, one)
                 if begun is not None:
                     self._tracklets.begin(*begun, one.place_mm[-1:], one.peaks[-1:], time_ns)
-        else:
-            self._sequences.forget()
         found = self._tracklets.decide()
         if found is None:
             return None

@@ -18,13 +18,15 @@ Array = NDArray[np.float64]
 
 LEAST_POINTS: Final = 3
 """Points that a sequence has: the third one fits the velocity that two tell, by chance rarely."""
-MOST_GAP: Final = 2
-"""Exposures from a point to the next one of its sequence."""
+FIRST_GAP: Final = 2
+"""Exposures from the first point of a sequence to the second one, which tells its velocity."""
+MOST_GAP: Final = 4
+"""Exposures from any other point to the next."""
 LINK_MISSED: Final = 1e-4
 """Chance that a marker's next point lies outside the gate."""
 UNSEEN: Final = log(0.5)
 """What an exposure without a point of it takes from a sequence's log likelihood."""
-_WINDOW: Final = (LEAST_POINTS - 1) * MOST_GAP + 1
+_WINDOW: Final = FIRST_GAP + (LEAST_POINTS - 2) * MOST_GAP + 1
 _MOVING: Final = 6
 _NONE: Final = -1
 
@@ -132,7 +134,10 @@ class Sequences:
             gap = self._number - layer.number
             if gap > MOST_GAP or len(layer.points) == 0 or count == 0:
                 continue
-            ahead, spread = self._ahead(layer, (time_ns - layer.time_ns) * 1e-9)
+            rows = np.flatnonzero(layer.length > (gap > FIRST_GAP))
+            if len(rows) == 0:
+                continue
+            ahead, spread = self._ahead(layer, rows, (time_ns - layer.time_ns) * 1e-9)
             # First by the largest deviation there is: cheap, and leaves few.
             reach = np.sqrt(limit * np.trace(spread[:, :3, :3], axis1=1, axis2=2))
             apart = ((ahead[:, None, :3] - points.place_mm[None]) ** 2).sum(axis=2)
@@ -142,7 +147,7 @@ class Sequences:
             inverse = np.linalg.inv(total)
             squared = np.einsum("ni,nij,nj->n", off, inverse, off)
             density = -0.5 * (squared + np.linalg.slogdet(total)[1] + 3.0 * log(2.0 * np.pi))
-            value = layer.score[one] + points.log_peaks[two] + density + (gap - 1) * UNSEEN
+            value = layer.score[rows[one]] + points.log_peaks[two] + density + (gap - 1) * UNSEEN
             value[squared > limit] = -inf
             best = np.full(count, -inf)
             np.maximum.at(best, two, value)
@@ -154,17 +159,20 @@ class Sequences:
             mean[at] = ahead[source] + (gain @ off[link][..., None])[..., 0]
             covariance[at] = spread[source] - gain @ spread[source][:, :3]
             score[at] = value[link]
-            length[at] = layer.length[source] + 1
-            before[at, 0], before[at, 1] = layer.number, source
+            length[at] = layer.length[rows[source]] + 1
+            before[at, 0], before[at, 1] = layer.number, rows[source]
         return _Layer(points, time_ns, self._number, mean, covariance, score, length, before)
 
-    def _ahead(self, layer: _Layer, step_s: float) -> tuple[Array, Array]:
+    def _ahead(
+        self, layer: _Layer, rows: NDArray[np.intp], step_s: float
+    ) -> tuple[Array, Array]:
         """Return places and velocities (N, 6) after a time, with an acceleration not known."""
         transition = np.eye(_MOVING)
         transition[:3, 3:] = step_s * np.eye(3)
         by = np.concatenate([0.5 * step_s**2 * np.eye(3), step_s * np.eye(3)])
         noise = self._settings.start_acceleration_mm_s2**2 * (by @ by.T)
-        return layer.mean @ transition.T, transition @ layer.covariance @ transition.T + noise
+        spread = transition @ layer.covariance[rows] @ transition.T + noise
+        return layer.mean[rows] @ transition.T, spread
 
     def _path(self, row: int) -> Sequence:
         by_number = {layer.number: layer for layer in self._layers}

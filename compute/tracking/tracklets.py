@@ -1,6 +1,6 @@
 """Tracklets: markers, perhaps, each followed on its own until the peaks say which are."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import log
 from typing import Final
 
@@ -14,12 +14,13 @@ from compute.tracking.native.associator import Associator
 from compute.tracking.reading_model import ReadingModel
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.states import States, combined, predicted
+from compute.tracking.strangers import FIELDS, beside_after, doubted, hidden_now
 
 Array = NDArray[np.float64]
 
 WINDOW: Final = 16
 """Exposures that are remembered."""
-LEAST_AGE: Final = 8
+LEAST_AGE: Final = 6
 """Exposures after which a tracklet may be a marker."""
 TRIED_AGE: Final = 5
 """Exposures after which a tracklet that too few sensors see is given up."""
@@ -37,7 +38,7 @@ SHARED: Final = 0.2
 """Part of its peaks beyond which a tracklet is in conflict with another one that has them too."""
 SAME: Final = 0.6
 """Part beyond which it is the same one."""
-SURE: Final = 2.0
+SURE: Final = 1.5
 """How many times the score of a rival leaves no doubt."""
 MOST: Final = 80
 """Tracklets that are followed."""
@@ -56,8 +57,8 @@ class _Kept:
         score: log likelihood ratio to no one's peaks, of each exposure, shape (T, W).
         age: exposures, shape (T,).
         blind: exposures in a row without peaks enough, shape (T,).
-        vouched: exposures that a fourth sensor saw it in, shape (T,).
         nis: of the last exposure, shape (T,).
+        beside: other peaks beside its own; see ``strangers``, shape (T, S, 3).
     """
 
     states: States
@@ -69,31 +70,21 @@ class _Kept:
     age: NDArray[np.intp]
     blind: NDArray[np.intp]
     nis: Array
+    beside: Array
 
     def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "_Kept":
         return _Kept(
             self.states.rows(index),
-            self.bias[index],
-            self.place_mm[index],
-            self.peaks[index],
-            self.missed[index],
-            self.score[index],
-            self.age[index],
-            self.blind[index],
-            self.nis[index],
+            *(getattr(self, field.name)[index] for field in fields(self)[1:]),
         )
 
     def joined(self, other: "_Kept") -> "_Kept":
         return _Kept(
             self.states.joined(other.states),
-            np.concatenate([self.bias, other.bias]),
-            np.concatenate([self.place_mm, other.place_mm]),
-            np.concatenate([self.peaks, other.peaks]),
-            np.concatenate([self.missed, other.missed]),
-            np.concatenate([self.score, other.score]),
-            np.concatenate([self.age, other.age]),
-            np.concatenate([self.blind, other.blind]),
-            np.concatenate([self.nis, other.nis]),
+            *(
+                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
+                for field in fields(self)[1:]
+            ),
         )
 
     def __len__(self) -> int:
@@ -165,38 +156,32 @@ class Tracklets:
         kept = self._kept
         return kept.peaks[(kept.age >= TRIED_AGE) & self._steady(STEADY, LEAST_SEEN), -1]
 
+    def fresh(self, peaks: NDArray[np.int32]) -> bool:
+        """Return whether no tracklet has three of these peaks (S,), and there is room."""
+        if self._kept is None or len(self._kept) == 0:
+            return True
+        same = ((self._kept.peaks[:, -1] == peaks) & (peaks >= 0)).sum(axis=1)
+        return len(self) < MOST and int(same.max()) < 3
+
     def begin(
         self, states: States, bias: Array, place_mm: Array, peaks: NDArray[np.int32], time_ns: int
     ) -> None:
-        """Follow N more, seen now by these peaks (N, S), if there is room and none has them yet."""
-        new = len(states)
-        if self._kept is not None and len(self._kept):
-            own = self._kept.peaks[:, -1]
-            same = ((own[None] == peaks[:, None]) & (peaks[:, None] >= 0)).sum(axis=2)
-            fresh = same.max(axis=1) < 3
-        else:
-            fresh = np.ones(new, dtype=np.bool_)
-        rows: list[int] = []
-        for row in np.flatnonzero(fresh).tolist():
-            like = ((peaks[rows] == peaks[row]) & (peaks[row] >= 0)).sum(axis=1)
-            if len(self) + len(rows) < MOST and (len(rows) == 0 or like.max() < 3):
-                rows.append(row)
-        if not rows:
-            return
-        index = np.array(rows)
+        """Follow N more, seen now by these peaks (N, S)."""
+        rows = np.arange(len(states))
         sensors = len(self._model)
         history = np.full((len(rows), WINDOW, sensors), -1, dtype=np.int32)
-        history[:, -1] = peaks[index]
+        history[:, -1] = peaks
         added = _Kept(
-            states.rows(index),
-            bias[index],
-            place_mm[index],
+            states,
+            bias,
+            place_mm,
             history,
             np.zeros(history.shape, dtype=np.bool_),
             np.zeros((len(rows), WINDOW)),
             np.zeros(len(rows), dtype=np.intp),
             np.zeros(len(rows), dtype=np.intp),
             np.zeros(len(rows)),
+            np.zeros((len(rows), sensors, FIELDS)),
         )
         self._kept = added if self._kept is None else self._kept.joined(added)
         self._time_ns = time_ns
@@ -216,9 +201,14 @@ class Tracklets:
         kept.missed = np.roll(kept.missed, -1, axis=1)
         kept.score = np.roll(kept.score, -1, axis=1)
         base = log(self._settings.false_per_px)
+        hidden = hidden_now(kept.beside, step, self._settings)
+        reading = self._readings(states) if hidden.any() else None
         for one in range(len(kept)):
             row = np.array([one])
-            found = self._associator.associate(states.rows(row), kept.bias[row], left)
+            own = left
+            if reading is not None and hidden[one].any():
+                own = doubted(left, reading[row], hidden[row], self._settings)
+            found = self._associator.associate(states.rows(row), kept.bias[row], own)
             kept.states.put(row, found.states)
             kept.peaks[one, -1] = found.peaks[0]
             used = found.peaks[0] >= 0
@@ -229,6 +219,9 @@ class Tracklets:
         with np.errstate(invalid="ignore"):
             apart = np.abs(peaks.position_px - there.reading_px[..., None])
             shared = ((apart <= self._settings.merge_px) & peaks.usable).any(axis=2)
+        kept.beside = beside_after(
+            kept.beside, kept.peaks[:, -1], peaks, peaks.usable, step, self._settings
+        )
         used = kept.peaks[:, -1] >= 0
         kept.missed[:, -1] = ~used & ~shared & there.in_view
         kept.score[:, -1] += kept.missed[:, -1].sum(axis=1) * log(1.0 - self._settings.detection)
@@ -237,6 +230,10 @@ class Tracklets:
         good = (kept.blind < MOST_BLIND) & ((kept.age < TRIED_AGE) | self._steady(HOPELESS, 0))
         self._kept = kept.rows(good)
         self._join()
+
+    def _readings(self, states: States) -> Array:
+        place = combined(self._motion, states).mean[:, :3]
+        return self._model.predict(place).reading_px
 
     def decide(self) -> FoundMarkers | None:
         """Return those that are markers, and follow them no longer; None: there are none."""
@@ -256,7 +253,9 @@ class Tracklets:
         rival = np.where(conflict, score, 0.0).max(axis=1)
         sure = np.where(kept.age[ready] >= WINDOW, 1.0, SURE)
         good = taken & (kept.age[ready] >= LEAST_AGE) & self._steady(STEADY, LEAST_SEEN)[ready]
-        good &= (score > sure * rival) & (kept.blind[ready] == 0)
+        good &= score > sure * rival
+        # Handed over while it is seen well: what comes next may be merged with others.
+        good &= (kept.peaks[ready, -1] >= 0).sum(axis=1) >= 4
         if not good.any():
             return None
         found = ready[good]

@@ -1,7 +1,7 @@
 """Meeting points: all combinations of a frame's peaks that meet, ghosts among them."""
 
 from dataclasses import dataclass
-from math import inf, log
+from math import comb, inf, log
 from typing import Final
 
 import numpy as np
@@ -18,6 +18,11 @@ Array = NDArray[np.float64]
 
 MOST_TRIPLES: Final = 10_000
 """Combinations of three peaks that are tried in an exposure; more are tried part by part."""
+MOST_GHOSTS: Final = 200.0
+"""Combinations that may agree by chance, for so many sensors to be enough."""
+GATE_PX: Final = 1.0
+"""About how wide a reading's gate is."""
+MOST_PIXELS: Final = 4096.0
 MOST_MEETING: Final = 600
 """Points that are returned, the likeliest."""
 
@@ -84,10 +89,11 @@ def meeting_points(
     part: Part,
     settings: MatchSettings,
 ) -> tuple[MeetingPoints, float]:
-    """Return the points where peaks meet: of nearly all sensors, or of three where one is expected.
+    """Return the points where peaks of four sensors or more meet.
 
-    With up to four sensors all of them, with five all but one, with six or more all but two; which
-    markers escape one triple of sensors, start from another one in the next exposure.
+    Four sensors must agree at least; more, where too many combinations of four would by chance.
+    The triples of sensors to start from, that no marker escapes, take turns as far as there is
+    work in them for several exposures.
 
     Args:
         solve: reconstructs.
@@ -108,23 +114,41 @@ def meeting_points(
     found: list[Candidates] = []
     following = -inf
     if len(seeing) >= 4:
-        least = max(4, len(seeing) - 2)
+        least = _least(peaks, seeing)
         bases = covering_triples(len(seeing), least)
-        base = seeing[list(bases[part.turn % len(bases)])]
-        free, following = _slice(peaks, base, part.first_px)
-        choice, _ = completed(
-            solve,
-            predict,
-            peaks,
-            free,
-            (int(base[0]), int(base[1]), int(base[2])),
-            least,
-            settings.most_points,
-            chance,
-        )
-        if len(choice):
-            found.append(solved(solve, peaks, choice).found)
+        work = 0
+        for turn in range(len(bases)):
+            base = seeing[list(bases[(part.turn + turn) % len(bases)])]
+            combinations = int(np.prod(peaks.count[base], dtype=np.int64))
+            if turn and work + combinations > MOST_TRIPLES:
+                break
+            work += combinations
+            free, following = _slice(peaks, base, part.first_px)
+            choice, _ = completed(
+                solve,
+                predict,
+                peaks,
+                free,
+                (int(base[0]), int(base[1]), int(base[2])),
+                least,
+                settings.most_points,
+                chance,
+            )
+            if len(choice):
+                found.append(solved(solve, peaks, choice).found)
     return _merged(predict, peaks, found, settings), following
+
+
+def _least(peaks: FramePeaks, seeing: NDArray[np.intp]) -> int:
+    """Return how many sensors must agree that not too many combinations do by chance."""
+    sensors = len(seeing)
+    count = float(peaks.count[seeing].mean())
+    by_chance = float(np.exp(_log_density(peaks, 1.0 / MOST_PIXELS)[seeing].mean())) * GATE_PX
+    for least in range(4, sensors):
+        ways = comb(sensors - 3, least - 3) * by_chance ** (least - 3)
+        if count**3 * ways <= MOST_GHOSTS:
+            return least
+    return sensors
 
 
 def _slice(
@@ -167,7 +191,7 @@ def _merged(
     whole = whole.take(index)
     used = whole.choice >= 0
     missed = (~used & predict(whole.position_mm).in_view).sum(axis=1)
-    crowd = np.log(settings.detection) - np.log(_density(peaks, settings))
+    crowd = np.log(settings.detection) - _log_density(peaks, settings.false_per_px)
     peaks_only = whole.log_fit + used @ crowd
     peaks_only += missed * settings.log_missed
     alone = np.where(
@@ -189,9 +213,9 @@ def _merged(
     )
 
 
-def _density(peaks: FramePeaks, settings: MatchSettings) -> Array:
-    """Return how densely peaks lie, whoever's they are, shape (S,) [1/px]."""
+def _log_density(peaks: FramePeaks, least_per_px: float) -> Array:
+    """Return the log of how densely peaks lie, whoever's they are, shape (S,)."""
     last = peaks.position_px[np.arange(len(peaks)), np.maximum(peaks.count - 1, 0)]
     with np.errstate(invalid="ignore", divide="ignore"):
         density = (peaks.count - 1) / (last - peaks.position_px[:, 0])
-    return np.maximum(np.where(peaks.count >= 3, density, 0.0), settings.false_per_px)
+    return np.log(np.maximum(np.where(peaks.count >= 3, density, 0.0), least_per_px))

@@ -1,41 +1,96 @@
-"""Frozen image: peaks that come again and again, the same to the bit, show nothing of now."""
+"""Frozen image: peaks that come again, the same to the bit, show nothing of now."""
 
+import math
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-SAME_MOST: Final = 5
-"""Exposures of a marker, or of all, that are identical: noise makes no two of a live sensor so."""
+Array = NDArray[np.float64]
+
+CHANCE: Final = 1e-9
+"""That a live image is taken for a frozen one: once in eleven days at a thousand exposures/s."""
+_EQUAL, _COMPARED = 0.25, 1.0
+"""What is taken for known of a device of which nothing was seen: one reading of four repeats.
+
+So do lines of three pixels whose counts have a deviation of 0.4 before they are rounded; 15 of them
+in a row do not. It weighs as much as one reading that was seen.
+"""
+_REMEMBERED: Final = 10_000.0
+"""Readings after which older ones begin to count less: light and gain may change."""
+_REST_SIGMAS: Final = 3.0
+"""Of the difference of two readings: what moved by more could not have repeated. Deviations hold
+the rounding of counts, so that a step of those is less."""
 
 
 class FrozenImage:
-    """Tells whether a camera sends its last image with newer stamps; the tool may be anywhere."""
+    """Tells whether a camera sends an image that it sent before; the tool may be anywhere.
+
+    Noise makes no two exposures equal. How many readings that repeat are too many follows from
+    how often single readings of things at rest do, which is learned while they are shown: almost
+    never with many bits and much light, now and then where counts are coarse beside the noise.
+    """
 
     def __init__(self) -> None:
         """Begin without any exposure."""
-        self._last: dict[int | None, bytes] = {}
-        self._times: dict[int | None, int] = {}
+        self._last: dict[int | None, tuple[bytes, Array, Array]] = {}
+        self._same: dict[int | None, int] = {}
+        """Readings that repeated in a row, by what was lit."""
+        self._run = 0
+        """The same in a row whatever was lit: a loop of images repeats all of them."""
+        self._equal, self._compared = _EQUAL, _COMPARED
 
-    def see(self, marker: int | None, position_px: NDArray[np.float64]) -> None:
+    def see(self, marker: int | None, position_px: Array, sigma_px: Array) -> None:
         """Take in the peaks of a frame.
 
         Args:
             marker: strobe slot that was lit; None: all markers.
             position_px: shape (S, K) [px]; NaN where there are fewer than K.
+            sigma_px: standard deviations, likewise [px].
         """
         if (marker is None) != (None in self._last):
             # The strobe was switched on or off: what it showed before is no measure.
             self._last.clear()
-            self._times.clear()
+            self._same.clear()
         there = np.isfinite(position_px)
-        shown = position_px[there].tobytes() + there.sum(axis=1).tobytes()
-        same = self._last.get(marker) == shown and bool(there.any())
-        self._last[marker] = shown
-        self._times[marker] = self._times[marker] + 1 if same else 1
+        positions, sigmas = position_px[there], sigma_px[there]
+        counts = there.sum(axis=1).tobytes()
+        before = self._last.get(marker)
+        self._last[marker] = counts, positions, sigmas
+        if before is None or before[0] != counts:
+            self._same[marker] = self._run = 0
+            return
+        moved = positions - before[1]
+        same = moved == 0.0
+        repeated = int(same.sum())
+        if repeated == len(same):
+            # Of an exposure without any peak this says nothing, and changes nothing.
+            self._same[marker] = self._same.get(marker, 0) + repeated
+            self._run += repeated
+            return
+        if self._run < self.most:
+            # They were equal by chance: it goes on.
+            self._learn(self._run, self._run)
+        self._same[marker] = self._run = 0
+        rests = moved**2 <= _REST_SIGMAS**2 * (sigmas**2 + before[2] ** 2)
+        self._learn(int((same & rests).sum()), int(rests.sum()))
 
     def of(self, slots: tuple[int, ...] | None) -> bool:
-        """Return whether the exposures of a tool's markers do not change; None: lit together."""
-        if self._times.get(None, 0) >= SAME_MOST:
+        """Return whether the exposures of a tool's markers are frozen; None: lit together."""
+        most = self.most
+        if self._run >= most:
             return True
-        return any(self._times.get(slot, 0) >= SAME_MOST for slot in slots or ())
+        return any(self._same.get(slot, 0) >= most for slot in slots or ())
+
+    @property
+    def most(self) -> int:
+        """How many readings in a row may not repeat by chance."""
+        return math.ceil(math.log(CHANCE) / math.log(self._equal / self._compared))
+
+    def _learn(self, repeated: int, resting: int) -> None:
+        """Count readings of what rests, and those of them that repeated."""
+        self._equal += repeated
+        self._compared += resting
+        if self._compared > _REMEMBERED:
+            self._equal *= _REMEMBERED / self._compared
+            self._compared = _REMEMBERED

@@ -141,7 +141,7 @@ class ToolTracker:
                 f"({self.model.sensors}, K)"
             )
         self._time_ns = time_ns
-        self._image.see(marker, position_px)
+        self._image.see(marker, position_px, sigma_px)
         seen = FramePeaks.of(position_px, sigma_px, peak_flags)
         looks = self._follow(time_ns, marker, seen)
         self._find(time_ns, marker, seen, looks, points)

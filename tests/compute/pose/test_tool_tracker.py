@@ -689,8 +689,8 @@ def test_an_image_that_is_frozen_is_no_pose(strobed: bool) -> None:
         peaks = np.hstack([peaks, np.full((4, frame // cycle % 2), np.nan)])
         (pose,) = one._step(peaks, frame % 4 if strobed else None, None)
         valid.append(pose.valid)
-    # Each marker's fifth exposure that is the same to the bit.
-    first = 4 * cycle
+    # The first exposure of a marker that is the same to the bit.
+    first = cycle
     assert all(valid[:first])
     assert not any(valid[first:])
     assert pose.status is PoseStatus.INVALID

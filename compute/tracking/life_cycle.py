@@ -28,6 +28,8 @@ AMBIGUOUS_HITS = 10
 """In which they must where other points explained its first peaks as well."""
 PATIENCE = 5
 """A track that has been seen this many times as often as it need be, and is none yet, ends."""
+PROBATION = 20
+"""Exposures in which they must see one of many that were found together, until it lives on less."""
 _MOTION = 6
 
 
@@ -67,6 +69,7 @@ def count_weak(
     few = (possible < VOUCHING_SENSORS) & (in_view >= VOUCHING_SENSORS)
     step = np.where(degrees >= VOUCHING_SENSORS, -1, np.where(few, 1, 0))
     tracks.weak[rows] = np.clip(weak + step, 0, 2 * WEAK_EXPOSURES)
+    tracks.unproved[rows] = np.maximum(tracks.unproved[rows] - (degrees >= VOUCHING_SENSORS), 0)
 
 
 def replaced(
@@ -189,8 +192,10 @@ def _common(one: Array, two: Array, bias: Array) -> Array:
 
 
 def ended(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[np.bool_]:
-    """Return which tracks end: not confirmed in time, or not seen for too long."""
+    """Return which tracks end: not confirmed in time, not seen for too long, or soon not vouched."""
     unseen = time_ns - tracks.seen_ns > round(settings.coast_s * 1e9)
     vain = tracks.misses > np.where(tracks.hits > 0, settings.confirm_misses, 0)
     vain |= tracks.hits >= PATIENCE * settings.confirm_hits
-    return unseen | (~tracks.confirmed & vain)
+    # One of many that came up together may be a ghost even so.
+    ghost = tracks.confirmed & (tracks.unproved > 0) & (tracks.weak >= WEAK_EXPOSURES)
+    return unseen | ghost | (~tracks.confirmed & vain)

@@ -9,6 +9,7 @@ from compute.reconstruction.correspondence import PredictedPoints
 from compute.tracking.frame_peaks import FramePeaks
 from compute.tracking.left_over import FoundPoints, PointFinder
 from compute.tracking.life_cycle import (
+    PROBATION,
     VOUCHED_HITS,
     VOUCHING_SENSORS,
     WEAK_EXPOSURES,
@@ -308,6 +309,7 @@ class Newcomers:
         tracks.hits[:] = self._settings.confirm_hits
         tracks.vouched[:] = VOUCHED_HITS
         tracks.evidence[:] = np.inf
+        tracks.unproved[:] = PROBATION
         return tracks, seen
 
     def _confirm(

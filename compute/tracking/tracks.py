@@ -29,6 +29,8 @@ class Tracks:
         misses: exposures that did not, int32, shape (T,).
         weak: how often, lately, too few sensors saw a confirmed one to vouch for it, int32, shape
             (T,).
+        unproved: exposures in which a confirmed one that came of many peaks must yet be seen by as
+            many sensors as vouch for a place, int32, shape (T,).
         evidence: log likelihood ratio of an unconfirmed track to false peaks, shape (T,).
         bias: covariance of the readings' constant errors at ``bias_mm``, shape (T, S, S) [px^2].
         bias_mm: where that was worked out, shape (T, 3).
@@ -47,6 +49,7 @@ class Tracks:
     vouched: NDArray[np.int32]
     misses: NDArray[np.int32]
     weak: NDArray[np.int32]
+    unproved: NDArray[np.int32]
     evidence: Array
     bias: Array
     bias_mm: Array
@@ -63,6 +66,7 @@ class Tracks:
             np.empty(0, np.bool_),
             np.empty(0, np.int64),
             np.empty(0, np.int64),
+            np.empty(0, np.int32),
             np.empty(0, np.int32),
             np.empty(0, np.int32),
             np.empty(0, np.int32),
@@ -107,6 +111,7 @@ class Tracks:
             uncertain.copy(),
             np.full(count, time_ns, dtype=np.int64),
             np.full(count, time_ns, dtype=np.int64),
+            np.zeros(count, dtype=np.int32),
             np.zeros(count, dtype=np.int32),
             np.zeros(count, dtype=np.int32),
             np.zeros(count, dtype=np.int32),

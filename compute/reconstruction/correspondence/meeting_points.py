@@ -18,11 +18,13 @@ Array = NDArray[np.float64]
 
 MOST_TRIPLES: Final = 10_000
 """Combinations of three peaks that are tried in an exposure; more are tried part by part."""
-MOST_GHOSTS: Final = 200.0
+MOST_GHOSTS: Final = 40.0
 """Combinations that may agree by chance, for so many sensors to be enough."""
 GATE_PX: Final = 1.0
 """About how wide a reading's gate is."""
 MOST_PIXELS: Final = 4096.0
+MOST_PREDICTED: Final = 24_000
+"""Readings that are predicted for them, before another triple of sensors waits for its turn."""
 MOST_MEETING: Final = 600
 """Points that are returned, the likeliest."""
 
@@ -120,7 +122,7 @@ def meeting_points(
         for turn in range(len(bases)):
             base = seeing[list(bases[(part.turn + turn) % len(bases)])]
             combinations = int(np.prod(peaks.count[base], dtype=np.int64))
-            if turn and work + combinations > MOST_TRIPLES:
+            if turn and (work + combinations) * len(seeing) > MOST_PREDICTED:
                 break
             work += combinations
             free, following = _slice(peaks, base, part.first_px)

@@ -18,15 +18,22 @@ class BoundMarker:
         tracks: the number of its track along each sensor; -1: none, shape (S,).
         settings: of the method.
         time_ns: now.
+        doubts: exposures in which the sensors must agree before it counts.
     """
 
     def __init__(
-        self, identity: int, tracks: NDArray[np.int64], settings: ThesisSettings, time_ns: int
+        self,
+        identity: int,
+        tracks: NDArray[np.int64],
+        settings: ThesisSettings,
+        time_ns: int,
+        doubts: int = 0,
     ) -> None:
         self.identity = identity
         self.tracks = tracks
         self.trail = Trail(settings.white_acceleration, settings.white_jerk)
         self.seen_ns = time_ns
+        self.doubts = doubts
         self.contradicted = np.zeros(len(tracks), dtype=np.int64)
         """Scans in a row in which each sensor's reading was left out as another target's."""
         self.inconsistent = 0

@@ -7,13 +7,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.reconstruction.correspondence import Correspondence
 from compute.tracking.frame_peaks import FramePeaks
 from compute.tracking.thesis.reported import Reported
 from compute.tracking.thesis.settings import ThesisSettings
-from compute.tracking.thesis.space_points import SpacePoints
+from compute.tracking.thesis.space_points import SolvedPoints, SpacePoints
 
 Array = NDArray[np.float64]
 
+AGREEING: Final = 4
+"""Sensors whose agreement says something: three planes always meet."""
+DOUBTFUL_EXPOSURES: Final = 10
+"""In which so many must agree, before a marker counts whose peaks might be grouped otherwise."""
 GROUP_EVERY_S: Final = 0.05
 """Least time between two searches for markers among what is no marker's: the dearest step."""
 
@@ -61,6 +66,17 @@ class Lane(ABC):
             return False
         self._grouped_ns = time_ns
         return True
+
+    @staticmethod
+    def _groups_to_take(groups: Correspondence, solved: SolvedPoints) -> list[int]:
+        """Return the groups that may be markers: those that are ambiguous with four sensors only.
+
+        The likeliest of several groupings may be wrong, and then is contradicted as markers move.
+        """
+        agreed = (groups.peaks >= 0).sum(axis=1) >= AGREEING
+        good = solved.found & ~solved.inconsistent & (agreed | ~groups.ambiguous)
+        rows: list[int] = np.flatnonzero(good).tolist()
+        return rows
 
     def _may_begin(self, markers: int) -> bool:
         """Whether there may be another one beside so many."""

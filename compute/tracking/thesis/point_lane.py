@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from compute.reconstruction.points import chi2_limit
 from compute.tracking.frame_peaks import FramePeaks
 from compute.tracking.thesis.eight_state import EightState, EightStateModel
-from compute.tracking.thesis.lane import Lane, packed_columns
+from compute.tracking.thesis.lane import AGREEING, DOUBTFUL_EXPOSURES, Lane, packed_columns
 from compute.tracking.thesis.reported import Reported
 from compute.tracking.thesis.settings import LEAST_SENSORS, ThesisSettings
 from compute.tracking.thesis.space_points import SolvedPoints, SpacePoints
@@ -35,6 +35,8 @@ class _Marker:
     seen_ns: int
     hits: int = 1
     missed: int = 0
+    doubts: int = 0
+    """Exposures in which four sensors must agree before it counts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,8 @@ class PointLane(Lane):
     sensors or more are a point, verified as ``SpacePoints.solve`` has it; the point updates the
     8-state filter, if it lies where the marker can be. Readings that are left over are grouped to
     points: of markers that were lost, where they should be now, or of new ones. A new one that is
-    missed at once has a "short life", and ends.
+    missed at once has a "short life", and ends; so does one of an ambiguous group, until four
+    sensors have agreed on it in ``DOUBTFUL_EXPOSURES``.
 
     Args:
         as of ``Lane``.
@@ -141,6 +144,8 @@ class PointLane(Lane):
         seen = {}
         for row in np.flatnonzero(solved.found & ~solved.inconsistent).tolist():
             one = self._markers[row]
+            if one.doubts and solved.left_out[row] >= 0:
+                continue
             after, nis = one.state.updated(solved.position_mm[row], solved.covariance_mm2[row])
             if nis > chi2_limit(3, MISSED_POINT):
                 continue
@@ -148,6 +153,8 @@ class PointLane(Lane):
             one.hits, one.missed = one.hits + 1, 0
             taken = np.where(sensors == solved.left_out[row], -1, chosen[row])
             seen[one.identity] = _Seen(taken.astype(np.int32), nis, _flags(solved, row))
+            if (taken >= 0).sum() >= AGREEING:
+                one.doubts = max(one.doubts - 1, 0)
         return seen
 
     def _group(
@@ -172,14 +179,15 @@ class PointLane(Lane):
             return
         nowhere, blank = np.full((len(groups), 3), np.nan), np.zeros((len(groups), 3, 3))
         solved = self.space.solve(groups.readings_px, groups.sigma_px, nowhere, blank)
-        for row in np.flatnonzero(solved.found & ~solved.inconsistent & ~groups.ambiguous).tolist():
+        for row in self._groups_to_take(groups, solved):
             place, spread = solved.position_mm[row], solved.covariance_mm2[row]
             one, nis = self._nearest(place, spread, seen), float("nan")
             if one is None:
                 if not self._may_begin(len(self._markers)):
                     continue
                 state = EightState.at(place, spread, START_SPEED_MM_S, START_ACCELERATION_MM_S2)
-                one = _Marker(self.next_identity(), state, time_ns, time_ns)
+                doubts = DOUBTFUL_EXPOSURES if groups.ambiguous[row] else 0
+                one = _Marker(self.next_identity(), state, time_ns, time_ns, doubts=doubts)
                 self._markers.append(one)
             else:
                 one.state, nis = one.state.updated(place, spread)
@@ -206,11 +214,14 @@ class PointLane(Lane):
         kept = []
         for one in self._markers:
             one.missed = 0 if one.identity in seen else one.missed + 1
-            young = one.hits < self.settings.young_scans
+            young = self._young(one)
             late = time_ns - one.seen_ns > 1e9 * self.settings.coast_s
             if not late and not (young and one.missed):
                 kept.append(one)
         self._markers = kept
+
+    def _young(self, one: _Marker) -> bool:
+        return one.hits < self.settings.young_scans or one.doubts > 0
 
     def _report(self, one: _Marker, state: EightState, seen: _Seen | None) -> Reported:
         mean = np.append(state.mean, 0.0)
@@ -222,7 +233,7 @@ class PointLane(Lane):
         return Reported(
             one.identity,
             self.marker,
-            one.hits < self.settings.young_scans,
+            self._young(one),
             mean,
             covariance,
             nothing if seen is None else seen.peaks,

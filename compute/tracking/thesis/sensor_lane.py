@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from compute.reconstruction.points import chi2_limit
 from compute.tracking.frame_peaks import FramePeaks
 from compute.tracking.thesis.bound_marker import BoundMarker
-from compute.tracking.thesis.lane import Lane, packed_columns
+from compute.tracking.thesis.lane import AGREEING, DOUBTFUL_EXPOSURES, Lane, packed_columns
 from compute.tracking.thesis.reported import Reported
 from compute.tracking.thesis.scan_clock import ScanClock
 from compute.tracking.thesis.sensor_point import SensorFollower, SensorPoint
@@ -34,7 +34,8 @@ class SensorLane(Lane):
     Which tracks are one marker's is found when they are not young any more, by the grouping of
     their readings (``group_peaks``; for two markers and more it needs four sensors), and again
     when one of them ended: by the marker's prediction along that sensor, or by a new group where
-    the marker should be.
+    the marker should be. A marker of a group that is ambiguous is tentative, until its sensors have
+    agreed in ``DOUBTFUL_EXPOSURES``; it ends when they contradict one another.
 
     Points that a follower made up are used only where fewer than three sensors saw the marker. A
     sensor whose reading was left out for ``young_scans`` exposures is let go. Where the sensors
@@ -86,7 +87,11 @@ class SensorLane(Lane):
         self._bind_ended(running, deviation, time_ns, found)
         self._group(running, deviation, time_ns, found)
         limit_ns = 1e9 * self.settings.coast_s
-        self._markers = [one for one in self._markers if time_ns - one.seen_ns <= limit_ns]
+        self._markers = [
+            one
+            for one in self._markers
+            if time_ns - one.seen_ns <= limit_ns and not (one.doubts and one.contradicted.any())
+        ]
         return self._reports(time_ns, points, found)
 
     def predicted(self, time_ns: int) -> list[Reported]:
@@ -117,6 +122,9 @@ class SensorLane(Lane):
         """Let go of tracks that are another target's; return whether there is a point."""
         if not solved.found[row]:
             return False
+        if marker.doubts and solved.inconsistent[row]:
+            marker.contradicted[:] = 1
+            return False
         left = np.arange(len(marker.tracks)) == solved.left_out[row]
         marker.contradicted = np.where(left, marker.contradicted + 1, 0)
         marker.unbind(marker.contradicted >= self.settings.young_scans)
@@ -143,6 +151,8 @@ class SensorLane(Lane):
             marker.trail.add(time_ns, solved.position_mm[row], solved.covariance_mm2[row])
         if sum(seen) >= LEAST_SENSORS:
             marker.seen_ns = time_ns
+        if sum(seen) >= AGREEING:
+            marker.doubts = max(marker.doubts - 1, 0)
 
     @staticmethod
     def _readings(points: list[SensorPoint | None], deviation: Array) -> tuple[Array, Array]:
@@ -234,7 +244,7 @@ class SensorLane(Lane):
         nowhere = np.full((len(groups), 3), np.nan)
         blank = np.zeros((len(groups), 3, 3))
         solved = self.space.solve(groups.readings_px, groups.sigma_px, nowhere, blank)
-        for row in np.flatnonzero(solved.found & ~solved.inconsistent & ~groups.ambiguous).tolist():
+        for row in self._groups_to_take(groups, solved):
             numbers = np.array(
                 [
                     points[column].number if column >= 0 else -1
@@ -247,7 +257,8 @@ class SensorLane(Lane):
             if marker is None:
                 if not self._may_begin(len(self._markers)):
                     continue
-                marker = BoundMarker(self.next_identity(), numbers, self.settings, time_ns)
+                doubts = DOUBTFUL_EXPOSURES if groups.ambiguous[row] else 0
+                marker = BoundMarker(self.next_identity(), numbers, self.settings, time_ns, doubts)
                 self._markers.append(marker)
             marker.tracks, marker.seen_ns = numbers, time_ns
             marker.trail.add(time_ns, place, spread)
@@ -293,7 +304,7 @@ class SensorLane(Lane):
                 flags |= TrackFlag.OUTSIDE_MAP
             reports.append(
                 Reported(
-                    one.identity, self.marker, False, mean, covariance, taken, flags,
+                    one.identity, self.marker, one.doubts > 0, mean, covariance, taken, flags,
                     degrees=int((taken >= 0).sum()),
                 )
             )  # fmt: skip

@@ -192,7 +192,7 @@ def _common(one: Array, two: Array, bias: Array) -> Array:
 
 
 def ended(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[np.bool_]:
-    """Return which tracks end: not confirmed in time, not seen for too long, or soon not vouched."""
+    """Return which tracks end: not confirmed in time, not seen for long, or not vouched for."""
     unseen = time_ns - tracks.seen_ns > round(settings.coast_s * 1e9)
     vain = tracks.misses > np.where(tracks.hits > 0, settings.confirm_misses, 0)
     vain |= tracks.hits >= PATIENCE * settings.confirm_hits

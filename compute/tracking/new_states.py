@@ -18,6 +18,7 @@ STRAY_POINT = 1e-4
 _MOVING = 6
 _SPEEDS, _ACCELERATIONS = np.arange(3, 6), np.arange(6, 9)
 
+
 def new_states(
     model: ReadingModel,
     motion: MotionModels,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.reconstruction.correspondence import PredictedPoints
+from compute.tracking.crowd import Crowd
 from compute.tracking.frame_peaks import FramePeaks
 from compute.tracking.left_over import FoundPoints, PointFinder
 from compute.tracking.life_cycle import (
@@ -20,19 +21,16 @@ from compute.tracking.life_cycle import (
 )
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.native.associator import Associator
-from compute.tracking.new_states import new_states, replayed
+from compute.tracking.new_states import new_states
 from compute.tracking.point_matching import match_points, update_by_points
 from compute.tracking.reading_model import Predicted, ReadingModel
 from compute.tracking.seen import Seen
-from compute.tracking.sequences import Sequences
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.states import combined
-from compute.tracking.tracklets import Tracklets
+from compute.tracking.tracklets import FoundMarkers
 from compute.tracking.tracks import Tracks
 
 Array = NDArray[np.float64]
-
-MANY = 700.0
 
 
 class Newcomers:
@@ -59,20 +57,19 @@ class Newcomers:
     ) -> None:
         self._model, self._motion, self._settings = model, motion, settings
         self._finder, self._associator = finder, associator
-        self._sequences = Sequences(settings, finder)
-        self._tracklets = Tracklets(model, motion, settings, associator)
+        self._crowd = Crowd(model, motion, settings, finder, associator)
         self._next = 1
         self._searched_ns: dict[int | None, int] = {}
 
     def renew(self, model: ReadingModel, finder: PointFinder, associator: Associator) -> None:
         """Go on with other cameras."""
         self._model, self._finder, self._associator = model, finder, associator
-        self._sequences = Sequences(self._settings, finder)
-        self._tracklets = Tracklets(model, self._motion, self._settings, associator)
+        self._crowd = Crowd(model, self._motion, self._settings, finder, associator)
 
     def reset(self) -> None:
         """Forget when it was searched; numbers go on."""
         self._searched_ns.clear()
+        self._crowd.forget()
 
     def numbers(self, count: int) -> int:
         """Return the first of so many identity numbers that nobody has had."""
@@ -110,15 +107,14 @@ class Newcomers:
         # What a weak track has may be another marker's; it may find it again itself.
         weak = tracks.confirmed & (tracks.weak >= WEAK_EXPOSURES)
         free = free_peaks(peaks, seen, weak)
-        if marker is None and (self._many(free) or len(self._tracklets)):
-            new = self._searched(free, peaks, time_ns)
+        if marker is None and self._crowd.needed(free, doubt=bool(weak.any())):
+            found = self._crowd.search(time_ns, peaks, free)
+            new = None if found is None else self._tracks_of(found, time_ns)
         elif due or len(begun):
             self._searched_ns[marker] = time_ns
             lost = tracks.confirmed & (seen.degrees() < 3)
             open_ = np.union1d(begun, part[weak[part] | lost[part]])
-            points = self._finder.find(
-                peaks, free_peaks(peaks, seen, weak), self._expected(tracks, open_)
-            )
+            points = self._finder.find(peaks, free, self._expected(tracks, open_))
             if points is not None:
                 others = self._match(tracks, open_, points, seen, peaks, marker, time_ns)
                 if len(others):
@@ -270,28 +266,8 @@ class Newcomers:
         )
         return tracks, seen
 
-    def _many(self, free: NDArray[np.bool_]) -> bool:
-        """Return whether too many combinations meet by chance for one exposure to tell."""
-        counts = np.sort(free.sum(axis=1))
-        counts = counts[counts > 0]
-        return len(counts) >= VOUCHING_SENSORS and float(np.prod(counts[-4:].astype(float))) > MANY
-
-    def _searched(
-        self, free: NDArray[np.bool_], peaks: FramePeaks, time_ns: int
-    ) -> tuple[Tracks, Seen] | None:
-        """Return the tracks that tracklets have turned out to be; begin more of these."""
-        self._tracklets.follow(time_ns, peaks, free)
-        left = free.copy()
-        track, sensor = np.nonzero((explained := self._tracklets.explained()) >= 0)
-        left[sensor, explained[track, sensor]] = False
-        for one in self._sequences.find(time_ns, peaks, left):
-            if self._tracklets.fresh(one.peaks[-1]):
-                begun = replayed(self._model, self._motion, self._settings, one)
-                if begun is not None:
-                    self._tracklets.begin(*begun, one.place_mm[-1:], one.peaks[-1:], time_ns)
-        found = self._tracklets.decide()
-        if found is None:
-            return None
+    def _tracks_of(self, found: FoundMarkers, time_ns: int) -> tuple[Tracks, Seen]:
+        """Return the tracks of markers that have been followed for long enough."""
         count = len(found)
         seen = Seen.nothing(count, len(self._model))
         seen.peaks[:], seen.nis[:] = found.peaks, found.nis
@@ -305,7 +281,6 @@ class Newcomers:
             confirmed=False,
             uncertain=np.zeros(count, dtype=np.bool_),
         )
-        # They have been followed for long enough.
         tracks.hits[:] = self._settings.confirm_hits
         tracks.vouched[:] = VOUCHED_HITS
         tracks.evidence[:] = np.inf

@@ -163,9 +163,7 @@ class Sequences:
             before[at, 0], before[at, 1] = layer.number, rows[source]
         return _Layer(points, time_ns, self._number, mean, covariance, score, length, before)
 
-    def _ahead(
-        self, layer: _Layer, rows: NDArray[np.intp], step_s: float
-    ) -> tuple[Array, Array]:
+    def _ahead(self, layer: _Layer, rows: NDArray[np.intp], step_s: float) -> tuple[Array, Array]:
         """Return places and velocities (N, 6) after a time, with an acceleration not known."""
         transition = np.eye(_MOVING)
         transition[:3, 3:] = step_s * np.eye(3)

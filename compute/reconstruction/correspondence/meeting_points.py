@@ -196,9 +196,7 @@ def _merged(
     crowd = np.log(settings.detection) - _log_density(peaks, settings.false_per_px)
     peaks_only = whole.log_fit + used @ crowd
     peaks_only += missed * settings.log_missed
-    alone = np.where(
-        used.sum(axis=1) > 3, peaks_only + log(settings.markers_per_mm3), -inf
-    )
+    alone = np.where(used.sum(axis=1) > 3, peaks_only + log(settings.markers_per_mm3), -inf)
     if len(whole) > MOST_MEETING:
         best = np.sort(np.argsort(-peaks_only, kind="stable")[:MOST_MEETING])
         whole, used, peaks_only, alone = whole.take(best), used[best], peaks_only[best], alone[best]

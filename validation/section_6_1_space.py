@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
+from compute.tracking.methods import TrackingSettings
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.thesis.eight_state import EightState, EightStateModel
 from compute.tracking.thesis.pair_tracking import Decision
@@ -68,8 +69,8 @@ class SpaceFigures:
 
 
 @cache
-def our_tracks(scene: ActiveScene, settings: TrackerSettings | None = None) -> SpaceTracks:
-    """Track a scene by its fitted peaks."""
+def our_tracks(scene: ActiveScene, settings: TrackingSettings | None = None) -> SpaceTracks:
+    """Track a scene by its fitted peaks, by our tracker or another method of a live device."""
     seen = record(scene)
     return track(
         seen.motion.time_s,

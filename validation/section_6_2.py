@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.tracking.methods import TrackingSettings
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.thesis.association import AssociationSettings
 from compute.tracking.thesis.exchange import exchange_probability, printed_6_10
@@ -30,6 +31,7 @@ from validation.section_6_2_tracks import (
     mean_hold,
     thesis_tracks,
 )
+from validation.section_6_live import OURS, Follow, live_methods, live_table
 from validation.section_6_ours import SpaceTracks, track
 from validation.section_6_scene import PASSIVE_FRAMES, PASSIVE_RADII_MM, RATE_HZ, cameras
 from validation.tables import Cell, ResultTable, TablesCase
@@ -93,8 +95,8 @@ def thesis_hold(
 
 
 @cache
-def our_tracks(settings: TrackerSettings, seed: int, frames: int = PASSIVE_FRAMES) -> SpaceTracks:
-    """Return our tracks in space."""
+def our_tracks(settings: TrackingSettings, seed: int, frames: int = PASSIVE_FRAMES) -> SpaceTracks:
+    """Return our tracks in space, or those of another method of a live device."""
     seen, peaks = scans(seed, frames), our_peaks(seed, frames)
     return track(seen.motion.time_s, peaks, cameras(), seen.motion.position_mm, settings)
 
@@ -126,8 +128,35 @@ def work_out(
     detected = {BEFORE: detection(BEFORE, seeds[:1], frames)}
     detected |= {kind: detection(kind, seeds, frames) for kind in (AFTER, FITTED)}
     tracked = holds(seeds, frames)
-    tables = (_detection(detected), _tracks(tracked), _exchange())
-    return tables, _findings(detected, tracked, len(seeds), frames)
+    live, held = live_table(
+        [("three passive", [_follow(seed, frames) for seed in seeds])], _methods()
+    )
+    tables = (_detection(detected), _tracks(tracked), _exchange(), live)
+    return tables, (*_findings(detected, tracked, len(seeds), frames), _live_finding(held))
+
+
+def _follow(seed: int, frames: int) -> Follow:
+    def follow_by(settings: TrackingSettings) -> tuple[SpaceTracks, Array]:
+        return our_tracks(settings, seed, frames), scans(seed, frames).motion.position_mm
+
+    return follow_by
+
+
+def _methods() -> dict[str, TrackingSettings]:
+    """Return the methods of a device that follow three markers lit together."""
+    methods = live_methods(MOST_VELOCITY_PX_S, None, JERK)
+    return {name: given for name, given in methods.items() if not name.startswith("window")}
+
+
+def _live_finding(held: dict[tuple[str, str], Hold]) -> str:
+    found = {name: hold for (_, name), hold in held.items()}
+    lost = ", ".join(f"{hold.lost:.1%} ({name})" for name, hold in found.items())
+    return (
+        f"Live, on our peaks, markers and exposures without a track: {lost}. In space the 8-state "
+        "model, which predicts accelerations, holds what the intervals along a sensor lose; "
+        f"{OURS} is our tracker as it comes. The window is not among them: it tells two targets "
+        "along a sensor apart, and here are three."
+    )
 
 
 def _detection(detected: dict[str, tuple[float, float, float]]) -> ResultTable:

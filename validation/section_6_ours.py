@@ -11,9 +11,8 @@ from scipy.optimize import linear_sum_assignment
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.signal.peaks import PeakBatch
-from compute.tracking.settings import TrackerSettings
+from compute.tracking.methods import TrackingSettings, marker_tracker
 from compute.tracking.track_batch import TrackBatch, TrackState
-from compute.tracking.tracker import Tracker
 
 Array = NDArray[np.float64]
 
@@ -55,7 +54,7 @@ def track(
     peaks: Sequence[PeakBatch],
     models: Sequence[SensorModel],
     markers_mm: Array,
-    settings: TrackerSettings,
+    settings: TrackingSettings,
 ) -> SpaceTracks:
     """Track all frames, and say whose each confirmed track is.
 
@@ -64,9 +63,9 @@ def track(
         peaks: of each sensor, N lines each.
         models: the cameras.
         markers_mm: where the markers are, shape (N, M, 3).
-        settings: of the tracker.
+        settings: of the tracker: ours, or a method of the thesis.
     """
-    tracker = Tracker(
+    tracker = marker_tracker(
         CameraStack.of(list(models)), settings, pixels=tuple(model.pixels for model in models)
     )
     room = max(batch.position_px.shape[1] for batch in peaks)

@@ -170,8 +170,16 @@ def test_case_6_1_and_its_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         monkeypatch.setattr(section_6_1, name, scene)
     monkeypatch.setattr(section_6_1, "SCENES", scenes)
     tables, findings = section_6_1.work_out()
-    assert [len(table.rows) for table in tables] == [9, 9, 3, 18]
-    assert len(findings) == 5
+    assert [len(table.rows) for table in tables] == [9, 9, 3, 18, 18]
+    assert len(findings) == 6
+    live = {tuple(map(str, row[:2])): row for row in tables[-1].rows}
+    exchanged, lost = (tables[-1].headings.index(name) for name in ("exchanged", "lost"))
+    for scene in scenes:
+        for method in ("window, by prediction", "eight-state", "readings"):
+            assert live[scene.name, method][exchanged] == 0.0
+            # At rest sensor 1 sees the markers one behind the other.
+            assert float(str(live[scene.name, method][lost])) * SOME < STILL_FRAMES + 20
+    assert float(str(live[SHARP.name, "probabilistic"][exchanged])) > 0.0
     case = ALL_CASES["section-6.1"]
     assert isinstance(case, TablesCase)
     assert case.picture is not None
@@ -249,7 +257,11 @@ def test_case_6_2(monkeypatch: pytest.MonkeyPatch) -> None:
     assert float(str(ours[columns.index("wrong")])) == 0.0
     # False targets live longer where there are many.
     assert float(str(tracked["thesis, before [6.5]"][old])) > 3.0 * float(str(thesis[old]))
-    assert len(findings) == 7
+    assert len(findings) == 8
+    live = {str(row[1]): row for row in tables[-1].rows}
+    assert set(live) == {"probabilistic", "probabilistic, curve, 5 px", "eight-state", "readings"}
+    lost = tables[-1].headings.index("lost")
+    assert float(str(live["eight-state"][lost])) < float(str(live["probabilistic"][lost]))
 
 
 def test_picture_6_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

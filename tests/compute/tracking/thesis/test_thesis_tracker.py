@@ -223,6 +223,29 @@ def test_three_sensors_do_not_tell_two_markers_apart(method: ThesisMethod) -> No
     assert (numbers_at(alone, circling(40, markers=1))[8:] == 1).all()
 
 
+@pytest.mark.parametrize("method", ["probabilistic", "eight-state"])
+def test_markers_of_doubtful_groups_count_when_the_sensors_have_agreed(
+    method: ThesisMethod,
+) -> None:
+    """Faint ones, with false peaks beside them: other groupings are nearly as likely."""
+    places = circling(100, markers=3)
+    faint = Sensing(sigma_px=0.4, missed=0.02, false_peaks=0.3)
+    reports = follow(tracker(given(method, interval_velocity="curve")), places, faint, seed=1)
+    held = numbers_at(reports, places)
+    assert (held[:8] == 0).all()
+    assert (held[20:] == held[20]).all()
+    assert (held[20] > 0).all()
+    # Of those that counted none was at no marker.
+    counted = {
+        int(number)
+        for batch in reports
+        for number in batch.identity[batch.state != TrackState.TENTATIVE]
+    }
+    assert counted <= set(held.ravel().tolist())
+    begun = {int(number) for batch in reports for number in batch.identity}
+    assert len(begun) >= len(counted) >= 3
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_numbers_are_never_used_again(method: ThesisMethod) -> None:
     one, places = tracker(given(method)), circling(12)

@@ -11,7 +11,7 @@ from compute.camera.stack import CameraStack
 from compute.tracking.methods import TrackingSettings
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.thesis.eight_state import EightState, EightStateModel
-from compute.tracking.thesis.pair_tracking import Decision
+from compute.tracking.thesis.pair_follower import Decision
 from validation.section_6_1_thesis import ActiveScene, differences, in_space, record
 from validation.section_6_figures import SPIKE, SensorFigures, sensor_figures
 from validation.section_6_ours import SpaceTracks, track

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.reconstruction.linear import reconstruct_linear
 from compute.signal.peaks import PeakBatch
-from compute.tracking.thesis.pair_tracking import Decision, PairTracking
+from compute.tracking.thesis.pair_follower import Decision
+from compute.tracking.thesis.pair_tracking import PairTracking
 from compute.tracking.thesis.subsets import order_by_detection
 from validation.section_6_figures import SensorFigures, sensor_figures
 from validation.section_6_lines import active_lines, fitted_peaks, thesis_points

@@ -28,6 +28,9 @@ AMBIGUOUS_HITS = 10
 """In which they must where other points explained its first peaks as well."""
 PATIENCE = 5
 """A track that has been seen this many times as often as it need be, and is none yet, ends."""
+BESIDE = 6.0
+"""Two tracks whose readings are nearer than so many ``merge_px`` may have exchanged peaks."""
+_BESIDE_SENSORS = 2
 PROBATION = 20
 """Exposures in which they must see one of many that were found together, until it lives on less."""
 _MOTION = 6
@@ -72,19 +75,35 @@ def count_weak(
     tracks.unproved[rows] = np.maximum(tracks.unproved[rows] - (degrees >= VOUCHING_SENSORS), 0)
 
 
-def replaced(
-    tracks: Tracks, peaks: NDArray[np.int32], row: int, others: NDArray[np.intp]
-) -> int | None:
-    """Return which weak track lives on peaks of this new marker; None: none.
+def entangled(
+    reading_px: Array, weak: NDArray[np.bool_], confirmed: NDArray[np.bool_], merge_px: float
+) -> NDArray[np.bool_]:
+    """Return which tracks may have another's peaks: the weak ones, and those beside them, (T,).
+
+    Two that have passed each other may each have a peak of the other, while only one of them lacks
+    a sensor for it.
 
     Args:
-        tracks: all.
+        reading_px: predicted, shape (T, S).
+        weak: shape (T,).
+        confirmed: shape (T,).
+        merge_px: the merging distance.
+    """
+    with np.errstate(invalid="ignore"):
+        near = np.abs(reading_px[:, None] - reading_px[weak][None]) <= BESIDE * merge_px
+    beside: NDArray[np.bool_] = (near.sum(axis=2) >= _BESIDE_SENSORS).any(axis=1)
+    return weak | (beside & confirmed)
+
+
+def replaced(peaks: NDArray[np.int32], row: int, doubted: NDArray[np.intp]) -> int | None:
+    """Return which doubted track lives on peaks of this new marker; None: none.
+
+    Args:
         peaks: what each saw now, shape (T, S).
         row: the new marker's; four sensors have seen it.
-        others: rows that are asked.
+        doubted: rows of tracks that may be ghosts.
     """
-    weak = others[tracks.weak[others] >= WEAK_EXPOSURES]
-    weak = weak[weak != row]
+    weak = doubted[doubted != row]
     if len(weak) == 0:
         return None
     same = ((peaks[weak] == peaks[row]) & (peaks[row] >= 0)).sum(axis=1)

@@ -16,6 +16,7 @@ from compute.tracking.life_cycle import (
     WEAK_EXPOSURES,
     confirmable,
     ended,
+    entangled,
     lost_one,
     replaced,
 )
@@ -105,7 +106,7 @@ class Newcomers:
         begun = tentative[tracks.hits[tentative] == 0]
         new: tuple[Tracks, Seen] | None = None
         # What a weak track has may be another marker's; it may find it again itself.
-        weak = tracks.confirmed & (tracks.weak >= WEAK_EXPOSURES)
+        weak = self._doubted(tracks, part)
         free = free_peaks(peaks, seen, weak)
         if marker is None and self._crowd.needed(free, doubt=bool(weak.any())):
             found = self._crowd.search(time_ns, peaks, free)
@@ -122,9 +123,18 @@ class Newcomers:
         tracks.misses[part] += ~tracks.confirmed[part] & (tracks.hits[part] == hits)
         if new is not None:
             tracks, seen = tracks.joined(new[0]), seen.joined(new[1])
-        keep = self._confirm(tracks, part, seen, time_ns)
+        keep = self._confirm(tracks, part, seen, weak, time_ns)
         keep &= ~ended(tracks, self._settings, time_ns)
         return (tracks, seen) if keep.all() else (tracks.rows(keep), seen.rows(keep))
+
+    def _doubted(self, tracks: Tracks, part: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return which tracks may be ghosts, or have peaks of those that may be, shape (T,)."""
+        weak = tracks.confirmed & (tracks.weak >= WEAK_EXPOSURES)
+        if not weak[part].any():
+            return weak
+        place = combined(self._motion, tracks.states).mean[:, :3]
+        reading = self._model.predict(place).reading_px
+        return entangled(reading, weak, tracks.confirmed, self._settings.merge_px)
 
     def _follow(
         self,
@@ -288,9 +298,15 @@ class Newcomers:
         return tracks, seen
 
     def _confirm(
-        self, tracks: Tracks, part: NDArray[np.intp], seen: Seen, time_ns: int
+        self,
+        tracks: Tracks,
+        part: NDArray[np.intp],
+        seen: Seen,
+        doubted: NDArray[np.bool_],
+        time_ns: int,
     ) -> NDArray[np.bool_]:
         """Confirm tracks, as the lost ones that they are; return which tracks to keep."""
+        doubtful = part[doubted[part]]
         keep = np.ones(len(tracks), dtype=np.bool_)
         degrees = seen.degrees()
         for row in confirmable(tracks, self._settings):
@@ -299,7 +315,7 @@ class Newcomers:
             tracks.confirmed[row] = True
             found = lost_one(self._motion, tracks, int(row), lost)
             if found is None and degrees[row] >= VOUCHING_SENSORS:
-                ghost = replaced(tracks, seen.peaks, int(row), others)
+                ghost = replaced(seen.peaks, int(row), doubtful[keep[doubtful]])
                 found = None if ghost is None else (ghost, True)
             if found is None:
                 continue

@@ -255,7 +255,8 @@ class Tracklets:
         good = taken & (kept.age[ready] >= LEAST_AGE) & self._steady(STEADY, LEAST_SEEN)[ready]
         good &= score > sure * rival
         # Handed over while it is seen well: what comes next may be merged with others.
-        good &= (kept.peaks[ready, -1] >= 0).sum(axis=1) >= 4
+        least = np.where(kept.age[ready] >= WINDOW, 3, 4)
+        good &= (kept.peaks[ready, -1] >= 0).sum(axis=1) >= least
         if not good.any():
             return None
         found = ready[good]

@@ -92,8 +92,8 @@ def test_a_track_at_a_ghost_gives_way() -> None:
     for _ in range(WEAK_EXPOSURES):
         count_weak(tracks, rows, np.array([3.0, 4.0]), np.array([3.0, 4.0]), np.array([4.0, 4.0]))
     peaks = np.array([[0, 1, -1, 2], [3, 3, 3, 3], [0, 1, 5, 6]], dtype=np.int32)
-    assert replaced(tracks, peaks, 2, rows) == 0
-    assert replaced(tracks, peaks, 2, np.array([1])) is None
+    assert replaced(peaks, 2, rows) == 0
+    assert replaced(peaks, 2, np.array([1])) is None
     for _ in range(WEAK_EXPOSURES):
         count_weak(tracks, rows, np.array([3.0, 4.0]), np.array([3.0, 4.0]), np.array([3.0, 4.0]))
     assert tracks.weak[0] == WEAK_EXPOSURES

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 _NORMAL_MEDIAN: Final = 0.6745
 _HALVINGS: Final = 10
+_OF_OTHERS: Final = 100
+"""Points, at least, by which other starts are tried: fewer than twice as many."""
 _GAIN: Final = 1e-6
 """A step that lessens the squares by no more is the last: some 1 % of the answer's deviation."""
 
@@ -322,6 +324,19 @@ def _other_answer(
 ) -> _Answer | None:
     """Return the best of the answers from other starts that is another one, and about as good."""
     middle = start.apply(points.mean(axis=0))
+    # Some of the points tell where a start leads; all of them are brought there.
+    some = points[:: max(1, len(points) // _OF_OTHERS)]
+    here = answer
+    if len(some) < len(points):
+        try:
+            here = _iterate(some, surface, answer.rotation, answer.translation, wanted)
+        except NoConvergence:
+            some = points
+
+    def other(tried: _Answer, here: _Answer) -> bool:
+        apart = np.sqrt(((tried.moved - here.moved) ** 2).sum(axis=1).mean())
+        return bool(apart > max(here.rms, 1e-3 * length) and tried.rms <= 1.5 * here.rms)
+
     found: list[_Answer] = []
     for axis in np.concatenate([np.eye(3), -np.eye(3)]):
         starts = []
@@ -333,10 +348,11 @@ def _other_answer(
             starts.append((start.rotation, start.translation_mm + wanted.start_shift_mm * axis))
         for rotation, translation in starts:
             try:
-                tried = _iterate(points, surface, rotation, translation, wanted)
+                tried = _iterate(some, surface, rotation, translation, wanted)
+                if other(tried, here) and here is not answer:
+                    tried = _iterate(points, surface, tried.rotation, tried.translation, wanted)
             except NoConvergence:
                 continue
-            differs = np.sqrt(((tried.moved - answer.moved) ** 2).sum(axis=1).mean())
-            if differs > max(answer.rms, 1e-3 * length) and tried.rms <= 1.5 * answer.rms:
+            if len(tried.moved) == len(points) and other(tried, answer):
                 found.append(tried)
     return min(found, key=lambda one: one.rms, default=None)

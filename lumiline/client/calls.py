@@ -176,7 +176,7 @@ def registration(registration_id: str) -> Call[d.Registration]:
 def register(
     registration_id: str,
     device_id: str,
-    pairs: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+    pairs: Mapping[str, tuple[Sequence[float], Sequence[float] | d.MeasuredPoint]],
     targets: Mapping[str, Sequence[float]],
     members: Mapping[str, Any],
 ) -> Call[d.Registration]:
@@ -186,11 +186,7 @@ def register(
         "id": registration_id,
         "device": device_id,
         "fiducials": [
-            {
-                "name": name,
-                "frame_mm": list(map(float, frame)),
-                "measured_mm": list(map(float, measured)),
-            }
+            {"name": name, "frame_mm": list(map(float, frame)), **_measured(measured)}
             for name, (frame, measured) in pairs.items()
         ],
         "targets": [
@@ -252,6 +248,74 @@ def remove_hold_reference(hold_id: str) -> Call[d.Hold]:
 def acknowledge_hold(hold_id: str) -> Call[d.HoldState]:
     """Acknowledge a latched hold."""
     return _post(d.HoldState, "holds", hold_id, "acknowledge")
+
+
+def _measured(given: Sequence[float] | d.MeasuredPoint) -> dict[str, Any]:
+    if isinstance(given, d.MeasuredPoint):
+        covariance = given.covariance_mm2
+        return {"measured_mm": given.position_mm, "measured_covariance_mm2": covariance}
+    return {"measured_mm": list(map(float, given))}
+
+
+def register_markers(
+    registration_id: str, device_id: str, members: Mapping[str, Any]
+) -> Call[d.Registration]:
+    """Find where the frame of three markers lies."""
+    body = {**members, "kind": "three-markers", "id": registration_id, "device": device_id}
+    return _post(d.Registration, "registrations", body=body)
+
+
+def register_surface(
+    registration_id: str,
+    device_id: str,
+    parent_id: str,
+    points_mm: Sequence[Sequence[float]],
+    surface: Mapping[str, Any],
+    members: Mapping[str, Any],
+) -> Call[d.Registration]:
+    """Refine a registration by points on a surface."""
+    body = {
+        **members,
+        "kind": "surface",
+        "id": registration_id,
+        "device": device_id,
+        "parent": parent_id,
+        "points_mm": _rows(points_mm),
+        "surface": surface,
+    }
+    return _post(d.Registration, "registrations", body=body)
+
+
+def mesh(
+    vertices_mm: Sequence[Sequence[float]], triangles: Sequence[Sequence[int]] | None
+) -> dict[str, Any]:
+    """Return a surface as the server takes it."""
+    if triangles is None:
+        return {"kind": "points", "points_mm": _rows(vertices_mm)}
+    faces = [[int(corner) for corner in one] for one in triangles]
+    return {"kind": "mesh", "vertices_mm": _rows(vertices_mm), "triangles": faces}
+
+
+def _rows(points: Sequence[Sequence[float]]) -> list[list[float]]:
+    return [list(map(float, one)) for one in points]
+
+
+def measure_point(
+    tool_id: str, frame: str | None, name: str | None, timeout_s: float, members: Mapping[str, Any]
+) -> Call[d.MeasuredPoint]:
+    """Where a tool's tip is held still."""
+    body = {**members, "frame": frame, "name": name, "timeout_s": timeout_s}
+    return _post(d.MeasuredPoint, "tools", tool_id, "points", body=body)
+
+
+def frames(device_id: str) -> Call[d.Frames]:
+    """A device's frames."""
+    return _get(d.Frames, "devices", device_id, "frames")
+
+
+def transform(device_id: str, frame: str, to: str) -> Call[d.FrameTransform]:
+    """The transform between two of them."""
+    return _get(d.FrameTransform, "devices", device_id, "frames", frame, to=to)
 
 
 def reconstructions(device_id: str | None) -> Call[d.Answer]:

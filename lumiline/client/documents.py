@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 Row6 = tuple[float, float, float, float, float, float]
+Matrix4 = tuple[tuple[float, float, float, float], ...]
 Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
 
 
@@ -164,19 +165,104 @@ class TargetError(Answer):
     covariance_mm2: Matrix3
 
 
+class FrameMarker(Answer):
+    """One of three markers that make a frame; measured in ``frames`` exposures, or given."""
+
+    name: str
+    measured_mm: Vector3
+    covariance_mm2: Matrix3
+    frames: int | None
+
+
+class SurfaceFit(Answer):
+    """How points lie on a surface, and how well it holds them."""
+
+    rms_mm: float
+    steps: int
+    points: int
+    distance_mm: tuple[float, ...]
+    used: tuple[bool, ...]
+    hold: float
+    weakest: str
+    turned_deg: float
+    shifted_mm: float
+
+
 class Registration(Answer):
-    """A named frame, found from paired points."""
+    """A named frame: from paired points, three markers, or a surface."""
 
     id: str
+    kind: str = "paired-points"
     device: str
     reference: str | None
-    matrix: tuple[tuple[float, float, float, float], ...]
-    fre_mm: float
-    fle_mm: float
-    residual_sigma: float | None
-    fiducials: tuple[FiducialError, ...]
+    parent: str | None = None
+    matrix: Matrix4
+    covariance: Matrix6
+    fre_mm: float | None = None
+    fle_mm: float | None = None
+    residual_sigma: float | None = None
+    fiducials: tuple[FiducialError, ...] = ()
+    markers: tuple[FrameMarker, ...] = ()
+    surface: SurfaceFit | None = None
     targets: tuple[TargetError, ...]
     warnings: tuple[str, ...]
+
+
+class MeasuredPoint(Answer):
+    """A point that a tool's tip was held on."""
+
+    name: str | None
+    tool: str
+    device: str
+    frame: str
+    position_mm: Vector3
+    covariance_mm2: Matrix3
+    deviation_mm: float
+    drift_mm: float
+    frames: int
+    first_ns: int
+    last_ns: int
+
+
+class FrameState(Answer):
+    """A frame, and whether it is connected now; those with the same root are with one another."""
+
+    frame: str
+    kind: str
+    to: str | None
+    connected: bool
+    status: str
+    reason: str | None
+    root: str
+
+
+class Frames(Answer):
+    """A device's frames at its newest frame."""
+
+    device: str
+    exposure_ns: int | None
+    sequence: int | None
+    age_s: float | None
+    frames: tuple[FrameState, ...]
+
+
+class FrameTransform(Answer):
+    """The transform from one frame to another now, or why there is none."""
+
+    device: str
+    frame: str
+    to: str
+    status: str
+    reason: str | None
+    path: tuple[str, ...] | None
+    exposure_ns: int | None
+    sequence: int | None
+    age_s: float | None
+    matrix: Matrix4 | None
+    translation_mm: Vector3 | None
+    rotation: Matrix3 | None
+    quaternion_wxyz: tuple[float, float, float, float] | None
+    covariance: Matrix6 | None
 
 
 class Hold(Answer):

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from lumiline.client import Client
-from lumiline.client.documents import Pose, Tool
+from lumiline.client.documents import Matrix3, Pose, Tool
 from lumiline.client.errors import ClientError
 from service.cli.output import console, fail, print_json
 
@@ -61,6 +61,39 @@ def show_one(url: str, key: str | None, tool_id: str, frame: str | None, *, as_j
         console.print(_poses([pose]))
     if pose.status != "OK":
         raise typer.Exit(1)
+
+
+def measure(
+    url: str,
+    key: str | None,
+    tool_id: str,
+    frame: str | None,
+    name: str | None,
+    seconds: float,
+    timeout_s: float,
+    *,
+    as_json: bool,
+) -> None:
+    """Print where a tool's tip is held still; a refusal ends the command with its reason."""
+    with _server(url, key) as client:
+        if not as_json:
+            console.print(f"Hold the tip of {tool_id} still on the point.", highlight=False)
+        found = client.measure_point(
+            tool_id, frame=frame, name=name, timeout_s=timeout_s, seconds=seconds
+        )
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+        return
+    table = Table()
+    table.add_column("point")
+    table.add_column("in")
+    for heading in ("place [mm]", "sd [mm]", "scatter [mm]", "frames"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_row(
+        found.name or "-", found.frame, _vector(found.position_mm), _root(found.covariance_mm2),
+        f"{found.deviation_mm:.3f}", str(found.frames),
+    )  # fmt: skip
+    console.print(table)
 
 
 def watch(
@@ -124,4 +157,8 @@ def _vector(values: tuple[float, float, float] | None) -> str:
 
 def _deviation(pose: Pose) -> str:
     spread = pose.tip_covariance_mm2
-    return "-" if spread is None else f"{sqrt(sum(spread[n][n] for n in range(3))):.3f}"
+    return "-" if spread is None else _root(spread)
+
+
+def _root(spread: Matrix3) -> str:
+    return f"{sqrt(sum(spread[n][n] for n in range(3))):.3f}"

@@ -1,4 +1,4 @@
-"""The commands of tools: list, show, watch. Their options only."""
+"""The commands of tools: list, show, watch, point. Their options only."""
 
 from typing import Annotated
 
@@ -63,3 +63,22 @@ def watch_tools(
     from service.cli.tools import watch
 
     watch(url, key, device, frame, seconds)
+
+
+@tools.command("point")
+def measure_point(
+    tool: Annotated[str, typer.Argument(help="The tool's id.")],
+    frame: Frame = None,
+    name: Annotated[str | None, typer.Option(help="Of the point, for the answer.")] = None,
+    seconds: Annotated[
+        float, typer.Option(min=0.05, max=10.0, help="How long the tip has to be still.")
+    ] = 0.5,
+    timeout: Annotated[float, typer.Option(min=0.1, max=120.0, help="How long to wait [s].")] = 30,
+    url: Url = HERE,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure a point: hold the tool's tip on it until this answers."""
+    from service.cli.tools import measure
+
+    measure(url, key, tool, frame, name, seconds, timeout, as_json=as_json)

@@ -221,9 +221,8 @@ class Registration(Document):
     )
     table: str | None = Field(
         default=None,
-        description="The correction table that was active with it; null: none, or not known of "
-        "registrations of older versions. While another is in force, poses in the frame are "
-        "`INVALID`.",
+        description="The correction table that was active with it. While another one, or none, "
+        "is in force, poses in the frame are `INVALID`, with a `reference`, too.",
     )
     matrix: Matrix4 = Field(
         description="From the frame to where points were measured, 4 x 4, row by row."

@@ -125,6 +125,41 @@ def test_a_registration_tells_its_errors(ask: Ask) -> None:
         ask("request", "DELETE", "/api/v1/registrations/ct")
 
 
+def test_frames_of_markers_and_surfaces(ask: Ask) -> None:
+    markers = [(10.0, -20.0, 1500.0), (110.0, -20.0, 1500.0), (10.0, 60.0, 1500.0)]
+    # A box without symmetry, and sixteen places on three of its sides.
+    corners = [(x, y, z) for z in (-120, 0) for y in (-100, 100) for x in (-70, 70)]
+    sides = [(0, 1, 3), (0, 3, 2), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
+             (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 3, 7), (1, 7, 5)]  # fmt: skip
+    on = np.array([(x, y, 0) for x in (-50, 50) for y in (-80, 20, 80)]
+                  + [(-70, y, z) for y in (-80, 0, 80) for z in (-20, -90)]
+                  + [(x, 100, z) for x in (-50, 50) for z in (-20, -90)])  # fmt: skip
+    try:
+        plate = ask("register_markers", "plate", "sim", measured_mm=markers, measured_sigma_mm=0.05)
+        assert (plate.kind, plate.fre_mm) == ("three-markers", None)
+        assert [one.name for one in plate.markers] == ["M1", "M2", "M3"]
+        assert plate.matrix[0][3] == pytest.approx(10.0)
+        moved = on + np.array(markers[0]) + [0.5, -0.3, 0.2]
+        found = ask("register_surface", "box", "sim", "plate", moved, corners, sides, trim=0.0)
+        assert (found.kind, found.parent) == ("surface", "plate")
+        assert np.allclose(np.array(found.matrix)[:3, 3], [10.5, -20.3, 1500.2], atol=1e-3)
+        assert found.surface is not None
+        assert found.surface.rms_mm < 1e-3
+        assert len(found.surface.distance_mm) == len(on)
+        frames = {one.frame: one for one in ask("frames", "sim").frames}
+        assert frames["box"].connected
+        assert frames["box"].root == frames["plate"].root == "tracker"
+        between = ask("transform", "sim", "box", "plate")
+        assert between.path == ("box", "tracker", "plate")
+        assert np.allclose(np.array(between.matrix)[:3, 3], [0.5, -0.3, 0.2], atol=1e-3)
+        line = [(0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (90.0, 0.0, 0.0)]
+        with pytest.raises(ServerProblem, match="collinear-points"):
+            ask("register_markers", "line", "sim", measured_mm=line, measured_sigma_mm=0.05)
+    finally:
+        for name in ("plate", "box"):
+            ask("request", "DELETE", f"/api/v1/registrations/{name}")
+
+
 def test_a_recording_from_its_begin_to_a_file(ask: Ask, tmp_path: Path) -> None:
     begun = ask("start_recording", "sim", seconds=3000.0)
     with pytest.raises(ServerProblem, match="recording-in-progress"):

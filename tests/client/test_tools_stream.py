@@ -1,14 +1,20 @@
 """Tools and tracks of a simulated device: typed in the stream, and the same by request."""
 
+import asyncio
+import json
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import httpx
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from lumiline.client import Client
+from lumiline.client import AsyncClient, Client
+from lumiline.client.documents import MeasuredPoint
 from lumiline.client.messages import Frame, ToolPose
+from service.cli import app
 
 MARKERS = [[0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0], [20.0, 15.0, 40.0]]
 
@@ -106,3 +112,59 @@ def test_a_registration_gives_a_frame_for_poses(server: str, tool: str) -> None:
     assert inside.frame == "plan"
     away = np.subtract(outside.translation_mm, inside.translation_mm)
     assert np.allclose(away, [0.0, 0.0, 1000.0], atol=0.5)
+
+
+def test_a_point_is_measured_and_registered(server: str, tool: str) -> None:
+    """The tool of the fixture is at rest, and its tip with it."""
+    with Client(server) as client:
+        point = measured(client, tool)
+        assert (point.name, point.frame, point.tool) == ("nasion", "tracker", tool)
+        assert point.last_ns > point.first_ns
+        pose = client.tool_pose(tool)
+        while pose.tip_mm is None:
+            pose = client.tool_pose(tool)
+        assert np.allclose(point.position_mm, pose.tip_mm, atol=2.0)
+        beside = {
+            name: (place, np.add(point.position_mm, place))
+            for name, place in (("a", (90.0, 0.0, 0.0)), ("b", (0.0, 90.0, 0.0)))
+        }
+        made = client.register(
+            "touched", "sim", {"nasion": ((0.0, 0.0, 0.0), point), **beside}, measured_sigma_mm=0.1
+        )
+        client.request("DELETE", "/api/v1/registrations/touched")
+        assert np.allclose(np.array(made.matrix)[:3, 3], point.position_mm, atol=1.0)
+        asked = dict(made.asked)["fiducials"][0]
+        assert asked["measured_mm"] == list(point.position_mm)
+        assert asked["measured_covariance_mm2"] == [list(row) for row in point.covariance_mm2]
+
+        async def the_same() -> MeasuredPoint:
+            async with AsyncClient(server) as other:
+                return await other.measure_point(tool, **ASKED)
+
+        assert np.allclose(asyncio.run(the_same()).position_mm, point.position_mm, atol=1.0)
+
+
+def test_a_point_by_the_command_line(server: str, tool: str) -> None:
+    words = ["tools", "point", tool, "--url", server, "--timeout", "60", "--name", "nasion"]
+    words += ["--seconds", "0.1"]
+    result = CliRunner().invoke(app, [*words, "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.output)["name"] == "nasion"
+    with Client(server) as client:
+        client.request("PATCH", f"/api/v1/tools/{tool}", body={"tip_mm": None})
+        refused = CliRunner().invoke(app, words)
+        client.request("PATCH", f"/api/v1/tools/{tool}", body={"tip_mm": [0.0, 0.0, 150.0]})
+    assert refused.exit_code == 2
+    assert "Hold the tip of probe still" in refused.output
+    assert "has no tip" in " ".join(refused.output.split())
+
+
+# A machine that is busy loses frames, and takes its time.
+ASKED: dict[str, Any] = {
+    "frame": "tracker", "name": "nasion", "timeout_s": 60.0, "seconds": 0.1,
+    "most_deviation_mm": 2.0, "most_drift_mm": 2.0,
+}  # fmt: skip
+
+
+def measured(client: Client, tool: str) -> MeasuredPoint:
+    return client.measure_point(tool, **ASKED)

@@ -5,9 +5,16 @@ It takes the same steps as the reference, so that hard cases end alike.
 
 from typing import Final
 
-from compute.signal.fit.fit_model_source import MODEL_SCORE, MODEL_SHAPE, MODEL_TYPES
+from compute.signal.fit.fit_average_source import AVERAGE_WIDTHS
+from compute.signal.fit.fit_model_source import (
+    MODEL_SCORE,
+    MODEL_SHAPE,
+    MODEL_SUMS,
+    MODEL_TYPES,
+)
 from compute.signal.fit.settings import (
     LEAST_PIVOT,
+    OPEN_LOG_WIDTH,
     SPLIT_LOG_WIDTH,
     SPLIT_WIDTHS,
     STEP_LOG_WIDTH,
@@ -17,7 +24,7 @@ from compute.signal.fit.settings import (
 _STEP_LIMITS: Final = f"""
     const double step_widths = {STEP_WIDTHS!r}, step_log_width = {STEP_LOG_WIDTH!r};
     const double split_widths = {SPLIT_WIDTHS!r}, split_log_width = {SPLIT_LOG_WIDTH!r};
-    const double least_pivot = {LEAST_PIVOT!r};
+    const double least_pivot = {LEAST_PIVOT!r}, least_closed = {OPEN_LOG_WIDTH**-2!r};
 """
 
 _STEPS: Final = """
@@ -25,10 +32,10 @@ _STEPS: Final = """
         return chi2_limits[in.used - parameters_of(m.peaks) + plan.has_prior];
     };
     // The positions' covariance, from the Cholesky root of the information: its last rows are
-    // those of lights, positions and width; the inverse of their product is their part of all.
-    // False: a light is not above its own deviation.
-    auto find_covariance = [&](Model& m, const double* root) -> bool {
-        const int from = 1 + plan.sloped, part = 2 * m.peaks + plan.width_is_fitted;
+    // those of lights, positions and, if it is one of them, the width; the inverse of their product
+    // is their part of all. False: a light is not above its own deviation.
+    auto find_covariance = [&](Model& m, const double* root, bool with_width) -> bool {
+        const int from = 1 + plan.sloped, part = 2 * m.peaks + with_width;
         double inverse[2 * joint_peaks + 1][2 * joint_peaks + 1];
         for (int b = 0; b < part; ++b) {
             for (int a = b; a < part; ++a) {
@@ -38,10 +45,11 @@ _STEPS: Final = """
                 inverse[a][b] = sum / row[a];
             }
         }
+        bool lit = true;
         for (int a = 0; a < m.peaks; ++a) {
             double variance = 0.0;
             for (int k = a; k < part; ++k) variance += inverse[k][a] * inverse[k][a];
-            if (!(m.light[a] > sqrt(variance))) return false;
+            lit = lit && m.light[a] > sqrt(variance);
             const int at = m.peaks + a;
             for (int b = 0; b <= a; ++b) {
                 double sum = 0.0;
@@ -49,85 +57,54 @@ _STEPS: Final = """
                 m.covariance[a][b] = m.covariance[b][a] = sum;
             }
         }
-        return true;
+        return lit;
+    };
+    // Take a step, but for the width; false: a position leaves the window.
+    auto move_by = [&](Model& m, const Window& in, const double* step, double part) -> bool {
+        const int lights = 1 + plan.sloped, places = lights + m.peaks;
+        m.level += part * step[0];
+        if (plan.sloped) m.slope += part * step[1];
+        bool inside = true;
+        for (int k = 0; k < m.peaks; ++k) {
+            m.light[k] += part * step[lights + k];
+            m.x[k] += part * step[places + k];
+            inside = inside && m.x[k] >= in.first - 0.5 && m.x[k] <= in.last + 0.5;
+        }
+        return inside;
     };
     // Fisher scoring, until it has ended (true) or cannot: the merit then is the least of the way.
     auto settle = [&](Model& m, const Window& in) -> bool {
-        const int size = parameters_of(m.peaks);
-        const int lights = 1 + plan.sloped, places = lights + m.peaks, width = places + m.peaks;
+        const int size = parameters_of(m.peaks), width = size - 1;
+        const int places = 1 + plan.sloped + m.peaks;
         m.merit = 1e300;
         if (in.used <= size) return false;
         const int freedom = in.used - size + plan.has_prior;
-        double root[most_parameters * most_parameters];
+        double root[most_parameters * most_parameters], last_change = 0.0;
         for (int pass = 0; pass < max_iterations; ++pass) {
             double score[most_parameters], step[most_parameters];
-            for (int a = 0; a < size; ++a) {
-                score[a] = 0.0;
-                for (int b = 0; b <= a; ++b) root[a * most_parameters + b] = 0.0;
-            }
-            // The logarithm of many variances' product: one of each is slow.
-            double chi2 = 0.0, log_variance = 0.0, product = 1.0;
-            evaluate(m, in, [&](int, double value, const Pixel& pixel) {
-                const double weight = 1.0 / pixel.variance;
-                const double residual = value - pixel.mean;
-                const double weighted = residual * weight;
-                chi2 += residual * weighted;
-                product *= pixel.variance;
-                if (product > 1e100 || product < 1e-100) {
-                    log_variance += log_of(product);
-                    product = 1.0;
-                }
-                for (int a = 0; a < size; ++a) {
-                    const double by_a = pixel.by[a] * weight;
-                    score[a] += pixel.by[a] * weighted;
-                    for (int b = 0; b <= a; ++b)
-                        root[a * most_parameters + b] += by_a * pixel.by[b];
-                }
-            });
-            if (plan.width_is_fitted) {
-                const double away = plan.log_width - m.log_w;
+            const Misfit now = sum_up(m, in, root, score);
+            if (plan.width_is_fitted
+                && ((m.log_w <= plan.least_log && score[width] < 0.0)
+                    || (m.log_w >= plan.most_log && score[width] > 0.0))) {
                 double* row = root + width * most_parameters;
-                score[width] += plan.prior * away;
-                row[width] += plan.prior;
-                chi2 += plan.prior * away * away;
-                if ((m.log_w <= plan.least_log && score[width] < 0.0)
-                    || (m.log_w >= plan.most_log && score[width] > 0.0)) {
-                    for (int b = 0; b < width; ++b) row[b] = 0.0;
-                    row[width] = 1.0;
-                    score[width] = 0.0;
-                }
+                for (int b = 0; b < width; ++b) row[b] = 0.0;
+                row[width] = 1.0;
+                score[width] = 0.0;
             }
-            const double merit = chi2 + log_variance + log_of(product);
-            if (merit < m.merit) m.merit = merit;
+            if (now.merit < m.merit) m.merit = now.merit;
+            if (!take_root(size, root, score, step)) return false;
             double length2 = 0.0;
-            for (int a = 0; a < size; ++a) {
-                double* row = root + a * most_parameters;
-                const double diagonal = row[a];
-                double sum = score[a], pivot = diagonal;
-                for (int b = 0; b < a; ++b) {
-                    const double* other = root + b * most_parameters;
-                    double entry = row[b];
-                    for (int k = 0; k < b; ++k) entry -= row[k] * other[k];
-                    entry /= other[b];
-                    row[b] = entry;
-                    pivot -= entry * entry;
-                    sum -= entry * step[b];
-                }
-                if (!(pivot >= least_pivot * diagonal && diagonal > 0.0 && diagonal < 1e300))
-                    return false;
-                row[a] = sqrt(pivot);
-                step[a] = sum / row[a];
-                length2 += step[a] * step[a];
-            }
+            for (int a = 0; a < size; ++a) length2 += step[a] * step[a];
             for (int a = size - 1; a >= 0; --a) {
                 for (int b = a + 1; b < size; ++b)
                     step[a] -= root[b * most_parameters + a] * step[b];
                 step[a] /= root[a * most_parameters + a];
             }
-            const double misfit = chi2 / freedom;
+            const double misfit = now.chi2 / freedom;
             const bool ended = length2 < converged2 * (misfit > 1.0 ? misfit : 1.0);
-            double most = 1.0;
+            double part = 1.0;
             if (!ended) {
+                double most = 1.0;
                 const double w = exp_of(m.log_w);
                 for (int k = 0; k < m.peaks; ++k) {
                     const double far = fabs(step[places + k]) / (step_widths * w);
@@ -137,25 +114,27 @@ _STEPS: Final = """
                     const double broad = fabs(step[width]) / step_log_width;
                     if (broad > most) most = broad;
                 }
+                part = 1.0 / most;
+                // Where one line's width turns back, the secant's step.
+                if (plan.width_is_fitted && m.peaks == 1 && step[width] * last_change < 0.0)
+                    part *= fabs(last_change)
+                        / (fabs(last_change) + part * fabs(step[width]));
             }
-            const double part = 1.0 / most;
-            m.level += part * step[0];
-            if (plan.sloped) m.slope += part * step[1];
-            for (int k = 0; k < m.peaks; ++k) {
-                m.light[k] += part * step[lights + k];
-                m.x[k] += part * step[places + k];
-                if (!(m.x[k] >= in.first - 0.5 && m.x[k] <= in.last + 0.5)) return false;
-            }
+            if (!move_by(m, in, step, part)) return false;
             if (plan.width_is_fitted) {
+                const double before = m.log_w;
                 m.log_w += part * step[width];
                 if (m.log_w < plan.least_log) m.log_w = plan.least_log;
                 if (m.log_w > plan.most_log) m.log_w = plan.most_log;
+                last_change = m.log_w - before;
             }
             if (ended) {
-                if (!find_covariance(m, root)) return false;
-                m.chi2 = chi2;
-                m.merit = merit;
-                return true;
+                const double pivot = root[width * most_parameters + width];
+                // Of a width that is held at a limit it is one.
+                m.open_width = plan.width_is_fitted && pivot * pivot < least_closed;
+                m.chi2 = now.chi2;
+                m.merit = now.merit;
+                return find_covariance(m, root, plan.width_is_fitted);
             }
         }
         return false;
@@ -207,7 +186,8 @@ _CHOICE: Final = """
 
 _RESULT: Final = """
     auto write_joint = [&](
-        const Model& m, const Candidate* c, int candidate_count, const Window& in, Fitted* out) {
+        Model m, const Candidate* c, int candidate_count, const Window& in, Fitted* out) {
+        average_widths(m, in);
         int order[joint_peaks];
         for (int k = 0; k < m.peaks; ++k) {
             int place = k;
@@ -293,5 +273,13 @@ _RESULT: Final = """
 """
 
 FIT_JOINTLY: Final = (
-    _STEP_LIMITS + MODEL_TYPES + MODEL_SHAPE + MODEL_SCORE + _STEPS + _CHOICE + _RESULT
+    _STEP_LIMITS
+    + MODEL_TYPES
+    + MODEL_SHAPE
+    + MODEL_SCORE
+    + MODEL_SUMS
+    + _STEPS
+    + AVERAGE_WIDTHS
+    + _CHOICE
+    + _RESULT
 )

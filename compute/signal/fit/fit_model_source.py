@@ -2,6 +2,8 @@
 
 from typing import Final
 
+from compute.signal.fit.settings import NARROW_POWER
+
 MODEL_TYPES: Final = """
     const int most_parameters = 3 + 2 * joint_peaks;
     struct Window { int first, last, used; };
@@ -9,6 +11,7 @@ MODEL_TYPES: Final = """
         int peaks;
         double level, slope, light[joint_peaks], x[joint_peaks], log_w;
         double chi2, merit, covariance[joint_peaks][joint_peaks];
+        bool open_width;
     };
     // What a model says about a pixel.
     struct Pixel { double mean, variance, by[most_parameters]; };
@@ -95,4 +98,68 @@ MODEL_SCORE: Final = """
             if (value < full_scale) each(i, (double)value, pixel);
         }
     };
+"""
+
+MODEL_SUMS: Final = f"""
+    const double narrow_power = {NARROW_POWER};
+    // Chi-square with that of the width's prior, and the merit of a model.
+    struct Misfit {{ double chi2, merit; }};
+    // The information, its lower half, and the score; with the width's prior.
+    auto sum_up = [&](const Model& m, const Window& in, double* root, double* score) -> Misfit {{
+        const int size = parameters_of(m.peaks), width = size - 1;
+        for (int a = 0; a < size; ++a) {{
+            score[a] = 0.0;
+            for (int b = 0; b <= a; ++b) root[a * most_parameters + b] = 0.0;
+        }}
+        // The logarithm of many variances' product: one of each is slow.
+        double chi2 = 0.0, log_variance = 0.0, product = 1.0;
+        evaluate(m, in, [&](int, double value, const Pixel& pixel) {{
+            const double weight = 1.0 / pixel.variance;
+            const double residual = value - pixel.mean;
+            const double weighted = residual * weight;
+            chi2 += residual * weighted;
+            product *= pixel.variance;
+            if (product > 1e100 || product < 1e-100) {{
+                log_variance += log_of(product);
+                product = 1.0;
+            }}
+            for (int a = 0; a < size; ++a) {{
+                const double by_a = pixel.by[a] * weight;
+                score[a] += pixel.by[a] * weighted;
+                for (int b = 0; b <= a; ++b) root[a * most_parameters + b] += by_a * pixel.by[b];
+            }}
+        }});
+        double narrow = 0.0;
+        if (plan.width_is_fitted) {{
+            const double away = plan.log_width - m.log_w;
+            narrow = plan.narrow4 * exp_of(-narrow_power * m.log_w);
+            score[width] += plan.prior * away + narrow_power * narrow;
+            root[width * most_parameters + width] +=
+                plan.prior + narrow_power * narrow_power * narrow;
+            chi2 += plan.prior * away * away;
+        }}
+        return Misfit{{chi2, chi2 + log_variance + log_of(product) + 2.0 * narrow}};
+    }};
+    // Cholesky's root in place of the information, and by it the score's first substitution.
+    auto take_root = [&](int size, double* root, const double* score, double* step) -> bool {{
+        for (int a = 0; a < size; ++a) {{
+            double* row = root + a * most_parameters;
+            const double diagonal = row[a];
+            double sum = score[a], pivot = diagonal;
+            for (int b = 0; b < a; ++b) {{
+                const double* other = root + b * most_parameters;
+                double entry = row[b];
+                for (int k = 0; k < b; ++k) entry -= row[k] * other[k];
+                entry /= other[b];
+                row[b] = entry;
+                pivot -= entry * entry;
+                sum -= entry * step[b];
+            }}
+            if (!(pivot >= least_pivot * diagonal && diagonal > 0.0 && diagonal < 1e300))
+                return false;
+            row[a] = sqrt(pivot);
+            step[a] = sum / row[a];
+        }}
+        return true;
+    }};
 """

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.fit.settings import WIDTH_LIMITS_PX, FitSettings
+from compute.signal.fit.settings import NARROW_POWER, WIDTH_LIMITS_PX, FitSettings
 from compute.signal.fit.shape import LineShape
 
 _PLAN: Final = np.dtype(
@@ -29,6 +29,7 @@ _PLAN: Final = np.dtype(
                 "inverse_step",
                 "first_node",
                 "node_step",
+                "narrow4",
             )
         ],
         *[
@@ -71,6 +72,7 @@ def pack_plan(settings: FitSettings, shape: LineShape) -> NDArray[np.uint64]:
     plan["width_px"] = settings.width_px
     plan["log_width"] = log(settings.width_px)
     plan["prior"] = spread**-2 if 0.0 < spread < np.inf else 0.0
+    plan["narrow4"] = settings.narrow_px**NARROW_POWER
     plan["reach"] = settings.reach
     plan["shape_error2"] = settings.shape_error**2
     plan["least_start"] = min(max(settings.width_px / factor, low), high)

@@ -9,10 +9,17 @@ are taken from the line's background, positions from the candidate's pixel: floa
 
 from typing import Final
 
-from compute.signal.fit.settings import STEP_LOG_WIDTH, STEP_WIDTHS
+from compute.signal.fit.settings import (
+    NARROW_POWER,
+    OPEN_LOG_WIDTH,
+    STEP_LOG_WIDTH,
+    STEP_WIDTHS,
+)
 
 _STEPS: Final = f"""
     const float step_widths_f = {STEP_WIDTHS!r}f, step_log_width_f = {STEP_LOG_WIDTH!r}f;
+    const float narrow_power_f = {float(NARROW_POWER)!r}f;
+    const float open_width2_f = {OPEN_LOG_WIDTH**2!r}f;
 """
 
 # What is known before the first pass, and the shape.
@@ -43,6 +50,7 @@ _BEGIN: Final = """
         const float above_offset = (float)((double)base - offset);
         const float shape_error2 = (float)plan.shape_error2;
         const float prior = (float)plan.prior, prior_log = (float)plan.log_width;
+        const float narrow4 = (float)plan.narrow4;
         const float least_log = (float)plan.least_log, most_log = (float)plan.most_log;
         const float inverse_step = (float)plan.inverse_step;
         const float zero_place = (float)(-plan.first * plan.inverse_step);
@@ -98,7 +106,7 @@ _PASSES: Final = """
         float light = c.amplitude / middle_share(w);
         float level = (float)(line_background - (double)base), slope = 0.0f;
         bool ended = false;
-        float sigma2 = 0.0f, chi2 = 0.0f;
+        float sigma2 = 0.0f, chi2 = 0.0f, last_rise = 0.0f;
         for (int pass = 0; pass < most_passes && !ended; ++pass) {
             rows_at(x);
             float information[size * (size + 1) / 2], score[size];
@@ -151,8 +159,9 @@ _STEP: Final = """
             const float away = prior_log - log_w;
             const int width_row = width_at * (width_at + 1) / 2;
             const int place_row = place_at * (place_at + 1) / 2;
-            score[width_at] += prior * away;
-            information[width_row + width_at] += prior;
+            const float narrow = narrow4 * (by_width * by_width) * (by_width * by_width);
+            score[width_at] += prior * away + narrow_power_f * narrow;
+            information[width_row + width_at] += prior + narrow_power_f * narrow_power_f * narrow;
             chi2 += prior * away * away;
             const bool held = !plan.width_is_fitted
                 || (log_w <= least_log && score[width_at] < 0.0f)
@@ -191,6 +200,11 @@ _STEP: Final = """
             }
             if (!regular) return 0;
             sigma2 = information[place_row + place_at];
+            // Over open widths it is averaged, in float64; that soon shows.
+            const float by_width_column = information[place_row + width_at];
+            const float width2 = information[width_row + width_at]
+                + by_width_column * by_width_column * sigma2;
+            if (plan.width_is_fitted && width2 > 2.0f * open_width2_f) return 0;
             #pragma unroll
             for (int a = size - 1; a >= 0; --a) {
                 score[a] *= information[a * (a + 1) / 2 + a];
@@ -208,6 +222,10 @@ _STEP: Final = """
             const float broadest = fabsf(score[width_at]) / step_log_width_f;
             float part = farthest > broadest ? farthest : broadest;
             part = part > 1.0f && !ended ? 1.0f / part : 1.0f;
+            // Where the width turns back, the secant's step.
+            const float turned = score[width_at] * last_rise;
+            if (turned < 0.0f && !ended)
+                part *= fabsf(last_rise) / (fabsf(last_rise) + part * fabsf(score[width_at]));
             level += part * score[0];
             if (size == 5) slope += part * score[1];
             light += part * score[light_at];
@@ -218,12 +236,14 @@ _STEP: Final = """
                 if (log_w + rise < least_log) rise = least_log - log_w;
                 if (log_w + rise > most_log) rise = most_log - log_w;
                 log_w += rise;
+                last_rise = rise;
                 w *= 1.0f + rise * (1.0f + rise * (1.0f / 2.0f) * (1.0f + rise * (1.0f / 3.0f)
                     * (1.0f + rise * (1.0f / 4.0f) * (1.0f + rise * (1.0f / 5.0f)
                     * (1.0f + rise * (1.0f / 6.0f))))));
             }
             if (!(x > low_end && x < high_end && light > 0.0f)) return 0;
             if (ended) {
+                if (plan.width_is_fitted && !(width2 < 0.999f * open_width2_f)) return 0;
                 // The light's variance: its column of the inverse of L, by the pivots.
                 const float by_width_row = information[width_row + light_at];
                 const float by_place_row = information[place_row + light_at]

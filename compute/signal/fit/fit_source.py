@@ -43,7 +43,7 @@ _TYPES: Final = """
     struct Plan {
         double width_px, log_width, prior, reach, shape_error2;
         double least_start, most_start, least_log, most_log, width_unit, margin;
-        double first, inverse_step, first_node, node_step;
+        double first, inverse_step, first_node, node_step, narrow4;
         int max_joint, sloped, width_is_fitted, has_prior, sensors, nodes, pieces, limits;
         int further_peaks;
     };

@@ -1,9 +1,12 @@
 """Fitted peaks of lines by the definition of FitSettings, in NumPy: what the kernel must match."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
+from compute.signal.fit.averaging import average_widths
 from compute.signal.fit.gather import FlatPeaks, batched, fitted_peaks, unfitted_peaks
 from compute.signal.fit.group import (
     Groups,
@@ -94,8 +97,14 @@ def fitted_groups(
         layout, start = starting_parameters(
             part, candidates, background, windows.sensor, settings, shape
         )
-        found.append((number, fit_windows(windows, grown, start, layout, settings, shape)))
+        fits = fit_windows(windows, grown, start, layout, settings, shape)
+        found.append((number, [_averaged(chosen, settings, shape) for chosen in fits]))
     return found
+
+
+def _averaged(chosen: Chosen, settings: FitSettings, shape: LineShape) -> Chosen:
+    solution = average_widths(chosen.windows, chosen.solution, chosen.layout, settings, shape)
+    return replace(chosen, solution=solution)
 
 
 def check_lines(lines: NDArray[np.uint16]) -> None:

@@ -38,6 +38,22 @@ MAX_WINDOW_PX: Final = 128
 WIDTH_LIMITS_PX: Final = (0.25, 16.0)
 """A fitted width [px] stays within these."""
 
+NARROW_PX: Final = 1.0 / 3.0
+NARROW_POWER: Final = 4
+"""A width w is taken for less likely by ``exp(-(NARROW_PX/w)^NARROW_POWER)``: 4 % at 0.25 px, a
+third at 0.333 px, 91 % at 0.6 px. So narrow a line lies in one or two pixels whatever its width;
+peaks of noise would else be fitted by lines without width."""
+
+OPEN_LOG_WIDTH: Final = 0.03
+"""A fit is averaged over widths whose logarithm is known no better. Deviations grow by about three
+times its square: 0.3 % at this."""
+
+LEAST_LOG_WEIGHT: Final = -7.0
+"""Widths of less weight than this one's exponential, beside the best one's, end a side."""
+
+MOST_NODES: Final = 6
+"""Most widths to either side of the best one."""
+
 
 @dataclass(frozen=True)
 class FitSettings:
@@ -117,7 +133,7 @@ class FitSettings:
 
     search: CentroidSettings = field(default_factory=lambda: CentroidSettings(min_width_px=1))
     width_px: float = 1.0
-    width_spread: float = 0.5
+    width_spread: float = 2.0
     reach: float = 4.0
     background: BackgroundModel = "level"
     shape_error: float = 0.0
@@ -139,6 +155,13 @@ class FitSettings:
                 f"background is {self.background!r}; it must be one of {get_args(BackgroundModel)}",
                 background=self.background,
             )
+
+    @property
+    def narrow_px(self) -> float:
+        """Width about which, and below, widths become improbable; see *Prior*."""
+        if self.width_spread == np.inf:
+            return NARROW_PX
+        return min(NARROW_PX, 0.5 * self.width_px)
 
     @property
     def split_margin(self) -> float:

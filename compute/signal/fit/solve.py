@@ -16,6 +16,7 @@ from compute.signal.fit.settings import (
     FitSettings,
 )
 from compute.signal.fit.shape import LineShape
+from compute.signal.fit.width_prior import width_prior
 
 _BLOCK = 4096  # windows that are worked on at once
 _WIDTH_LIMITS = np.log(WIDTH_LIMITS_PX)
@@ -94,6 +95,7 @@ def _scoring(
     shape: LineShape,
 ) -> None:
     """Fit some of the windows, into ``solution``."""
+    last = np.zeros(len(solution.good))
     for number in range(1, MAX_ITERATIONS + 1):
         if len(active) == 0:
             break
@@ -104,10 +106,11 @@ def _scoring(
         # Where the shape misfits, steps shrink slowly: noise alone would ask for too many.
         misfit = np.maximum(step.chi2 / solution.freedom[active], 1.0)
         ended = step.regular & (step.length2 < CONVERGED_SIGMA**2 * misfit)
-        moved = parameters + np.where(ended[:, None], 1.0, _part_of(step, parameters, layout)) * (
-            step.step
-        )
+        part_taken = _part_of(step, parameters, layout, last[active])
+        taken = np.where(ended[:, None], 1.0, part_taken) * step.step
+        moved = parameters + taken
         moved[:, -1] = np.clip(moved[:, -1], *_WIDTH_LIMITS)
+        last[active] = moved[:, -1] - parameters[:, -1]
         place = moved[:, layout.position]
         inside = (place >= part.first_px[:, None] - 0.5) & (place <= part.last_px[:, None] + 0.5)
         possible = step.regular & inside.all(axis=1)
@@ -147,11 +150,9 @@ def _scoring_step(
         information = weighted @ model.jacobian.transpose(0, 2, 1)
         chi2 = (residual**2 * weight).sum(axis=1)
         log_variance = np.where(windows.used, np.log(model.variance), 0.0).sum(axis=1)
-    if 0.0 < settings.width_spread < np.inf:
-        away = np.log(settings.width_px) - parameters[:, -1]
-        score[:, -1] += away / settings.width_spread**2
-        information[:, -1, -1] += 1.0 / settings.width_spread**2
-        chi2 = chi2 + (away / settings.width_spread) ** 2
+    prior = width_prior(parameters[:, -1], settings)
+    score[:, -1] += prior.score
+    information[:, -1, -1] += prior.information
     held = _held(parameters[:, -1], score[:, -1], known=settings.width_spread == 0.0)
     score[held, -1] = 0.0
     information[held, -1, :] = information[held, :, -1] = 0.0
@@ -160,7 +161,8 @@ def _scoring_step(
     covariance[held, -1, -1] = 0.0
     step = (covariance @ score[..., None])[..., 0]
     length2 = (step * score).sum(axis=1)
-    return _Step(step, length2, regular, covariance, chi2, chi2 + log_variance)
+    merit = chi2 + prior.merit + log_variance
+    return _Step(step, length2, regular, covariance, chi2 + prior.chi2, merit)
 
 
 def _held(log_width: Array, score: Array, *, known: bool) -> NDArray[np.bool_]:
@@ -170,12 +172,25 @@ def _held(log_width: Array, score: Array, *, known: bool) -> NDArray[np.bool_]:
     return np.ones_like(outward) if known else outward
 
 
-def _part_of(step: _Step, parameters: Array, layout: Layout) -> Array:
-    """Return the part of each step that is taken, shape (N, 1)."""
+def _part_of(step: _Step, parameters: Array, layout: Layout, last: Array) -> Array:
+    """Return the part of each step that is taken, shape (N, 1).
+
+    Args:
+        step: the steps.
+        parameters: from which they start.
+        layout: their order.
+        last: changes of the widths' logarithms by the steps before, shape (N,).
+    """
     width = np.exp(parameters[:, -1])
     farthest = np.abs(step.step[:, layout.position]).max(axis=1) / (STEP_WIDTHS * width)
     broadest = np.abs(step.step[:, -1]) / STEP_LOG_WIDTH
-    return np.asarray(1.0 / np.maximum(np.maximum(farthest, broadest), 1.0))[:, None]
+    part = 1.0 / np.maximum(np.maximum(farthest, broadest), 1.0)
+    # Where one line's width turns back, the secant's step: else it may go to and fro for ever.
+    turned = (step.step[:, -1] * last < 0.0) & (layout.peaks == 1)
+    change = np.abs(step.step[turned, -1]) * part[turned]
+    before = np.abs(last[turned])
+    part[turned] *= before / (before + change)
+    return np.asarray(part)[:, None]
 
 
 def _inverse(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -1,0 +1,199 @@
+"""Faint lines: their fit is averaged over the widths that their pixels leave open."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.fit.model import Array, Layout, Windows, evaluate
+from compute.signal.fit.settings import (
+    LEAST_LOG_WEIGHT,
+    LEAST_PIVOT,
+    MOST_NODES,
+    OPEN_LOG_WIDTH,
+    STEP_LOG_WIDTH,
+    WIDTH_LIMITS_PX,
+    FitSettings,
+)
+from compute.signal.fit.shape import LineShape
+from compute.signal.fit.solve import Solution
+from compute.signal.fit.width_prior import width_prior
+
+_LOW, _HIGH = np.log(WIDTH_LIMITS_PX)
+_SIDES: Final = (-1.0, 1.0)
+
+
+def average_widths(
+    windows: Windows, solution: Solution, layout: Layout, settings: FitSettings, shape: LineShape
+) -> Solution:
+    """Return fits that are averaged over the width where it is open; see ``FitSettings``.
+
+    At a given width the other parameters' errors are all but normal, yet their deviations change
+    with it: so each of a row of widths has its own best parameters, their covariance, and a
+    weight (the nested approximation of H. Rue, S. Martino and N. Chopin,
+    10.1111/j.1467-9868.2008.00700.x).
+
+    Args:
+        windows: N windows.
+        solution: their fits; those that are not good stay as they are.
+        layout: the order of the parameters.
+        settings: how lines were fitted.
+        shape: the lines' shape.
+    """
+    variance = solution.covariance[:, -1, -1]
+    # Zero where the width is held at a limit.
+    is_open = (variance > OPEN_LOG_WIDTH**2) | (variance == 0.0)
+    rows = np.flatnonzero(solution.good & is_open & (settings.width_spread > 0.0))
+    if len(rows) == 0:
+        return solution
+    mean, spread, regular = _averaged(
+        windows[rows], solution.parameters[rows], layout, settings, shape
+    )
+    parameters, covariance = solution.parameters.copy(), solution.covariance.copy()
+    parameters[rows[regular]] = mean[regular]
+    covariance[rows[regular]] = spread[regular]
+    return replace(solution, parameters=parameters, covariance=covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class _Nodes:
+    """What is known at one width of each of N fits.
+
+    Args:
+        parameters: the best at this width, shape (N, Q).
+        covariance: of those but the width, shape (N, Q - 1, Q - 1).
+        lead: how these change with the logarithm of the width, shape (N, Q - 1).
+        score: slope of the likelihood's logarithm along these, with the prior, shape (N,).
+        information: of the width, the others unknown, shape (N,).
+        log_deviation: logarithm of the positions' deviations, their mean, shape (N,).
+        regular: there is such a node, shape (N,).
+    """
+
+    parameters: Array
+    covariance: Array
+    lead: Array
+    score: Array
+    information: Array
+    log_deviation: Array
+    regular: NDArray[np.bool_]
+
+    def moved(self, apart: Array) -> Array:
+        """Return parameters at widths whose logarithms are ``apart`` from these, shape (N, Q)."""
+        parameters = self.parameters.copy()
+        parameters[:, :-1] += self.lead * apart[:, None]
+        parameters[:, -1] += apart
+        return parameters
+
+    def where(self, chosen: NDArray[np.bool_], other: "_Nodes") -> "_Nodes":
+        """Return these where they are chosen, and the others elsewhere."""
+
+        def either(own: NDArray[np.generic], others: NDArray[np.generic]) -> NDArray[np.generic]:
+            return np.where(chosen.reshape(-1, *[1] * (own.ndim - 1)), own, others)
+
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return _Nodes(*(either(own, others) for own, others in pairs))
+
+
+def _nodes(
+    windows: Windows, parameters: Array, layout: Layout, settings: FitSettings, shape: LineShape
+) -> _Nodes:
+    """Take one scoring step, at the widths of ``parameters``, to the best of the others."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        model = evaluate(windows, parameters, layout, settings, shape)
+        weight = windows.used / model.variance
+        residual = np.where(windows.used, windows.values - model.mean, 0.0)
+        weighted = model.jacobian * weight[:, None, :]
+        score = (weighted @ residual[..., None])[..., 0]
+        information = weighted @ model.jacobian.transpose(0, 2, 1)
+    prior = width_prior(parameters[:, -1], settings)
+    score[:, -1] += prior.score
+    information[:, -1, -1] += prior.information
+    root, regular = _roots(information)
+    diagonal = np.einsum("nii->ni", root)
+    half = np.linalg.inv(root[:, :-1, :-1])
+    covariance = half.transpose(0, 2, 1) @ half
+    step = (covariance @ score[:, :-1, None])[..., 0]
+    best = parameters.copy()
+    best[:, :-1] += step
+    place = best[:, layout.position]
+    inside = (place >= windows.first_px[:, None] - 0.5) & (place <= windows.last_px[:, None] + 0.5)
+    return _Nodes(
+        best,
+        covariance,
+        -(covariance @ information[:, :-1, -1:])[..., 0],
+        score[:, -1] - (information[:, -1, :-1] * step).sum(axis=1),
+        diagonal[:, -1] ** 2,
+        -np.log(diagonal[:, layout.position]).mean(axis=1),
+        regular & inside.all(axis=1),
+    )
+
+
+def _roots(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return Cholesky's roots of N symmetric matrices, and which of them are positive definite.
+
+    The root of one that is not is a matrix of ones on the diagonal.
+    """
+    size = matrices.shape[1]
+    diagonal = np.einsum("nii->ni", matrices)
+    regular = np.isfinite(matrices).all(axis=(1, 2)) & (diagonal > 0.0).all(axis=1)
+    root = np.where(regular[:, None, None], matrices, np.eye(size))
+    least = LEAST_PIVOT * np.einsum("nii->ni", root)
+    for k in range(size):
+        pivot = root[:, k, k] - (root[:, k, :k] ** 2).sum(axis=1)
+        regular &= pivot >= least[:, k]
+        root[:, k, k] = np.sqrt(np.where(regular, pivot, 1.0))
+        below = root[:, k + 1 :, :k] @ root[:, k, :k, None]
+        root[:, k + 1 :, k] = (root[:, k + 1 :, k] - below[..., 0]) / root[:, k, k, None]
+    return np.where(regular[:, None, None], np.tril(root), np.eye(size)), regular
+
+
+def _averaged(
+    windows: Windows, best: Array, layout: Layout, settings: FitSettings, shape: LineShape
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return the parameters at mean widths, their covariances, and where there are such.
+
+    Args:
+        windows: N windows.
+        best: parameters to start from, shape (N, Q).
+        layout: their order.
+        settings: how lines were fitted.
+        shape: the lines' shape.
+    """
+    middle = _nodes(windows, best, layout, settings, shape)
+    step = np.minimum(middle.information**-0.5, STEP_LOG_WIDTH)
+    total, widths = np.ones(len(best)), np.ones(len(best))
+    # Moments of the distances from the middle.
+    first = np.zeros_like(best)
+    second = np.zeros((*best.shape, best.shape[1]))
+    second[:, :-1, :-1] = middle.covariance
+    for side in _SIDES:
+        before, rise, going = middle, np.zeros(len(best)), middle.regular
+        for _ in range(MOST_NODES):
+            node = _nodes(windows, before.moved(side * step), layout, settings, shape)
+            rise = rise + 0.5 * (before.score + node.score) * side * step
+            weight = rise + node.log_deviation - middle.log_deviation
+            log_width = node.parameters[:, -1]
+            within = (log_width >= _LOW) & (log_width <= _HIGH)
+            going = going & within & node.regular & (weight > LEAST_LOG_WEIGHT)
+            if not going.any():
+                break
+            part = np.exp(np.where(going, weight, -np.inf))
+            away = np.where(going[:, None], node.parameters - middle.parameters, 0.0)
+            given = np.where(going[:, None, None], node.covariance, 0.0)
+            total += part
+            widths += part * np.exp(away[:, -1])
+            first += part[:, None] * away
+            second += part[:, None, None] * away[:, :, None] * away[:, None, :]
+            second[:, :-1, :-1] += part[:, None, None] * given
+            before = node
+    first /= total[:, None]
+    covariance = second / total[:, None, None] - first[:, :, None] * first[:, None, :]
+    # To the mean width, by steps as long as those at most.
+    way = np.log(widths / total)
+    steps = np.maximum(np.ceil(np.abs(way) / step), 1.0)
+    mean = middle
+    for number in range(int(steps.max())):
+        node = _nodes(windows, mean.moved(way / steps), layout, settings, shape)
+        mean = node.where(number < steps, mean)
+    return mean.parameters, covariance, middle.regular & mean.regular

@@ -1,0 +1,105 @@
+"""The native source of fits of faint lines: their mean over the widths that are open, in float64.
+
+It takes the same steps as ``compute.signal.fit.averaging``.
+"""
+
+from typing import Final
+
+from compute.signal.fit.settings import LEAST_LOG_WEIGHT, MOST_NODES
+
+AVERAGE_WIDTHS: Final = f"""
+    const int most_nodes = {MOST_NODES};
+    const double least_log_weight = {LEAST_LOG_WEIGHT!r};
+    // A model at one width, how it leads to others, and the slope of its likelihood along there.
+    struct Node {{
+        Model m;
+        double lead[most_parameters], score, information, log_deviation;
+    }};
+    // Take one scoring step to the best of a node's model at its width; false: there is no such.
+    auto find_node = [&](Node& node, const Window& in) -> bool {{
+        Model& m = node.m;
+        const int size = parameters_of(m.peaks), width = size - 1;
+        const int places = 1 + plan.sloped + m.peaks;
+        double root[most_parameters * most_parameters];
+        double score[most_parameters], step[most_parameters];
+        sum_up(m, in, root, score);
+        if (!take_root(size, root, score, step)) return false;
+        const double* last = root + width * most_parameters;
+        node.score = step[width] * last[width];
+        node.information = last[width] * last[width];
+        double deviations = 1.0;
+        for (int a = width - 1; a >= 0; --a) {{
+            const double by_pivot = 1.0 / root[a * most_parameters + a];
+            double go = step[a], lead = -last[a];
+            for (int b = a + 1; b < width; ++b) {{
+                const double entry = root[b * most_parameters + a];
+                go -= entry * step[b];
+                lead -= entry * node.lead[b];
+            }}
+            step[a] = go * by_pivot;
+            node.lead[a] = lead * by_pivot;
+            if (a >= places) deviations *= by_pivot;
+        }}
+        node.log_deviation = log_of(deviations) / m.peaks;
+        find_covariance(m, root, false);
+        return move_by(m, in, step, 1.0);
+    }};
+    auto lead_on = [&](Node& node, const Window& in, double apart) -> bool {{
+        move_by(node.m, in, node.lead, apart);
+        node.m.log_w += apart;
+        return find_node(node, in);
+    }};
+    // Where the width is open, the model becomes that at the mean width, and its covariance the
+    // mean one of all widths and what the positions move between them.
+    auto average_widths = [&](Model& m, const Window& in) {{
+        if (!m.open_width) return;
+        const int peaks = m.peaks;
+        Node middle;
+        middle.m = m;
+        if (!find_node(middle, in)) return;
+        double step = 1.0 / sqrt(middle.information);
+        if (step > step_log_width) step = step_log_width;
+        double total = 1.0, widths = 1.0, first[joint_peaks], second[joint_peaks][joint_peaks];
+        for (int a = 0; a < peaks; ++a) {{
+            first[a] = 0.0;
+            for (int b = 0; b <= a; ++b) second[a][b] = middle.m.covariance[a][b];
+        }}
+        for (int side = -1; side <= 1; side += 2) {{
+            Node node = middle;
+            double rise = 0.0;
+            for (int k = 0; k < most_nodes; ++k) {{
+                const double before = node.score;
+                if (!lead_on(node, in, side * step)) break;
+                if (node.m.log_w < plan.least_log || node.m.log_w > plan.most_log) break;
+                rise += 0.5 * (before + node.score) * side * step;
+                const double weight = rise + node.log_deviation - middle.log_deviation;
+                if (!(weight > least_log_weight)) break;
+                const double part = exp_of(weight);
+                total += part;
+                widths += part * exp_of(node.m.log_w - middle.m.log_w);
+                for (int a = 0; a < peaks; ++a) {{
+                    const double away = node.m.x[a] - middle.m.x[a];
+                    first[a] += part * away;
+                    for (int b = 0; b <= a; ++b)
+                        second[a][b] += part * (
+                            node.m.covariance[a][b] + away * (node.m.x[b] - middle.m.x[b]));
+                }}
+            }}
+        }}
+        const double way = log_of(widths / total);
+        const int steps = fabs(way) > step ? (int)ceil(fabs(way) / step) : 1;
+        Node mean = middle;
+        for (int k = 0; k < steps; ++k)
+            if (!lead_on(mean, in, way / steps)) return;
+        m.level = mean.m.level;
+        m.slope = mean.m.slope;
+        m.log_w = mean.m.log_w;
+        for (int a = 0; a < peaks; ++a) {{
+            m.light[a] = mean.m.light[a];
+            m.x[a] = mean.m.x[a];
+            for (int b = 0; b <= a; ++b)
+                m.covariance[a][b] = m.covariance[b][a] =
+                    second[a][b] / total - first[a] / total * (first[b] / total);
+        }}
+    }};
+"""

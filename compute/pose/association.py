@@ -23,6 +23,7 @@ from compute.pose.pose_filter import (
     update,
 )
 from compute.pose.reading_model import ExpectedReadings, ReadingModel
+from compute.pose.regimes import Regimes
 from compute.reconstruction.points import chi2_limit
 from compute.signal.peaks import PeakFlag
 
@@ -100,7 +101,9 @@ class Look:
     Args:
         frame: the tool's markers.
         lit: indices of the markers that this exposure lights, shape (m,).
-        state: the tool, predicted to the exposure; updated by what is found.
+        state: the tool, predicted to the exposure; updated by what is found. Of a tool with
+            regimes, under the widest.
+        regimes: likewise; None: the tool has a single one.
         peaks: which peak of each sensor is which marker's, -1: none, shape (m, S).
         merged: readings that were not looked for, as their lines may be merged, shape (m, S).
         nis: normalised innovation squared of what was found.
@@ -111,6 +114,7 @@ class Look:
     frame: MarkerFrame
     lit: NDArray[np.intp]
     state: PoseState
+    regimes: Regimes | None = None
     peaks: NDArray[np.intp] = field(init=False)
     merged: NDArray[np.bool_] = field(init=False)
     nis: float = 0.0
@@ -118,11 +122,12 @@ class Look:
     misfit: bool = False
 
     def __post_init__(self) -> None:
-        self._predicted = self.state
+        self._predicted = self.state, self.regimes
 
     def reject(self) -> None:
         """Go back to what was predicted: what was found does not fit."""
-        self.state, self.nis, self.readings, self.misfit = self._predicted, 0.0, 0, True
+        self.state, self.regimes = self._predicted
+        self.nis, self.readings, self.misfit = 0.0, 0, True
         self.peaks[:] = -1
 
     def left_out(self, model: ReadingModel, free: FramePeaks, gate_probability: float) -> Array:
@@ -327,9 +332,11 @@ def _take(
     """Update a tool by peaks that are its alone; return whether it was."""
     some = told.of(row * look.peaks.shape[1] + sensor)
     residual = seen.position_px[sensor, peak] - some.value_px
-    found = robust_update(
-        look.state, some, residual, np.sqrt(seen.variance_px2[sensor, peak]), probability
-    )
+    deviation = np.sqrt(seen.variance_px2[sensor, peak])
+    if look.regimes is None:
+        found = robust_update(look.state, some, residual, deviation, probability)
+    else:
+        found = _in_regimes(look, some, residual, deviation, probability)
     if found is None:
         look.misfit = True
         return False
@@ -338,6 +345,23 @@ def _take(
     look.readings += len(found.kept)
     look.peaks[row[found.kept], sensor[found.kept]] = peak[found.kept]
     return True
+
+
+def _in_regimes(
+    look: Look, told: Innovations, residual_px: Array, sigma_px: Array, probability: float
+) -> Update | None:
+    """Update a tool's regimes by n readings, of which those count that fit the widest."""
+    assert look.regimes is not None
+    found = look.regimes.update(told, residual_px, sigma_px)
+    kept = np.arange(len(residual_px))
+    if not found.widest_nis <= chi2_limit(len(kept), probability):
+        robust = robust_update(look.state, told, residual_px, sigma_px, probability)
+        if robust is None:
+            return None
+        kept = robust.kept
+        found = look.regimes.update(told.of(kept), residual_px[kept], sigma_px[kept])
+    look.regimes = found.regimes
+    return Update(found.regimes.widest, found.nis, kept)
 
 
 def robust_update(

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from compute.pose.association import LEFT_OUT_MOST, FramePeaks, Look
 from compute.pose.marker_frame import MarkerFrame
-from compute.pose.pose_filter import PoseState
+from compute.pose.pose_filter import PoseState, predict
 from compute.pose.pose_report import Support
 from compute.pose.reading_model import ReadingModel
+from compute.pose.regimes import Regimes
 from compute.pose.rigid_body import RigidBody
+from compute.pose.settings import MotionSettings
 from compute.pose.strobed_start import Exposure
 from compute.pose.tool_pose import PoseStatus
 from compute.reconstruction.points import chi2_limit
@@ -36,7 +38,8 @@ class Followed:
     Args:
         body: its markers.
         errors: number of common errors of its filter.
-        state: of its filter; None: it is lost.
+        state: of its filter at the last frame; None: it is lost.
+        regimes: of a strobed tool's motion, at its last exposure; None: it has a single one.
         seen_ns: when readings last updated it.
         last: its last updates: time, NIS, readings, which markers and sensors (M, S).
         offered: of its last exposures, what its readings are off, those that were left out as
@@ -53,6 +56,7 @@ class Followed:
     body: RigidBody
     errors: int
     state: PoseState | None = None
+    regimes: Regimes | None = None
     seen_ns: int = 0
     last: deque[tuple[float, int, NDArray[np.bool_]]] = field(default_factory=deque)
     offered: deque[tuple[float, int, NDArray[np.intp]]] = field(default_factory=deque)
@@ -75,9 +79,35 @@ class Followed:
         slots = self.body.strobe_markers or ()
         return np.array([slots.index(marker)] if marker in slots else [], dtype=np.intp)
 
+    def look(
+        self, time_ns: int, marker: int | None, motion: MotionSettings, manoeuvre: float = 1.0
+    ) -> Look:
+        """Return where it is expected in an exposure; nothing is found there yet.
+
+        Args:
+            time_ns: of the exposure [ns].
+            marker: strobe slot that is lit; None: all markers.
+            motion: of tools.
+            manoeuvre: factor on the accelerations.
+        """
+        assert self.state is not None
+        lit = self.lit(marker)
+        if self.regimes is None:
+            return Look(self.frame, lit, predict(self.state, time_ns, motion, manoeuvre))
+        if len(lit) == 0:
+            return Look(self.frame, lit, self.regimes.ahead(time_ns))
+        regimes = self.regimes.predict(time_ns, manoeuvre)
+        return Look(self.frame, lit, regimes.widest, regimes)
+
+    def take(self, look: Look) -> None:
+        """Go on from what an exposure showed."""
+        self.state = look.state
+        if look.regimes is not None:
+            self.regimes, self.state = look.regimes, look.regimes.whole
+
     def lose(self, status: PoseStatus, reason: str) -> None:
         """Forget where it is, and keep why."""
-        self.state = None
+        self.state = self.regimes = None
         self.last.clear()
         self.exposures.clear()
         self.fits.clear()

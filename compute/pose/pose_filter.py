@@ -106,6 +106,15 @@ def predict(
     slopes[_TURN_BY_RATE] = slopes[_PLACE_BY_SPEED] = step
     covariance = slopes @ state.covariance @ slopes.T
     covariance += _process_noise(motion, manoeuvre, step)
+    common = slopes @ state.common if state.common.shape[1] else state.common
+    return advanced(state, time_ns, turned, covariance, common)
+
+
+def advanced(
+    state: PoseState, time_ns: int, turned: Array, covariance: Array, common: Array
+) -> PoseState:
+    """Return a state gone on at its velocities, turned (3, 3) meanwhile, with what is uncertain."""
+    step = 1e-9 * (time_ns - state.time_ns)
     return PoseState(
         time_ns,
         turned @ state.rotation,
@@ -113,7 +122,20 @@ def predict(
         state.velocity_mm_s,
         state.turn_rate_rad_s,
         covariance,
-        slopes @ state.common if state.common.shape[1] else state.common,
+        common,
+    )
+
+
+def moved(state: PoseState, step: Array, covariance: Array, common: Array) -> PoseState:
+    """Return a state that is off by a step (12,), with its covariance and that with the errors."""
+    return PoseState(
+        state.time_ns,
+        one_rotation(step[TURN]) @ state.rotation,
+        state.centroid_mm + step[PLACE],
+        state.velocity_mm_s + step[SPEED],
+        state.turn_rate_rad_s + step[RATE],
+        covariance,
+        common,
     )
 
 
@@ -222,12 +244,9 @@ def update(state: PoseState, told: Innovations, residual_px: Array, sigma_px: Ar
     residual, gain = solved[:, 0], solved[:, 1 : 1 + STATES]
     step = residual @ gain
     # Symmetric to the bit: it is a matrix times itself.
-    after = PoseState(
-        state.time_ns,
-        one_rotation(step[TURN]) @ state.rotation,
-        state.centroid_mm + step[PLACE],
-        state.velocity_mm_s + step[SPEED],
-        state.turn_rate_rad_s + step[RATE],
+    after = moved(
+        state,
+        step,
         state.covariance - gain.T @ gain,
         state.common - gain.T @ solved[:, 1 + STATES :] if errors else state.common,
     )

@@ -81,6 +81,51 @@ class MotionSettings:
 
 
 @dataclass(frozen=True)
+class Regime:
+    """One of the ways in which a tool is moved at a time.
+
+    Args:
+        share: of the RMS accelerations of MotionSettings.
+        steady_s: how long an acceleration lasts, if so long that it is followed as well: it then
+            changes by white noise of the density ``2 a^2 / T``. None: it is too short for that,
+            the velocities change by white noise as in MotionSettings.
+    """
+
+    share: float
+    steady_s: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_positive(self)
+
+
+@dataclass(frozen=True)
+class RegimeSettings:
+    """The regimes that a tool whose markers are strobed is followed in at once.
+
+    Args:
+        kinds: at rest, moved gently, steadily, quickly, and at the most that is expected.
+        mean_s: time that it keeps to one of them, in the mean.
+    """
+
+    kinds: tuple[Regime, ...] = (
+        Regime(1e-4),
+        Regime(0.03),
+        Regime(0.2, 0.3),
+        Regime(0.6, 0.3),
+        Regime(1.0),
+    )
+    mean_s: float = 0.3
+
+    def __post_init__(self) -> None:
+        _check_positive(self)
+        if not self.kinds or self.kinds[-1] != Regime(1.0):
+            raise InvalidParameter(
+                f"kinds are {self.kinds}; the last one must be {Regime(1.0)}: readings are looked "
+                "for as far as it reaches"
+            )
+
+
+@dataclass(frozen=True)
 class IdentifySettings:
     """How tools are told by their geometry.
 
@@ -116,6 +161,7 @@ class ToolTrackerSettings:
     Args:
         fit: of poses from readings alone.
         motion: between frames.
+        regimes: of the motion of tools whose markers are strobed.
         identify: of tools whose markers are lit together.
         gate_probability: chance that a right reading is not taken for its marker.
         merge_px: lines nearer to one another may be one peak; about twice their width.
@@ -129,6 +175,7 @@ class ToolTrackerSettings:
 
     fit: PoseFitSettings = PoseFitSettings()
     motion: MotionSettings = MotionSettings()
+    regimes: RegimeSettings = RegimeSettings()
     identify: IdentifySettings = IdentifySettings()
     gate_probability: float = 1e-5
     merge_px: float = 4.0

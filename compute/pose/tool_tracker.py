@@ -16,11 +16,14 @@ from compute.pose.association import LEFT_OUT_MOST, FramePeaks, Look, associate
 from compute.pose.followed import CYCLES, Followed
 from compute.pose.frozen_image import FrozenImage
 from compute.pose.lit_start import find_lit
-from compute.pose.pose_filter import PoseState, predict
+from compute.pose.pose_filter import PoseState
 from compute.pose.pose_report import outside_volume, report, without_pose
 from compute.pose.reading_model import ReadingModel
+from compute.pose.regime_model import RegimeModel
+from compute.pose.regimes import Regimes
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ToolTrackerSettings
+from compute.pose.strobe_cycle import StrobeCycle
 from compute.pose.strobed_start import Exposure, find_strobed
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.reconstruction.estimate import PointBatch
@@ -29,6 +32,8 @@ Array = NDArray[np.float64]
 
 LEAST_EXPOSURES: Final = 8
 """That are kept to find a strobed tool from: enough of three markers, too, that two sensors see."""
+TURNS: Final = 1.25
+"""Of the strobe, for which a tool is predicted at least: one, and some frames that are lost."""
 FROZEN: Final = "the readings do not change by a single bit: the image is frozen"
 MISFIT: Final = "the readings do not fit it where it was and how it moved"
 
@@ -76,8 +81,10 @@ class ToolTracker:
         common = self.model.common.shape[2]
         table = 0 if corrections is None else self.model.sensors
         self._tools = [Followed(body, common + table * len(body)) for body in tools]
+        self._regimes = RegimeModel.of(self.settings.motion, self.settings.regimes)
         self._time_ns: int | None = None
         self._image = FrozenImage()
+        self._cycle = StrobeCycle()
 
     @property
     def tools(self) -> tuple[RigidBody, ...]:
@@ -89,6 +96,7 @@ class ToolTracker:
         self._tools = [Followed(tool.body, tool.errors) for tool in self._tools]
         self._time_ns = None
         self._image = FrozenImage()
+        self._cycle = StrobeCycle()
 
     def keep(self, other: "ToolTracker") -> None:
         """Go on with what another tracker of the same cameras knows of the same tools."""
@@ -100,11 +108,24 @@ class ToolTracker:
             same = np.array_equal(before.body.markers_mm, tool.body.markers_mm)
             if same and before.body.strobe_markers == tool.body.strobe_markers:
                 tool.state, tool.seen_ns, tool.fresh = before.state, before.seen_ns, before.fresh
+                tool.regimes = before.regimes
+                if before.regimes is not None and before.regimes.model is not self._regimes:
+                    tool.regimes = self._begun(tool, before.regimes.whole)
                 tool.last, tool.fits = deque(before.last), deque(before.fits)
                 tool.offered = deque(before.offered)
                 tool.exposures, tool.to_confirm = deque(before.exposures), before.to_confirm
                 tool.status, tool.reason = before.status, before.reason
         self._time_ns = other._time_ns
+        self._cycle = other._cycle.copy()
+
+    def _begun(self, tool: Followed, state: PoseState) -> Regimes | None:
+        """Return the regimes of a tool of which a state is known; None: it needs no more than it.
+
+        Markers that are lit together tell the pose in every frame: how it moves adds little.
+        """
+        if tool.body.strobe_markers is None or len(self._regimes) == 1:
+            return None
+        return Regimes.of(state, self._regimes)
 
     def step(
         self,
@@ -144,24 +165,22 @@ class ToolTracker:
         self._image.see(marker, position_px, sigma_px)
         seen = FramePeaks.of(position_px, sigma_px, peak_flags)
         looks = self._follow(time_ns, marker, seen)
+        self._cycle.see(marker, time_ns)
         self._find(time_ns, marker, seen, looks, points)
         return tuple(self._report(tool, time_ns, sequence) for tool in self._tools)
 
     def _follow(self, time_ns: int, marker: int | None, seen: FramePeaks) -> dict[int, Look]:
         """Predict and update the tools that are tracked; drop those not seen for too long."""
         looks: dict[int, Look] = {}
-        before: dict[int, PoseState] = {}
-        motion = self.settings.motion
         for index, tool in enumerate(self._tools):
             if tool.state is None:
                 continue
-            state = predict(tool.state, time_ns, motion)
-            if 1e-9 * (time_ns - tool.seen_ns) > self.settings.coast_s:
+            look = tool.look(time_ns, marker, self.settings.motion)
+            if time_ns - tool.seen_ns > self._coast_ns(tool):
                 # Not a frame came for so long, or none that showed it: it is found anew.
-                self._drop(tool, state)
+                self._drop(tool, look.state)
                 continue
-            before[index] = tool.state
-            looks[index] = Look(tool.frame, tool.lit(marker), state)
+            looks[index] = look
         associate(
             self.model,
             list(looks.values()),
@@ -169,12 +188,12 @@ class ToolTracker:
             self.settings.gate_probability,
             self.settings.merge_px,
         )
-        self._again(looks, before, time_ns, seen)
+        self._again(looks, time_ns, marker, seen)
         free = seen.without(list(looks.values()))
         for index, look in looks.items():
             tool = self._tools[index]
             tool.judge(look, marker, seen, self.model, free, self.settings.gate_probability)
-            tool.state = look.state
+            tool.take(look)
             if look.readings:
                 tool.count(look, time_ns)
             if tool.refuted:
@@ -184,8 +203,8 @@ class ToolTracker:
     def _again(
         self,
         looks: dict[int, Look],
-        before: dict[int, PoseState],
         time_ns: int,
+        marker: int | None,
         seen: FramePeaks,
     ) -> None:
         """Try tools that moved as they were not expected to again, with a manoeuvre."""
@@ -196,11 +215,7 @@ class ToolTracker:
         others = [look for index, look in looks.items() if index not in weak]
         free = seen.without(others)
         trials = {
-            index: Look(
-                looks[index].frame,
-                looks[index].lit,
-                predict(before[index], time_ns, motion, motion.manoeuvre),
-            )
+            index: self._tools[index].look(time_ns, marker, motion, motion.manoeuvre)
             for index in weak
         }
         associate(
@@ -214,9 +229,14 @@ class ToolTracker:
             if trial.readings > looks[index].readings:
                 looks[index] = trial
 
+    def _coast_ns(self, tool: Followed) -> float:
+        """Return how long a tool is predicted: until the turn of its markers has gone by."""
+        turn_ns = TURNS * self._cycle.of(tool.body.strobe_markers)
+        return max(1e9 * self.settings.coast_s, turn_ns)
+
     def _drop(self, tool: Followed, state: PoseState) -> None:
         """Give a tool up that was predicted for too long, and say where it went."""
-        coast = f"nothing was seen of it for {1e3 * self.settings.coast_s:.3g} ms"
+        coast = f"nothing was seen of it for {1e-6 * self._coast_ns(tool):.3g} ms"
         if tool.fits and not tool.fits[-1]:
             tool.lose(PoseStatus.INVALID, MISFIT)
             return
@@ -266,7 +286,9 @@ class ToolTracker:
         """Keep an exposure of a lost strobed tool, and find it when there are enough."""
         tool.exposures.append(Exposure(time_ns, marker, *seen.single()))
         most = max(CYCLES * len(tool.body), LEAST_EXPOSURES)
-        oldest = time_ns - round(1e9 * self.settings.window_s)
+        turns_ns = round(CYCLES * TURNS * self._cycle.of(tool.body.strobe_markers))
+        window_ns = max(round(1e9 * self.settings.window_s), turns_ns)
+        oldest = time_ns - window_ns
         while tool.exposures[0].time_ns < oldest or len(tool.exposures) > most:
             tool.exposures.popleft()
         tool.fresh += 1
@@ -278,7 +300,7 @@ class ToolTracker:
             tool.status = PoseStatus.MISSING
             tool.reason = (
                 f"{markers} of {len(tool.body)} markers were seen in the last "
-                f"{1e3 * self.settings.window_s:.3g} ms"
+                f"{1e-6 * window_ns:.3g} ms"
             )
         # After a failure a cycle goes by: the same exposures would fail again.
         if tool.fresh < len(tool.body) or not shown or shown[-1].time_ns != time_ns:
@@ -291,6 +313,7 @@ class ToolTracker:
             tool.reason = str(found.reason)
             return
         tool.state, tool.seen_ns = found.state, time_ns
+        tool.regimes = self._begun(tool, found.state)
         tool.to_confirm = len(tool.body)
         tool.exposures.clear()
         tool.fits.clear()
@@ -329,6 +352,7 @@ class ToolTracker:
                     tool.status, tool.reason = one.status, one.reason
                 continue
             tool.state, tool.seen_ns, tool.to_confirm = one.state, time_ns, 0
+            tool.regimes = self._begun(tool, one.state)
             tool.fits.clear()
             tool.last.clear()
             tool.last.append((one.nis, int(one.sensors.sum()), one.sensors))
@@ -343,6 +367,14 @@ class ToolTracker:
             return without_pose(tool.body, PoseStatus.INVALID, FROZEN, time_ns, sequence)
         if not all(list(tool.fits)[-len(tool.body) :]):
             return without_pose(tool.body, PoseStatus.INVALID, MISFIT, time_ns, sequence)
+        unseen_ms = 1e-6 * (time_ns - tool.seen_ns)
+        if unseen_ms > 1e3 * self.settings.coast_s:
+            turn_ms = 1e-6 * self._cycle.of(tool.body.strobe_markers)
+            reason = (
+                f"nothing was seen of it for {unseen_ms:.3g} ms; its markers' turn to be lit comes "
+                f"every {turn_ms:.3g} ms"
+            )
+            return without_pose(tool.body, PoseStatus.MISSING, reason, time_ns, sequence)
         if tool.to_confirm and tool.status is PoseStatus.INVALID:
             return without_pose(tool.body, tool.status, tool.reason, time_ns, sequence)
         if tool.to_confirm:
@@ -362,4 +394,6 @@ class ToolTracker:
             if left is not None:
                 return without_pose(tool.body, PoseStatus.OUT_OF_VIEW, left, time_ns, sequence)
         unseen_ns = time_ns - tool.seen_ns
-        return pose if pose.rotation is None or not unseen_ns else replace(pose, unseen_ns=unseen_ns)
+        return (
+            pose if pose.rotation is None or not unseen_ns else replace(pose, unseen_ns=unseen_ns)
+        )

@@ -1,5 +1,7 @@
 """HoldMonitor: a beam-hold signal when a patient leaves the tolerance (thesis, section 7.2.2)."""
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -61,27 +63,47 @@ class HoldLimits:
         share: float = 1.0,
     ) -> tuple[str | None, float]:
         """Return what is beyond ``share`` of a limit, for a person, and its chance."""
-        found: list[tuple[float, str]] = []
+        worst, told = -1.0, ""
+        for chance, what in self._chances(
+            shift_mm, shift_covariance, turn_rad, turn_covariance, share
+        ):
+            if chance > worst:
+                worst, told = chance, what
+        if worst <= self.chance:
+            return None, worst
+        told = self._told(told, shift_mm, turn_rad, share)
+        if worst < 0.5:
+            told += f", with a chance of {worst:.0%} to be beyond it; at most {self.chance:.0%}"
+        return told, worst
+
+    def _chances(
+        self,
+        shift_mm: Array,
+        shift_covariance: Array | None,
+        turn_rad: Array | None,
+        turn_covariance: Array | None,
+        share: float,
+    ) -> Iterator[tuple[float, str]]:
+        """Yield the chance of being beyond ``share`` of each limit, and which that is."""
         if self.shift_mm is not None:
-            size, limit = float(np.linalg.norm(shift_mm)), share * self.shift_mm
-            chance = chance_longer(shift_mm, shift_covariance, limit)
-            found.append((chance, f"{size:.2f} mm off its place (limit {limit:.2f} mm)"))
+            yield chance_longer(shift_mm, shift_covariance, share * self.shift_mm), "shift"
         for axis, most in enumerate(self.axis_mm or ()):
             variance = 0.0 if shift_covariance is None else float(shift_covariance[axis, axis])
-            chance = chance_beyond(float(shift_mm[axis]), variance, share * most)
-            told = f"{shift_mm[axis]:.2f} mm off along {_AXES[axis]} (limit {share * most:.2f} mm)"
-            found.append((chance, told))
+            yield chance_beyond(float(shift_mm[axis]), variance, share * most), _AXES[axis]
         if self.turn_rad is not None and turn_rad is not None:
-            size, limit = float(np.linalg.norm(turn_rad)), share * self.turn_rad
-            chance = chance_longer(turn_rad, turn_covariance, limit)
-            told = f"turned by {np.degrees(size):.2f} deg (limit {np.degrees(limit):.2f} deg)"
-            found.append((chance, told))
-        chance, told = max(found)
-        if chance <= self.chance:
-            return None, chance
-        if chance < 0.5:
-            told += f", with a chance of {chance:.0%} to be beyond it; at most {self.chance:.0%}"
-        return told, chance
+            yield chance_longer(turn_rad, turn_covariance, share * self.turn_rad), "turn"
+
+    def _told(self, what: str, shift_mm: Array, turn_rad: Array | None, share: float) -> str:
+        if what == "shift":
+            size, limit = float(np.linalg.norm(shift_mm)), share * (self.shift_mm or 0.0)
+            return f"{size:.2f} mm off its place (limit {limit:.2f} mm)"
+        if what == "turn":
+            size = float(np.linalg.norm(turn_rad)) if turn_rad is not None else 0.0
+            limit = np.degrees(share * (self.turn_rad or 0.0))
+            return f"turned by {np.degrees(size):.2f} deg (limit {limit:.2f} deg)"
+        axis = _AXES.index(what)
+        most = share * (self.axis_mm or (0.0, 0.0, 0.0))[axis]
+        return f"{shift_mm[axis]:.2f} mm off along {what} (limit {most:.2f} mm)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +196,7 @@ class HoldMonitor:
         shift = self._axes @ (pose.apply(self._target) - self._place)
         covariance = pose.point_covariance(self._target) + self._place_covariance
         covariance = self._axes @ covariance @ self._axes.T
-        turn = rotation_vector(pose.rotation @ self._reference.rotation.T)
+        turn = _turn(pose.rotation @ self._reference.rotation.T)
         turn_covariance = np.zeros((3, 3))
         for one in (pose.covariance, self._reference.covariance):
             if one is not None:
@@ -260,13 +282,24 @@ class MarkerHoldMonitor:
             given = (shifts[one], None if covariances_mm2 is None else covariances_mm2[one])
             beyond, chance = self._limits.beyond(*given)
             within &= self._limits.beyond(*given, share=self._limits.release)[0] is None
-            size = float(np.linalg.norm(shifts[one]))
+            size = math.hypot(*shifts[one].tolist())
             if (chance, size) > worst[:2]:
                 worst = (chance, size, int(one))
                 told = None if beyond is None else f'marker "{self._names[one]}" is {beyond}'
         if len(seen) < self._least and told is None:
             return _state(time_ns, self._gate, None)
         return _state(time_ns, self._gate, Measured(told, within), shifts[worst[2]], None, worst[0])
+
+
+def _turn(rotation: Array) -> Array:
+    """Return a rotation vector; of turns below 60 degrees in a tenth of the time."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
+    cosine = 0.5 * (xx + yy + zz - 1.0)
+    if cosine < 0.5:
+        return rotation_vector(rotation)
+    axis = 0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)
+    sine = math.hypot(*axis)
+    return np.array(axis) * (math.atan2(sine, cosine) / sine if sine > 0.0 else 1.0)
 
 
 def _state(

@@ -79,6 +79,54 @@ class StillPoints:
 
 
 @dataclass(frozen=True)
+class ShiftedPoints:
+    """Markers on somebody who rests, and moves aside for the last part of every period.
+
+    Args:
+        points_mm: the markers at rest, in the world [mm].
+        shift_mm: how far they move, all alike [mm].
+        period_s: from one movement to the next [s].
+        away: part of the period from leaving the place to being back.
+        moving_s: how long each way takes, at constant speed [s].
+    """
+
+    points_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=64)]
+    shift_mm: Point = (5.0, 0.0, 0.0)
+    period_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 10.0
+    away: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.4
+    moving_s: Annotated[float, Field(gt=0.0, le=1e6)] = 0.1
+    kind: Literal["shifted-points"] = "shifted-points"
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if 2.0 * self.moving_s > self.away * self.period_s:
+            raise InvalidParameter(
+                f"moving_s is {self.moving_s}; there and back it must be within the "
+                f"{self.away * self.period_s:g} s of a period away from the place",
+                moving_s=self.moving_s,
+            )
+
+    @property
+    def markers(self) -> int:
+        """Number of markers."""
+        return len(self.points_mm)
+
+    def shift(self, time_s: float | Array) -> Array:
+        """Return how far they are from their places at times (...,) [s], shape (..., 3) [mm]."""
+        at = np.asarray(time_s, dtype=np.float64) % self.period_s
+        gone = np.clip((at - (1.0 - self.away) * self.period_s) / self.moving_s, 0.0, 1.0)
+        back = np.clip((at - (self.period_s - self.moving_s)) / self.moving_s, 0.0, 1.0)
+        found: Array = (gone - back)[..., None] * np.asarray(self.shift_mm)
+        return found
+
+    def points(self, time_s: float | Array) -> Array:
+        """Return the markers at times (...,) [s], shape (..., M, 3) [mm]."""
+        return np.asarray(self.points_mm, dtype=np.float64) + self.shift(time_s)[..., None, :]
+
+
+@dataclass(frozen=True)
 class RotatingBar:
     """A bar that turns at constant speed about its middle, a marker at each end (section 6.1.2).
 
@@ -219,7 +267,8 @@ class MovingTools:
 
 
 Scene = Annotated[
-    CalibrationFrame | StillPoints | RotatingBar | MovingTools, Field(discriminator="kind")
+    CalibrationFrame | StillPoints | ShiftedPoints | RotatingBar | MovingTools,
+    Field(discriminator="kind"),
 ]
 
 

@@ -15,6 +15,7 @@ BENCHMARKS = {
     "load": "4 sensors x 2048 pixels at full rate, a recorder, 50 clients, some of them stalled",
     "openigtlink": "ten tools at 200 Hz to pyigtl, while another client stalls and leaves",
     "navigation": "simulated optics to an OpenIGTLink client: latency, jitter and tip errors",
+    "hold": "a patient who moves, to the signal that holds the beam: latency, missed, false",
     "signal": "raw lines to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
     "pose": "poses of ten tools from readings, beside SciPy; a tracker's step",
@@ -55,6 +56,10 @@ def run(
         from service.cli import bench_navigation
 
         bench_navigation.run(1000.0, seconds, as_json=as_json)
+    elif name == "hold":
+        from service.cli import bench_hold
+
+        bench_hold.run(1000.0, seconds, as_json=as_json)
     elif name == "signal":
         from benchmarks import signal
 

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from compute.camera.rotation import rotation_matrix
 from compute.errors import InvalidParameter
 from compute.pose.hold import HoldLimits, HoldMonitor, HoldState, MarkerHoldMonitor
 from compute.pose.hold_gate import HoldCause, HoldRules
@@ -289,3 +290,41 @@ def test_settings_that_mean_nothing() -> None:
         MarkerHoldMonitor(MARKERS, HoldLimits(shift_mm=1.0), least_markers=5)
     with pytest.raises(InvalidParameter, match="do not turn"):
         MarkerHoldMonitor(MARKERS, LIMITS)
+
+
+@given(st.tuples(*[st.floats(-1.7, 1.7)] * 3))
+def test_the_turn_told_is_the_rotation_vector(vector: tuple[float, float, float]) -> None:
+    monitor = HoldMonitor(REFERENCE, HoldLimits(shift_mm=1.0, rules=RULES))
+    turned = Transform(rotation_matrix(np.array(vector)) @ REFERENCE.rotation, np.zeros(3))
+    state = monitor.step(0, turned)
+    assert state.turn_rad is not None
+    np.testing.assert_allclose(state.turn_rad, vector, atol=1e-9)
+
+
+def test_what_fails_holds_now_and_settles_anew_at_any_time() -> None:
+    monitor, time = running()
+    assert monitor.keeps_latch is False
+    state = monitor.fail("the device is stopped")
+    assert (state.hold, state.cause, state.reason) == (
+        True, HoldCause.NO_DATA, "the device is stopped",
+    )  # fmt: skip
+    assert monitor.seen_ns is None
+    # Its clock began anew: that is no fault now.
+    states = [monitor.step(step * MS, at()) for step in range(0, 110, 10)]
+    assert {one.cause for one in states} == {HoldCause.SETTLING, HoldCause.NONE}
+    assert [one.hold for one in states] == [True] * 10 + [False]
+    assert time > 0
+
+
+def test_a_latch_goes_on_from_another_monitor() -> None:
+    rules = HoldRules(most_gap_ns=50 * MS, settle_ns=100 * MS, latched=True)
+    limits = HoldLimits(shift_mm=1.0, rules=rules)
+    first, time = running(limits)
+    assert first.keeps_latch
+    next_one = HoldMonitor(REFERENCE, limits, latched=first.keeps_latch)
+    states = [next_one.step(time + step * MS, at()) for step in range(0, 300, 10)]
+    assert states[-1].cause is HoldCause.LATCHED
+    next_one.acknowledge()
+    assert not next_one.step(time + 300 * MS, at()).hold
+    free = HoldMonitor(REFERENCE, HoldLimits(shift_mm=1.0, rules=RULES), latched=True)
+    assert [free.step(step * MS, at()).hold for step in range(0, 110, 10)][-1] is False

@@ -28,6 +28,8 @@ AMBIGUOUS_HITS = 10
 """In which they must where other points explained its first peaks as well."""
 PATIENCE = 5
 """A track that has been seen this many times as often as it need be, and is none yet, ends."""
+DOUBTFUL_COAST = 0.2
+"""Part of ``coast_s`` that is left to a track that may have been at a ghost."""
 BESIDE = 6.0
 """Two tracks whose readings are nearer than so many ``merge_px`` may have exchanged peaks."""
 _BESIDE_SENSORS = 2
@@ -69,7 +71,8 @@ def count_weak(
         in_view: how many could have.
     """
     weak = tracks.weak[rows]
-    few = (possible < VOUCHING_SENSORS) & (in_view >= VOUCHING_SENSORS)
+    # What nothing is seen of is hidden, not contradicted.
+    few = (possible < VOUCHING_SENSORS) & (in_view >= VOUCHING_SENSORS) & (degrees > 0)
     step = np.where(degrees >= VOUCHING_SENSORS, -1, np.where(few, 1, 0))
     tracks.weak[rows] = np.clip(weak + step, 0, 2 * WEAK_EXPOSURES)
     tracks.unproved[rows] = np.maximum(tracks.unproved[rows] - (degrees >= VOUCHING_SENSORS), 0)
@@ -212,9 +215,12 @@ def _common(one: Array, two: Array, bias: Array) -> Array:
 
 def ended(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[np.bool_]:
     """Return which tracks end: not confirmed in time, not seen for long, or not vouched for."""
-    unseen = time_ns - tracks.seen_ns > round(settings.coast_s * 1e9)
+    weak = tracks.weak >= WEAK_EXPOSURES
+    # Where one goes on that was in doubt when it was lost nobody knows.
+    coast_ns = np.where(weak & tracks.confirmed, DOUBTFUL_COAST, 1.0) * settings.coast_s * 1e9
+    unseen = time_ns - tracks.seen_ns > coast_ns
     vain = tracks.misses > np.where(tracks.hits > 0, settings.confirm_misses, 0)
     vain |= tracks.hits >= PATIENCE * settings.confirm_hits
     # One of many that came up together may be a ghost even so.
-    ghost = tracks.confirmed & (tracks.unproved > 0) & (tracks.weak >= WEAK_EXPOSURES)
+    ghost = tracks.confirmed & (tracks.unproved > 0) & weak
     return unseen | ghost | (~tracks.confirmed & vain)

@@ -106,7 +106,7 @@ class Newcomers:
         begun = tentative[tracks.hits[tentative] == 0]
         new: tuple[Tracks, Seen] | None = None
         # What a weak track has may be another marker's; it may find it again itself.
-        weak = self._doubted(tracks, part)
+        weak = self._doubted(tracks, part, seen)
         free = free_peaks(peaks, seen, weak)
         if marker is None and self._crowd.needed(free, doubt=bool(weak.any())):
             found = self._crowd.search(time_ns, peaks, free)
@@ -127,9 +127,10 @@ class Newcomers:
         keep &= ~ended(tracks, self._settings, time_ns)
         return (tracks, seen) if keep.all() else (tracks.rows(keep), seen.rows(keep))
 
-    def _doubted(self, tracks: Tracks, part: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def _doubted(self, tracks: Tracks, part: NDArray[np.intp], seen: Seen) -> NDArray[np.bool_]:
         """Return which tracks may be ghosts, or have peaks of those that may be, shape (T,)."""
         weak = tracks.confirmed & (tracks.weak >= WEAK_EXPOSURES)
+        weak &= seen.degrees() >= 2
         if not weak[part].any():
             return weak
         place = combined(self._motion, tracks.states).mean[:, :3]

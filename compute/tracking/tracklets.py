@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.tracking.frame_peaks import FramePeaks
+from compute.tracking.life_cycle import VOUCHING_SENSORS
 from compute.tracking.likeliest_set import likeliest_set
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.native.associator import Associator
@@ -138,6 +139,7 @@ class Tracklets:
     ) -> None:
         self._model, self._motion, self._settings = model, motion, settings
         self._associator = associator
+        self._blind_sensors = max(len(model) - VOUCHING_SENSORS, 0) // 2
         self._kept: _Kept | None = None
         self._time_ns = 0
 
@@ -154,7 +156,7 @@ class Tracklets:
         if self._kept is None:
             return np.empty((0, len(self._model)), dtype=np.int32)
         kept = self._kept
-        return kept.peaks[(kept.age >= TRIED_AGE) & self._steady(STEADY, LEAST_SEEN), -1]
+        return kept.peaks[(kept.age >= TRIED_AGE) & self._steady(), -1]
 
     def fresh(self, peaks: NDArray[np.int32]) -> bool:
         """Return whether no tracklet has three of these peaks (S,), and there is room."""
@@ -227,7 +229,7 @@ class Tracklets:
         kept.score[:, -1] += kept.missed[:, -1].sum(axis=1) * log(1.0 - self._settings.detection)
         kept.age += 1
         kept.blind = np.where(used.sum(axis=1) >= LEAST_OWN, 0, kept.blind + 1)
-        good = (kept.blind < MOST_BLIND) & ((kept.age < TRIED_AGE) | self._steady(HOPELESS, 0))
+        good = (kept.blind < MOST_BLIND) & ((kept.age < TRIED_AGE) | ~self._failed(HOPELESS))
         self._kept = kept.rows(good)
         self._join()
 
@@ -252,10 +254,10 @@ class Tracklets:
         taken = likeliest_set(score, conflict)
         rival = np.where(conflict, score, 0.0).max(axis=1)
         sure = np.where(kept.age[ready] >= WINDOW, 1.0, SURE)
-        good = taken & (kept.age[ready] >= LEAST_AGE) & self._steady(STEADY, LEAST_SEEN)[ready]
+        good = taken & (kept.age[ready] >= LEAST_AGE) & self._steady()[ready]
         good &= score > sure * rival
         # Handed over while it is seen well: what comes next may be merged with others.
-        least = np.where(kept.age[ready] >= WINDOW, 3, 4)
+        least = np.where(kept.age[ready] >= WINDOW, VOUCHING_SENSORS - 1, VOUCHING_SENSORS)
         good &= (kept.peaks[ready, -1] >= 0).sum(axis=1) >= least
         if not good.any():
             return None
@@ -274,18 +276,25 @@ class Tracklets:
         self._kept = kept.rows(stay)
         return markers
 
-    def _steady(self, part: float, least_seen: int) -> NDArray[np.bool_]:
-        """Return which have been seen by enough sensors in such a part of the exposures."""
-        kept = self._kept
-        assert kept is not None
-        seen = (kept.peaks >= 0).sum(axis=1)
+    def _steady(self) -> NDArray[np.bool_]:
+        """Return which four sensors or more have mostly seen, and few have mostly not, (T,)."""
+        seen, asked = self._asked()
+        good = (seen >= STEADY * asked) & (seen >= LEAST_SEEN)
+        steady: NDArray[np.bool_] = good.sum(axis=1) >= VOUCHING_SENSORS
+        return steady & ~self._failed(STEADY)
+
+    def _failed(self, part: float) -> NDArray[np.bool_]:
+        """Return which too many sensors have seen in less than such a part of the exposures."""
+        seen, asked = self._asked()
+        failed: NDArray[np.bool_] = (seen < part * asked).sum(axis=1) > self._blind_sensors
+        return failed
+
+    def _asked(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return how often each sensor saw each, and how often it could have, (T, S)."""
+        assert self._kept is not None
+        seen = (self._kept.peaks >= 0).sum(axis=1)
         # Where a peak may be shared, a sensor says nothing.
-        asked = seen + kept.missed.sum(axis=1)
-        good = (seen >= part * asked) & (seen >= least_seen)
-        sensors = len(self._model)
-        least = sensors if sensors <= 4 else max(4, sensors - 2)
-        steady: NDArray[np.bool_] = good.sum(axis=1) >= least
-        return steady
+        return seen, seen + self._kept.missed.sum(axis=1)
 
     def _join(self) -> None:
         """Of tracklets that have come to have the same peaks, keep the likeliest."""

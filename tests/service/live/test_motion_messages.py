@@ -132,5 +132,5 @@ def test_single_frames_and_batches_of_the_log_agree():
 def test_contents_are_asked_for_by_name():
     wanted = wanted_of({"device": "sim", "content": "tools,tracks,status"})
     assert wanted.content == {"tools", "tracks"}
-    with pytest.raises(InvalidParameter, match="points, peaks, tracks, tools, status"):
+    with pytest.raises(InvalidParameter, match="points, peaks, tracks, tools, holds, status"):
         wanted_of({"device": "sim", "content": "poses"})

@@ -78,14 +78,18 @@ class FitSettings:
     - *Weights.* The variance V of a pixel is ``read^2/gain^2 + max(mu - offset, 0)/gain + 1/12``
       plus ``(shape_error (mu - b - ...))^2``, by the model and not by the pixel's own noise.
     - *Estimate.* The root of the weighted residuals' score, with the variances of the same mu:
-      ``sum_i (v_i - mu_i) dmu_i / V_i = 0``; the logarithm of the width has a Gaussian prior
-      about ``width_px`` with the deviation ``width_spread``. This is the greatest
+      ``sum_i (v_i - mu_i) dmu_i / V_i = 0``, with the width's prior. This is the greatest
       quasi-likelihood (R. W. M. Wedderburn, 10.1093/biomet/61.3.439): the maximum likelihood
       but for the variances' own information, of order 1 over the electrons of a pixel.
+    - *Prior.* The logarithm of the width is normal about that of ``width_px``, with the deviation
+      ``width_spread``; and lines narrower than a pixel's parts are improbable: a width w weighs
+      ``exp(-(n/w)^NARROW_POWER)``, n being ``narrow_px``.
     - *Way there.* Fisher scoring from the search's background and candidates (light by height,
       the widths' geometric mean): steps ``d = H^-1 g`` by score g and information H, scaled as a
       whole to STEP_WIDTHS and STEP_LOG_WIDTH; a width that would leave WIDTH_LIMITS_PX is held
-      there, as if known. The end is ``g.d < CONVERGED_SIGMA^2 max(chi2/freedom, 1)``, by the
+      there, as if known. A step that turns the width of a single line back is scaled by
+      ``l / (l + c)``, c being its change of the width's logarithm and l the last one (the
+      secant's step). The end is ``g.d < CONVERGED_SIGMA^2 max(chi2/freedom, 1)``, by the
       pass's own chi-square with the prior's term, and that step is taken. The covariance is H^-1,
       and with the chi-square of the pass that gave the last step.
     - *Number of peaks.* Where the misfit is more than chance (its own rate:
@@ -99,6 +103,17 @@ class FitSettings:
       So on, while the misfit is more than chance, up to ``max_joint``. Where none stands, the
       first window's fit does, or else the grown one's. Without ``further_peaks`` none is tried,
       and only a failed fit is repeated in the grown window.
+    - *Unknown width.* Where the deviation of the width's logarithm is more than OPEN_LOG_WIDTH, or
+      it is held at a limit, the fit is averaged over widths: from the best one to either side, by
+      that deviation or STEP_LOG_WIDTH, whichever is less, as far as there are any in
+      WIDTH_LIMITS_PX, they weigh more than LEAST_LOG_WEIGHT, and to MOST_NODES. Each has its own
+      best parameters and covariance, from the one before by one scoring step. Its weight is the
+      likelihood with the prior, by the trapezoidal rule from its slopes, times the (geometric
+      mean of the) positions' deviations at that width: so all shifts and scales are equally
+      probable, for which Bayes's deviations are those of repeated experiments (right Haar
+      measure; J. O. Berger, 10.1007/978-1-4757-4286-2, chapter 6). The covariance is that of
+      the average; the parameters are the best ones at the mean width, which err less within a
+      pixel than the mean of the parameters.
     - *Result.* Positions, standard deviations and covariances; ``amplitude`` is the fitted light
       in a pixel about the line's middle; ``width_px`` the full width at ``search``'s
       threshold of a Gaussian with the fitted width; the reduced chi-square of the group, of
@@ -114,7 +129,8 @@ class FitSettings:
     Args:
         search: how candidates are found.
         width_px: deviation of the lines (Gaussian), or the shape's own unit.
-        width_spread: deviation of the logarithm of the width; 0: it is known, inf: nothing is.
+        width_spread: deviation of the logarithm of the width; 0: it is known, inf: nothing is. By
+            default next to nothing: a belief that is off makes faint lines' deviations dishonest.
         reach: half a window, in starting widths. A Gaussian keeps 0.9989 of its information in 4.
         background: what the background is within a window.
         shape_error: error of each pixel's light as a part of it, deviation, another in each

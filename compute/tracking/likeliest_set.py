@@ -31,6 +31,25 @@ def likeliest_set(score: Array, conflict: NDArray[np.bool_]) -> NDArray[np.bool_
     return taken
 
 
+def rivals(score: Array, conflict: NDArray[np.bool_], taken: NDArray[np.bool_]) -> Array:
+    """Return what could be had in the place of each sequence that is taken, at most, shape (C,).
+
+    One that is left out, less all others that are taken and in conflict with it. 0 for those that
+    are not taken.
+
+    Args:
+        score: as of ``likeliest_set``.
+        conflict: as of ``likeliest_set``.
+        taken: what that returned.
+    """
+    own = np.where(taken, score, 0.0)
+    # Of each that is left out (columns), without this one that is taken (rows).
+    value = score - conflict @ own + own[:, None]
+    possible = conflict & taken[:, None] & ~taken
+    best: Array = np.where(possible, value, 0.0).max(axis=1, initial=0.0)
+    return best
+
+
 def _one_for_all(score: Array, conflict: NDArray[np.bool_], taken: NDArray[np.bool_]) -> bool:
     gain = np.where(taken, -np.inf, score - conflict @ np.where(taken, score, 0.0))
     best = int(gain.argmax()) if len(gain) else 0

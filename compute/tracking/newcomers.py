@@ -10,8 +10,8 @@ from compute.tracking.crowd import Crowd
 from compute.tracking.frame_peaks import FramePeaks
 from compute.tracking.left_over import FoundPoints, PointFinder
 from compute.tracking.life_cycle import (
+    AMBIGUOUS_HITS,
     PROBATION,
-    VOUCHED_HITS,
     VOUCHING_SENSORS,
     WEAK_EXPOSURES,
     confirmable,
@@ -290,10 +290,10 @@ class Newcomers:
             marker=None,
             time_ns=time_ns,
             confirmed=False,
-            uncertain=np.zeros(count, dtype=np.bool_),
+            uncertain=found.ambiguous,
         )
         tracks.hits[:] = self._settings.confirm_hits
-        tracks.vouched[:] = VOUCHED_HITS
+        tracks.vouched[:] = AMBIGUOUS_HITS
         tracks.evidence[:] = np.inf
         tracks.unproved[:] = PROBATION
         return tracks, seen

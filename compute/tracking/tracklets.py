@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from compute.tracking.frame_peaks import FramePeaks
 from compute.tracking.life_cycle import VOUCHING_SENSORS
-from compute.tracking.likeliest_set import likeliest_set
+from compute.tracking.likeliest_set import likeliest_set, rivals
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.native.associator import Associator
 from compute.tracking.reading_model import ReadingModel
@@ -41,6 +41,8 @@ SAME: Final = 0.6
 """Part beyond which it is the same one."""
 SURE: Final = 1.5
 """How many times the score of a rival leaves no doubt."""
+MOST_GHOSTS: Final = 0.1
+"""Ghosts to be expected, beyond which what is found is ambiguous."""
 MOST: Final = 80
 """Tracklets that are followed."""
 
@@ -102,6 +104,7 @@ class FoundMarkers:
         place_mm: where that was worked out, shape (N, 3).
         peaks: of the exposure; -1: none, shape (N, S).
         nis: of the exposure, shape (N,).
+        ambiguous: whether they may be ghosts, shape (N,).
     """
 
     states: States
@@ -109,6 +112,7 @@ class FoundMarkers:
     place_mm: Array
     peaks: NDArray[np.int32]
     nis: Array
+    ambiguous: NDArray[np.bool_]
 
     def __len__(self) -> int:
         """Return the number of markers."""
@@ -141,6 +145,7 @@ class Tracklets:
         self._associator = associator
         self._blind_sensors = max(len(model) - VOUCHING_SENSORS, 0) // 2
         self._kept: _Kept | None = None
+        self._free = np.zeros(len(model), dtype=np.intp)
         self._time_ns = 0
 
     def __len__(self) -> int:
@@ -198,6 +203,7 @@ class Tracklets:
         self._time_ns = time_ns
         states = predicted(self._motion, kept.states, step)
         left = replace(peaks, usable=free)
+        self._free = free.sum(axis=1)
         crowd = _log_crowd(peaks, self._settings)
         kept.peaks = np.roll(kept.peaks, -1, axis=1)
         kept.missed = np.roll(kept.missed, -1, axis=1)
@@ -252,12 +258,16 @@ class Tracklets:
         np.fill_diagonal(conflict, val=False)
         score = score[ready]
         taken = likeliest_set(score, conflict)
-        rival = np.where(conflict, score, 0.0).max(axis=1)
-        sure = np.where(kept.age[ready] >= WINDOW, 1.0, SURE)
-        good = taken & (kept.age[ready] >= LEAST_AGE) & self._steady()[ready]
-        good &= score > sure * rival
+        old = kept.age[ready] >= WINDOW
+        lasting = (kept.age[ready] >= LEAST_AGE) & self._steady()[ready]
+        good = taken & lasting & (score > SURE * rivals(score, conflict, taken))
+        # Where ghosts last, time tells nothing: how many are there that nothing betrays?
+        ghosts = self._by_chance(ready[taken], int((lasting & ~taken).sum()))
+        doubtful = ghosts > MOST_GHOSTS
+        if doubtful:
+            good &= old
         # Handed over while it is seen well: what comes next may be merged with others.
-        least = np.where(kept.age[ready] >= WINDOW, VOUCHING_SENSORS - 1, VOUCHING_SENSORS)
+        least = np.where(old, VOUCHING_SENSORS - 1, VOUCHING_SENSORS)
         good &= (kept.peaks[ready, -1] >= 0).sum(axis=1) >= least
         if not good.any():
             return None
@@ -268,6 +278,7 @@ class Tracklets:
             kept.place_mm[found],
             kept.peaks[found, -1],
             kept.nis[found],
+            np.full(len(found), doubtful),
         )
         stay = np.ones(len(kept), dtype=np.bool_)
         stay[found] = False
@@ -275,6 +286,24 @@ class Tracklets:
         stay[ready[conflict[good].any(axis=0)]] = False
         self._kept = kept.rows(stay)
         return markers
+
+    def _by_chance(self, taken: NDArray[np.intp], explained: int) -> float:
+        """Return how many ghosts are to be expected among the peaks that nothing explains.
+
+        So many of all peaks' last that are known to be ghosts, since markers explain their peaks;
+        a ghost that has none of these looks like a marker.
+
+        Args:
+            taken: tracklets that explain peaks.
+            explained: ghosts that last.
+        """
+        assert self._kept is not None
+        left = []
+        for sensor, count in enumerate(self._free.tolist()):
+            own = self._kept.peaks[taken, -1, sensor]
+            unexplained = count - len(set(own[own >= 0].tolist()))
+            left.append(min(max(unexplained + 1.0, 1.0) / max(count, 1.0), 1.0))
+        return explained * float(np.exp(VOUCHING_SENSORS * np.log(left).mean()))
 
     def _steady(self) -> NDArray[np.bool_]:
         """Return which four sensors or more have mostly seen, and few have mostly not, (T,)."""

@@ -58,6 +58,11 @@ def test_the_window_live_has_the_tracks_of_the_recording(decision: Decision) -> 
     whole = PairTracking(limit, INTERVAL_S, decision=decision).run(order_by_detection(points))
     assert whole.created.any()
     assert whole.switched.any()
+    # Seven points of each track, however it is kept.
+    for scan in range(1, len(points)):
+        for track in range(2):
+            expected = QuadraticWindow().next_position(whole.position_px[:scan, track])
+            assert whole.predicted_px[scan, track] == expected
     live = steps(
         window(velocity_limit_px_s=limit, window_decision=decision, young_scans=10**6), points
     )

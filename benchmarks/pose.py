@@ -10,7 +10,8 @@ Ten tools of four markers before four sensors, as a tracking server has them eac
 * without a start: ours tries all rotations. The peer searches from 24 rotations, as few as find the
   pose most of the time.
 * step: a frame of all ten tools through ``ToolTracker.step``, their markers lit together or one by
-  one: prediction, association, update, covariance, status.
+  one: prediction, association, update, covariance, status. One by one also with a single regime of
+  motion instead of all (``compute.pose.regimes``), turn by turn of the strobe in alternation.
 
 Methods take turns, and the least time of each counts: what else a machine does only adds to it.
 """
@@ -34,6 +35,7 @@ from compute.camera.stack import CameraStack
 from compute.pose.pose_fit import fit_pose
 from compute.pose.reading_model import ReadingModel
 from compute.pose.rigid_body import RigidBody
+from compute.pose.settings import Regime, RegimeSettings, ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.tool_tracker import ToolTracker
 from compute.pose.transform import Transform
@@ -198,32 +200,72 @@ def frames(cameras: CameraStack, *, strobed: bool) -> tuple[list[RigidBody], lis
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """A tracker's run: time of each frame [s], and the poses after the last."""
+    """A tracker's run: time of a frame [s], the thread's own, and the poses after the last."""
 
-    seconds: list[float]
+    seconds: float
     poses: tuple[ToolPose, ...]
 
 
-def track(cameras: CameraStack, *, strobed: bool) -> Steps:
-    """Run frames through a tracker; finding the tools at first is not timed."""
+def track(
+    cameras: CameraStack, trackers: Sequence[ToolTracker], made: Sequence[Frame], cycle: int
+) -> list[Steps]:
+    """Run frames through trackers that take turns; finding the tools at first is not timed.
+
+    Args:
+        cameras: the frames are of.
+        trackers: of the same tools.
+        made: the frames.
+        cycle: number of frames that each takes at a turn.
+    """
+    rate = RATE_HZ * cycle
+    took: list[list[float]] = [[] for _ in trackers]
+    poses: list[tuple[ToolPose, ...]] = [() for _ in trackers]
+    for first in range(0, len(made), cycle):
+        for index, tracker in enumerate(trackers):
+            before = time.thread_time()
+            for number in range(first, first + cycle):
+                frame = made[number]
+                points = None
+                # Where lines cross a tool may not be found in the first frame.
+                if number < len(made) // 4 and frame.readings_px is not None:
+                    points = reconstruct(cameras, frame.readings_px, SIGMA[0])
+                poses[index] = tracker.step(
+                    round(1e9 * number / rate),
+                    number,
+                    frame.peaks_px,
+                    np.full(frame.peaks_px.shape, SIGMA_PX),
+                    np.zeros(frame.peaks_px.shape, dtype=np.int32),
+                    frame.marker,
+                    points,
+                )
+            took[index].append((time.thread_time() - before) / cycle)
+    return [
+        Steps(float(np.median(one[len(one) // 2 :])), last)
+        for one, last in zip(took, poses, strict=True)
+    ]
+
+
+def steps(cameras: CameraStack, *, strobed: bool) -> list[Row]:
+    """Return rows of what a frame of all tools takes [us]."""
     bodies, made = frames(cameras, strobed=strobed)
-    tracker = ToolTracker(cameras, bodies)
-    rate = RATE_HZ * (4 * TOOLS if strobed else 1)
-    seconds: list[float] = []
-    poses: tuple[ToolPose, ...] = ()
-    for index, frame in enumerate(made):
-        peaks = frame.peaks_px
-        points = None
-        # Where lines cross a tool may not be found in the first frame.
-        if index < len(made) // 4 and frame.readings_px is not None:
-            points = reconstruct(cameras, frame.readings_px, SIGMA[0])
-        flags = np.zeros(peaks.shape, dtype=np.int32)
-        sigma = np.full(peaks.shape, SIGMA_PX)
-        time_ns = round(1e9 * index / rate)
-        before = time.perf_counter()
-        poses = tracker.step(time_ns, index, peaks, sigma, flags, frame.marker, points)
-        seconds.append(time.perf_counter() - before)
-    return Steps(seconds[len(seconds) // 2 :], poses)
+    methods = {OURS: ToolTrackerSettings()}
+    if strobed:
+        methods[f"{OURS}, a single regime"] = ToolTrackerSettings(
+            regimes=RegimeSettings((Regime(1.0),))
+        )
+    trackers = [ToolTracker(cameras, bodies, settings) for settings in methods.values()]
+    found = track(cameras, trackers, made, 4 * TOOLS if strobed else 1)
+    return [
+        {
+            "job": f"step, {TOOLS} tools, " + ("one marker lit" if strobed else "all lit"),
+            "method": name,
+            "us_per_tool": 1e6 * one.seconds / TOOLS,
+            "us_per_step": 1e6 * one.seconds,
+            "times_ours": one.seconds / found[0].seconds,
+            "valid_poses": float(sum(pose.valid for pose in one.poses)),
+        }
+        for name, one in zip(methods, found, strict=True)
+    ]
 
 
 def run(seconds: float = 0.5) -> list[Row]:
@@ -272,17 +314,7 @@ def run(seconds: float = 0.5) -> list[Row]:
             }
         )
     for strobed in (False, True):
-        steps = track(cameras, strobed=strobed)
-        valid = sum(pose.valid for pose in steps.poses)
-        rows.append(
-            {
-                "job": f"step, {TOOLS} tools, " + ("one marker lit" if strobed else "all lit"),
-                "method": OURS,
-                "us_per_tool": 1e6 * float(np.median(steps.seconds)) / TOOLS,
-                "us_per_step": 1e6 * float(np.median(steps.seconds)),
-                "valid_poses": float(valid),
-            }
-        )
+        rows += steps(cameras, strobed=strobed)
     return rows
 
 

@@ -39,7 +39,7 @@ PHASES: Final = 16
 
 KNOWN, FITTED, PRIOR = "width known", "width fitted", "width within 10 %"
 DEFAULT = "as it comes"
-"""FitSettings without a word: a width of about a pixel, give or take half."""
+"""FitSettings without a word: next to nothing is known of the width."""
 GRAVITY, EDGE = "centre of gravity", "edge-corrected"
 WRONG_WIDTH: Final = 1.05
 """Of PRIOR: the width is believed so many times the true one, give or take 10 %."""
@@ -90,7 +90,7 @@ class Efficiency:
     Args:
         setting: the line.
         strict_px: bound where nothing but the position is unknown: DESIGN's formula.
-        bound_px: bound where light and background are unknown too.
+        bound_px: bound where light, background and width are unknown too.
         found: share of lines in which the search found a peak.
         errors: by the estimators' names.
     """
@@ -130,8 +130,8 @@ def efficiency(setting: Setting, count: int, seed: int = 1) -> Efficiency:
     noise, known = line_noise(read), fit_settings(KNOWN, width)
     strict, nuisance = (
         position_bounds(
-            place[:: max(count // 64, 1), None], [light], AMBIENT, PIXELS, known, noise,
-            only_positions=only,
+            place[:: max(count // 64, 1), None], [light], AMBIENT, PIXELS,
+            fit_settings(FITTED, width), noise, only_positions=only,
         ).mean()
         ** 0.5
         for only in (True, False)

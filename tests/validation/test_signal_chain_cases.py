@@ -44,7 +44,7 @@ from validation.signal_separation import (
 from validation.signal_separation import (
     SIGMA_PX as CLOSE_SIGMA_PX,
 )
-from validation.signal_table_c import THESIS_WIDTHS_PX, moved_px
+from validation.signal_table_c import THESIS_WIDTHS_PX, moved_px, over_phases
 from validation.tables import TablesCase, TablesResult
 
 LINEAR = (*BUTTERWORTHS, *FIRS)
@@ -158,6 +158,18 @@ def test_no_linear_filter_moves_a_noiseless_centroid_by_a_hundredth(sigma_px: fl
         assert moved_px(name, "phase", sigma_px, None) < 1e-6
     for name in MEDIANS:
         assert moved_px(name, "phase", sigma_px, None) < 0.01
+
+
+@pytest.mark.parametrize("sigma_px", THESIS_WIDTHS_PX)
+def test_medians_move_centroids_to_either_side(sigma_px: float) -> None:
+    """Not by a delay: on the mean over a pixel they move none, as they have no side."""
+    for name in MEDIANS:
+        moved = over_phases(name, sigma_px)
+        assert abs(moved.mean_px) < 1e-4
+        assert moved.most_px < 0.012
+        assert moved.error_px < 0.01
+        assert moved.error_px > moved.most_px - moved.own_error_px
+        assert moved.least_height < 0.99
 
 
 def test_the_delay_alone_moves_more() -> None:

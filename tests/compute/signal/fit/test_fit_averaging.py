@@ -55,9 +55,7 @@ def solved(lines, options, noise):
     return windows, layout, solve(windows, start, layout, options, shape), shape
 
 
-@pytest.mark.parametrize(
-    ("width", "read", "spread"), [(0.6, 50.0, np.inf), (1.0, 50.0, np.inf), (1.0, 50.0, 2.0)]
-)
+@pytest.mark.parametrize(("width", "read", "spread"), [(0.6, 50.0, np.inf), (1.0, 50.0, 2.0)])
 def test_faint_lines_of_unknown_width_are_honest(width, read, spread):
     """Squared errors in stated deviations average 0.95 to 1.05, with three standard errors.
 

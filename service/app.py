@@ -15,6 +15,7 @@ from service.correction_tables.router import router as correction_tables
 from service.cross_origin import CrossOriginGuard
 from service.devices.router import router as devices
 from service.drift_checks.router import router as drift_checks
+from service.exports.router import router as exports_router
 from service.head import HeadAsGet
 from service.holds.router import router as holds
 from service.lifespan import running
@@ -112,6 +113,7 @@ def create_app(
         correction_tables,
         reconstructions,
         recordings_router,
+        exports_router,
         tools,
         points,
         registrations,

@@ -7,6 +7,7 @@ from fastapi import Depends, Request
 from service.database.engine import Database
 from service.devices.operation import Operation
 from service.errors import NotReady
+from service.exports.library import Exports
 from service.live.manager import LiveManager
 from service.recordings.manager import Recordings
 from service.reports.kept import KeptReports
@@ -46,6 +47,11 @@ def _recordings(request: Request) -> Recordings:
     return recordings
 
 
+def _exports(request: Request) -> Exports:
+    exports: Exports = request.app.state.exports
+    return exports
+
+
 def _settings(request: Request) -> Settings:
     settings: Settings = request.app.state.settings
     return settings
@@ -57,4 +63,5 @@ LiveDep = Annotated[LiveManager, Depends(_live)]
 RunsDep = Annotated[RunManager, Depends(_runs)]
 ReportsDep = Annotated[KeptReports, Depends(_reports)]
 RecordingsDep = Annotated[Recordings, Depends(_recordings)]
+ExportsDep = Annotated[Exports, Depends(_exports)]
 SettingsDep = Annotated[Settings, Depends(_settings)]

@@ -81,6 +81,18 @@ class RecordingInUse(LumilineError):
     code = "recording-in-use"
 
 
+class UnknownExport(LumilineError):
+    """No export has the given id: it was never made, or was deleted."""
+
+    code = "unknown-export"
+
+
+class ExportExists(LumilineError):
+    """An export of this id exists already; exports are never overwritten."""
+
+    code = "export-exists"
+
+
 class InsufficientStorage(LumilineError):
     """The disk has less free space than the server leaves, or cannot be written to."""
 

@@ -12,6 +12,7 @@ from service.database.engine import Database
 from service.database.in_use import used_by_server
 from service.devices.operation import Operation
 from service.devices.profiles import find_profile
+from service.exports.library import Exports
 from service.live.hub import Hub
 from service.live.manager import LiveManager
 from service.metrics.live import LiveCollector
@@ -20,7 +21,9 @@ from service.ndi.run import ndi_running
 from service.openigtlink.run import openigtlink_running
 from service.quality.watch import Watch
 from service.recordings.manager import Recordings
+from service.runs.kinds import kinds_with
 from service.runs.manager import RunManager
+from service.runs.store import running_runs
 from service.security.authenticator import Authenticator
 from service.settings import Settings
 from service.start import prepare
@@ -72,10 +75,14 @@ async def running(
         closed_at_the_end(recordings)
         app.state.recordings = recordings
         await run_sync(app.state.operation.autostart, *named)
-        runs = RunManager(database, settings.runs_at_once)
+        exports = Exports(settings.folders.exports, settings.recording_free_bytes)
+        app.state.exports = exports
+        kinds = kinds_with(exports, settings.folders.recordings)
+        runs = RunManager(database, settings.runs_at_once, kinds)
         closed_at_the_end(runs)
         app.state.runs = runs
         await run_sync(runs.start)
+        await run_sync(exports.sweep, partial(running_runs, database))
         watch = Watch(database, manager)
         closed_at_the_end(watch)
         watch.start()

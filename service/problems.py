@@ -21,6 +21,8 @@ _STATUS: Final[dict[str, int]] = {
     own.RecordingExists.code: 409,
     own.RecordingInProgress.code: 409,
     own.RecordingInUse.code: 409,
+    own.UnknownExport.code: 404,
+    own.ExportExists.code: 409,
     own.InsufficientStorage.code: 507,
     own.UnknownRun.code: 404,
     own.UnknownCorrectionTable.code: 404,

@@ -39,10 +39,12 @@ class DataFolders:
     Args:
         recordings: the only folder from which recordings are replayed.
         profiles: device profiles of one's own.
+        exports: files that export runs have made.
     """
 
     recordings: Path
     profiles: Path
+    exports: Path
 
 
 class Settings(BaseSettings):
@@ -71,7 +73,7 @@ class Settings(BaseSettings):
     stream_lag_s: float = Field(default=1.0, ge=0.0, allow_inf_nan=False)
     """How far a live client may fall behind before it goes on with the newest [s]."""
     recording_free_bytes: int = Field(default=2 * 1024**3, ge=0)
-    """What recordings leave free on their disk [bytes]."""
+    """What recordings, and exports of them, leave free on their disk [bytes]."""
     recording_flush_s: float = Field(default=1.0, ge=0.01, le=60.0)
     """How often what is recorded is brought to the file, to be read and safe from a crash [s]."""
     runs_at_once: int = Field(default=1, ge=1, le=64)
@@ -186,7 +188,8 @@ class Settings(BaseSettings):
     @property
     def folders(self) -> DataFolders:
         """The folders of the data directory."""
-        return DataFolders(self.data_dir / "recordings", self.data_dir / "profiles")
+        names = ("recordings", "profiles", "exports")
+        return DataFolders(*(self.data_dir / name for name in names))
 
     @classmethod
     def settings_customise_sources(

@@ -1,5 +1,7 @@
 """AsyncClient: a server's resources and streams, with asyncio."""
 
+import asyncio
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -377,10 +379,67 @@ class AsyncClient:
             ServerProblem: there is no such recording, or it is still written.
             NotReached: the connection was lost before the end.
         """
+        return await self._download(calls.recording_file(name), path, f"recording {name}")
+
+    async def start_export(
+        self, recording: str, device_id: str, file_format: str, **members: Any
+    ) -> d.Run:
+        """Have points, tracks and tool poses of a recording written to a file on the server.
+
+        Args:
+            recording: its name.
+            device_id: whose tools are followed, as its settings of tracking say.
+            file_format: ``c3d``, ``trc``, ``csv``, ``parquet`` or ``igs.mha``.
+            members: others of the request, such as ``result_id``, ``tools``, ``calibration``.
+
+        Returns:
+            The run, for ``wait_for_run``; its ``result_id`` is then the export's id.
+        """
+        return await self._one(calls.start_export(recording, device_id, file_format, members))
+
+    async def run(self, run_id: str) -> d.Run:
+        """How far a run is: of an export, a calibration or a map."""
+        return await self._one(calls.run(run_id))
+
+    async def wait_for_run(
+        self, run_id: str, timeout_s: float = 600.0, every_s: float = 0.2
+    ) -> d.Run:
+        """Return a run when it has ended, in whatever way, or as it is after so long."""
+        end = time.monotonic() + timeout_s
+        while not (found := await self.run(run_id)).ended and time.monotonic() < end:
+            await asyncio.sleep(every_s)
+        return found
+
+    async def cancel_run(self, run_id: str) -> d.Run:
+        """End a run that waits or is computed."""
+        return await self._one(calls.cancel_run(run_id))
+
+    async def exports(self) -> list[d.Export]:
+        """Files that export runs have made."""
+        return await self._all(calls.exports())
+
+    async def export(self, export_id: str) -> d.Export:
+        """One of them."""
+        return await self._one(calls.export(export_id))
+
+    async def download_export(self, export_id: str, path: Path | str) -> Path:
+        """Write an export to a file, which is there only when it is whole.
+
+        Raises:
+            ServerProblem: there is no such export.
+            NotReached: the connection was lost before the end.
+        """
+        return await self._download(calls.export_file(export_id), path, f"export {export_id}")
+
+    async def delete_export(self, export_id: str) -> None:
+        """Delete a file that an export run has made."""
+        await self.request("DELETE", calls.export(export_id).path)
+
+    async def _download(self, source: str, path: Path | str, what: str) -> Path:
         path = Path(path)
         part = path.with_name(f"{path.name}.part")
         try:
-            async with self._http.stream("GET", calls.recording_file(name)) as answer:
+            async with self._http.stream("GET", source) as answer:
                 if not answer.is_success:
                     raise problem_of(answer.status_code, await answer.aread())
                 with part.open("wb") as file:
@@ -388,7 +447,7 @@ class AsyncClient:
                         file.write(piece)
             part.replace(path)
         except httpx.TransportError as error:
-            raise NotReached(f"recording {name}: {error or type(error).__name__}") from error
+            raise NotReached(f"{what}: {error or type(error).__name__}") from error
         finally:
             part.unlink(missing_ok=True)
         return path

@@ -368,3 +368,36 @@ def stop_recording(name: str) -> Call[d.Recording]:
 def recording_file(name: str) -> str:
     """Return the path of a recording's file."""
     return _path("recordings", name, "file")
+
+
+def start_export(
+    recording: str, device_id: str, file_format: str, members: Mapping[str, Any]
+) -> Call[d.Run]:
+    """Write what is in a recording to a file on the server."""
+    body = {**members, "recording": recording, "device": device_id, "format": file_format}
+    return _post(d.Run, "export-runs", body=body)
+
+
+def run(run_id: str) -> Call[d.Run]:
+    """How far a run is."""
+    return _get(d.Run, "runs", run_id)
+
+
+def cancel_run(run_id: str) -> Call[d.Run]:
+    """End a run."""
+    return _post(d.Run, "runs", run_id, "cancel")
+
+
+def exports() -> Call[d.Export]:
+    """All exports."""
+    return _get(d.Export, "exports")
+
+
+def export(export_id: str) -> Call[d.Export]:
+    """One export."""
+    return _get(d.Export, "exports", export_id)
+
+
+def export_file(export_id: str) -> str:
+    """Return the path of an export's file."""
+    return _path("exports", export_id, "file")

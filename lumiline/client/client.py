@@ -1,5 +1,6 @@
 """Client: a server's resources and streams, for programs that wait."""
 
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -375,10 +376,65 @@ class Client:
             ServerProblem: there is no such recording, or it is still written.
             NotReached: the connection was lost before the end.
         """
+        return self._download(calls.recording_file(name), path, f"recording {name}")
+
+    def start_export(
+        self, recording: str, device_id: str, file_format: str, **members: Any
+    ) -> d.Run:
+        """Have points, tracks and tool poses of a recording written to a file on the server.
+
+        Args:
+            recording: its name.
+            device_id: whose tools are followed, as its settings of tracking say.
+            file_format: ``c3d``, ``trc``, ``csv``, ``parquet`` or ``igs.mha``.
+            members: others of the request, such as ``result_id``, ``tools``, ``calibration``.
+
+        Returns:
+            The run, for ``wait_for_run``; its ``result_id`` is then the export's id.
+        """
+        return self._one(calls.start_export(recording, device_id, file_format, members))
+
+    def run(self, run_id: str) -> d.Run:
+        """How far a run is: of an export, a calibration or a map."""
+        return self._one(calls.run(run_id))
+
+    def wait_for_run(self, run_id: str, timeout_s: float = 600.0, every_s: float = 0.2) -> d.Run:
+        """Return a run when it has ended, in whatever way, or as it is after so long."""
+        end = time.monotonic() + timeout_s
+        while not (found := self.run(run_id)).ended and time.monotonic() < end:
+            time.sleep(every_s)
+        return found
+
+    def cancel_run(self, run_id: str) -> d.Run:
+        """End a run that waits or is computed."""
+        return self._one(calls.cancel_run(run_id))
+
+    def exports(self) -> list[d.Export]:
+        """Files that export runs have made."""
+        return self._all(calls.exports())
+
+    def export(self, export_id: str) -> d.Export:
+        """One of them."""
+        return self._one(calls.export(export_id))
+
+    def download_export(self, export_id: str, path: Path | str) -> Path:
+        """Write an export to a file, which is there only when it is whole.
+
+        Raises:
+            ServerProblem: there is no such export.
+            NotReached: the connection was lost before the end.
+        """
+        return self._download(calls.export_file(export_id), path, f"export {export_id}")
+
+    def delete_export(self, export_id: str) -> None:
+        """Delete a file that an export run has made."""
+        self.request("DELETE", calls.export(export_id).path)
+
+    def _download(self, source: str, path: Path | str, what: str) -> Path:
         path = Path(path)
         part = path.with_name(f"{path.name}.part")
         try:
-            with self._http.stream("GET", calls.recording_file(name)) as answer:
+            with self._http.stream("GET", source) as answer:
                 if not answer.is_success:
                     raise problem_of(answer.status_code, answer.read())
                 with part.open("wb") as file:
@@ -386,7 +442,7 @@ class Client:
                         file.write(piece)
             part.replace(path)
         except httpx.TransportError as error:
-            raise NotReached(f"recording {name}: {error or type(error).__name__}") from error
+            raise NotReached(f"{what}: {error or type(error).__name__}") from error
         finally:
             part.unlink(missing_ok=True)
         return path

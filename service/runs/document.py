@@ -1,7 +1,7 @@
 """A run's row as clients see it."""
 
 from service.database.models import RunRow
-from service.runs.kinds import KINDS
+from service.runs.kinds import RESULTS
 from service.runs.schema import Run
 
 
@@ -9,7 +9,7 @@ def run_document(row: RunRow) -> Run:
     """Return the run."""
     result = None
     if row.result_id is not None:
-        result = f"{KINDS[row.kind].results}/{row.result_id}"
+        result = f"{RESULTS[row.kind]}/{row.result_id}"
     return Run.model_validate(
         {
             "id": row.id,

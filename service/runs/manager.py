@@ -16,7 +16,7 @@ from service.problem_handlers import json_safe
 from service.problems import PROBLEM_TYPES
 from service.runs import store
 from service.runs.durations import RunDurations
-from service.runs.kinds import KINDS
+from service.runs.kinds import KINDS, RunKind
 from service.runs.process import WorkerProcess
 from service.runs.worker import Done, Failed, Progress
 from service.security.principal import Act, current_act
@@ -38,9 +38,12 @@ T = TypeVar("T")
 class RunManager:
     """Runs at most ``at_once`` computations, each in a process of its own."""
 
-    def __init__(self, database: Database, at_once: int) -> None:
+    def __init__(
+        self, database: Database, at_once: int, kinds: Mapping[str, RunKind] = KINDS
+    ) -> None:
         self._database = database
         self._at_once = at_once
+        self._kinds = kinds
         self._wake = Event()
         self._closing = Event()
         self._lock = Lock()
@@ -131,8 +134,16 @@ class RunManager:
         """Start the process, write down what it tells, store its result."""
         with self._database.read() as session:
             row = store.get_run(session, run_id)
-            kind = KINDS[row.kind]
+            kind = self._kinds[row.kind]
             function, arguments = kind.task(session, row)
+        try:
+            self._compute(run_id, kind, function, arguments)
+        finally:
+            kind.ended(run_id)
+
+    def _compute(
+        self, run_id: str, kind: RunKind, function: Callable[..., Any], arguments: tuple[Any, ...]
+    ) -> None:
         told = time.monotonic()
         latest: Progress | None = None
         with WorkerProcess(function, *arguments) as worker:

@@ -10,22 +10,29 @@ from sqlalchemy import Select, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
-from service.database.engine import insert
+from service.database.engine import Database, insert
 from service.database.models import RunRow
 from service.errors import (
     Busy,
     CalibrationExists,
     CorrectionTableExists,
+    ExportExists,
     RunExists,
     RunNotEnded,
     UnknownRun,
 )
 from service.security.principal import current_act
 
-Kind = Literal["calibration", "self-calibration", "update", "mapping"]
+Kind = Literal["calibration", "self-calibration", "update", "mapping", "export"]
 State = Literal["queued", "running", "succeeded", "failed", "cancelled", "interrupted"]
 OPEN: Final = ("queued", "running")
 STATES: Final[tuple[State, ...]] = get_args(State)
+
+_SORTS: Final[dict[Kind, str]] = {"mapping": "table", "export": "export"}
+_TAKEN: Final[dict[Kind, tuple[str, type[LumilineError]]]] = {
+    "mapping": ("correction table", CorrectionTableExists),
+    "export": ("export", ExportExists),
+}
 
 STALE_AFTER: Final = timedelta(seconds=60)
 """A running run whose server has not been heard of for so long has none any more."""
@@ -68,8 +75,8 @@ def add_run(
 
     Raises:
         RunExists: the id is taken.
-        CalibrationExists, CorrectionTableExists: another run that waits or runs is to make a
-            result of the same id.
+        CalibrationExists, CorrectionTableExists, ExportExists: another run that waits or runs is
+            to make a result of the same id.
         Busy: so many wait already.
     """
     waiting = session.scalar(
@@ -117,15 +124,11 @@ def add_run(
 
 def _claim_of(kind: Kind, result_id: str) -> str:
     """Return what a run claims until it ends: the id of its result among those of its sort."""
-    return f"{'table' if kind == 'mapping' else 'calibration'}/{result_id}"
+    return f"{_SORTS.get(kind, 'calibration')}/{result_id}"
 
 
 def _claimed(kind: Kind, result_id: str, run_id: str | None) -> LumilineError:
-    what, error = (
-        ("correction table", CorrectionTableExists)
-        if kind == "mapping"
-        else ("calibration", CalibrationExists)
-    )
+    what, error = _TAKEN.get(kind, ("calibration", CalibrationExists))
     which = "another run" if run_id is None else f'run "{run_id}"'
     return error(
         f'{which} is to make {what} "{result_id}"; choose another result_id, leave it out, '
@@ -166,6 +169,12 @@ def tell(session: Session, run_id: str, progress: float | None, stage: str | Non
         .returning(RunRow.id)
     )
     return found.first() is not None
+
+
+def running_runs(database: Database) -> list[str]:
+    """Return the ids of the runs that are being computed, by any server."""
+    with database.read() as session:
+        return list(session.scalars(select(RunRow.id).where(RunRow.state == "running")))
 
 
 def still_own(session: Session, run_id: str) -> RunRow | None:

@@ -34,6 +34,10 @@ ACCESS: Final[Mapping[str, Access]] = {
     "list-recordings": "read:stream",
     "get-recording": "read:stream",
     "download-recording": "read:stream",
+    # What is in them can be had from the recordings.
+    "list-exports": "read:stream",
+    "get-export": "read:stream",
+    "download-export": "read:stream",
     "list-device-profiles": "read:stream",
     "get-device-profile": "read:stream",
     "get-plan": "read:stream",
@@ -110,6 +114,9 @@ ACCESS: Final[Mapping[str, Access]] = {
     "create-self-calibration-run": "write:calibration",
     "create-mapping-run": "write:calibration",
     "create-update-run": "write:calibration",
+    # It costs the server time and room, as other runs do, and changes nothing that is measured.
+    "create-export-run": "write:calibration",
+    "delete-export": "write:calibration",
     "create-drift-check": "write:calibration",
     "cancel-run": "write:calibration",
     "delete-run": "write:calibration",

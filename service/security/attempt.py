@@ -27,6 +27,7 @@ _KINDS = {
     "captures": "capture",
     "keys": "key",
     "reconstructions": "reconstruction",
+    "exports": "export",
 }
 
 

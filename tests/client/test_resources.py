@@ -13,6 +13,7 @@ import pytest
 from compute.camera.stack import CameraStack
 from hardware.simulated.bar import sensor_bar
 from lumiline.client import AsyncClient, Client, NotReached, ServerProblem, UnreadableMessage
+from lumiline.client import documents as d
 from lumiline.client.server import Server
 
 MARKERS = [(0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (40.0, 30.0, 50.0)]
@@ -174,6 +175,36 @@ def test_a_recording_from_its_begin_to_a_file(ask: Ask, tmp_path: Path) -> None:
     # Neither of a refused download nor of a complete one is a part left.
     assert [one.name for one in tmp_path.iterdir()] == ["bench.h5"]
     ask("request", "DELETE", f"/api/v1/recordings/{begun.name}")
+
+
+@pytest.fixture(scope="module")
+def exported(server: str) -> d.Run:
+    """A run that has exported a recording, in a process of the server's."""
+    with Client(server) as client:
+        begun = client.start_recording("sim", "walk.h5", 3000.0)
+        client.stop_recording(begun.name)
+        run = client.start_export("walk.h5", "sim", "csv", result_id="walk")
+        assert not run.ended
+        return client.wait_for_run(run.id)
+
+
+def test_an_export_from_its_run_to_a_file(ask: Ask, exported: d.Run, tmp_path: Path) -> None:
+    assert (exported.state, exported.result_id) == ("succeeded", "walk"), exported.problem
+    assert ask("wait_for_run", exported.id) == exported
+    found = ask("export", "walk")
+    assert (found.run, found.recording, found.format) == (exported.id, "walk.h5", "csv")
+    assert found in ask("exports")
+    file = ask("download_export", "walk", tmp_path / "walk.csv")
+    assert file.stat().st_size == found.size_bytes
+    assert file.read_text().startswith("frame,sequence,")
+    with pytest.raises(ServerProblem, match="unknown-export"):
+        ask("download_export", "none", tmp_path / "none.csv")
+    assert [one.name for one in tmp_path.iterdir()] == ["walk.csv"]
+    other = ask("start_export", "walk.h5", "sim", "trc", tools=[])
+    assert ask("cancel_run", other.id).state == "cancelled"
+    assert ask("wait_for_run", other.id, timeout_s=0.0).ended
+    with pytest.raises(ServerProblem, match="unknown-export"):
+        ask("delete_export", other.id)
 
 
 def test_stop_and_start(ask: Ask) -> None:

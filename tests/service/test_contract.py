@@ -40,6 +40,7 @@ RULES_BEYOND_THE_SCHEMA = {
     "create-mapping-run",
     "create-self-calibration-run",
     "create-update-run",
+    "create-export-run",
     "create-drift-check",
     "create-capture",
     "upload-correction-table",

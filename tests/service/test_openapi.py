@@ -121,6 +121,8 @@ def test_every_example_works_on_a_new_server(
         prepare(client)
         with RecordingWriter(sqlite_settings.folders.recordings / "earlier.h5", live.records):
             pass
+        sqlite_settings.folders.exports.mkdir()
+        (sqlite_settings.folders.exports / "walk.csv").write_text("made before")
         requests = examples(served)
         assert {one.operation for one in requests} == {
             operation["operationId"]

@@ -2,8 +2,8 @@
 
 A competent user's Stone Soup: an extended Kalman filter of constant acceleration, one measurement
 model for each sensor with its exact slope, its fastest exact JPDA (EHM2), and the marginals reduced
-to one Gaussian. It starts no tracks of one-dimensional readings: each marker's is given to it at
-its true place and velocity.
+to one Gaussian. It starts no tracks of one-dimensional readings: each marker's is given to it with
+its place and velocity.
 """
 
 import time
@@ -13,15 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.tracking_scene import SIGMA_PX, Scene
+from benchmarks.tracking_scene import SIGMA_PX, START_DEVIATIONS, Scene, starts_at
 from benchmarks.tracking_score import Tracked
 
 Array = NDArray[np.float64]
 
 GATE = 0.99999
 """Probability of its gate: 4.4 deviations."""
-START_DEVIATIONS = (0.5, 20.0, 1000.0)
-"""Of the given place [mm], velocity [mm/s] and acceleration [mm/s^2]."""
 _BEGIN = datetime(2000, 1, 1)  # noqa: DTZ001 - Stone Soup's own times have no zone
 _PLACE = [0, 3, 6]
 
@@ -54,12 +52,11 @@ def stone_soup(scene: Scene, first: int, white_jerk: float, detection: float) ->
     )
     associator = JPDAwithEHM2(hypothesiser)
     models = measurement_models(scene)
-    rng = np.random.default_rng(first)
     covariance = np.diag(np.tile(START_DEVIATIONS, 3)) ** 2
     tracks = []
-    for place, velocity in zip(scene.places_mm[first], scene.velocity_mm_s[first], strict=True):
-        truth = np.stack([place, velocity, np.zeros(3)], axis=1).ravel()
-        mean = truth + np.tile([*START_DEVIATIONS[:2], 0.0], 3) * rng.standard_normal(9)
+    given = starts_at(scene, first)
+    for place, velocity in zip(given.position_mm, given.velocity_mm_s, strict=True):
+        mean = np.stack([place, velocity, np.zeros(3)], axis=1).ravel()
         begin = _BEGIN + timedelta(seconds=float(scene.times_s[first]))
         tracks.append(Track([GaussianState(mean[:, None], covariance, timestamp=begin)]))
     found = []

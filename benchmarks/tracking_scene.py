@@ -43,6 +43,33 @@ class Scene:
     false_per_px: float
 
 
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """What is known of N markers at an exposure: place and velocity.
+
+    Args:
+        position_mm: shape (N, 3).
+        velocity_mm_s: shape (N, 3).
+    """
+
+    position_mm: Array
+    velocity_mm_s: Array
+
+
+START_DEVIATIONS = (0.5, 20.0, 1000.0)
+"""Of the given place [mm], velocity [mm/s] and acceleration [mm/s^2], which is given as 0."""
+
+
+def starts_at(scene: "Scene", exposure: int) -> Starts:
+    """Return the true places and velocities with errors of ``START_DEVIATIONS``."""
+    rng = np.random.default_rng(exposure)
+    place, velocity = scene.places_mm[exposure], scene.velocity_mm_s[exposure]
+    return Starts(
+        place + START_DEVIATIONS[0] * rng.standard_normal(place.shape),
+        velocity + START_DEVIATIONS[1] * rng.standard_normal(place.shape),
+    )
+
+
 def ring(sensors: int) -> CameraStack:
     """Sensors on a ring of 800 mm, aimed 1.5 m away, that read 20 degrees off its radius."""
     placed = []

@@ -71,9 +71,9 @@ class FramePeaks:
                     f"{name} has the shape {value.shape}; it must be {position.shape}"
                 )
         there = np.isfinite(position)
-        bad = np.argwhere(there & ~(sigma > 0.0))
-        if len(bad):
-            sensor, peak = (int(index) for index in bad[0])
+        bad = there & ~(sigma > 0.0)
+        if bad.any():
+            sensor, peak = (int(index) for index in np.argwhere(bad)[0])
             raise InvalidParameter(
                 f"sigma_px[{sensor}, {peak}] is {sigma[sensor, peak]}; it must be above 0"
             )

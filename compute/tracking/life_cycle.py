@@ -71,6 +71,8 @@ def count_weak(
         in_view: how many could have.
     """
     weak = tracks.weak[rows]
+    if not weak.any() and (degrees >= VOUCHING_SENSORS).all() and not tracks.unproved.any():
+        return
     # What nothing is seen of is hidden, not contradicted.
     few = (possible < VOUCHING_SENSORS) & (in_view >= VOUCHING_SENSORS) & (degrees > 0)
     step = np.where(degrees >= VOUCHING_SENSORS, -1, np.where(few, 1, 0))
@@ -194,6 +196,8 @@ def exchangeable(motion: MotionModels, tracks: Tracks, rows: NDArray[np.intp]) -
     limit = chi2_limit(_MOTION, EXCHANGED)
     apart = np.sqrt(((place[:, None] - place[None]) ** 2).sum(axis=2))
     close = np.triu(apart <= np.sqrt(limit) * (size[:, None] + size[None]), 1)
+    if not close.any():
+        return np.empty(0, dtype=np.intp)
     found: set[int] = set()
     for one, two in np.argwhere(close):
         # What the calibration's error does to both alike does not part them.
@@ -216,9 +220,11 @@ def _common(one: Array, two: Array, bias: Array) -> Array:
 def ended(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[np.bool_]:
     """Return which tracks end: not confirmed in time, not seen for long, or not vouched for."""
     weak = tracks.weak >= WEAK_EXPOSURES
+    unseen_ns, coast_ns = time_ns - tracks.seen_ns, round(settings.coast_s * 1e9)
+    if tracks.confirmed.all() and not weak.any():
+        return unseen_ns > coast_ns
     # Where one goes on that was in doubt when it was lost nobody knows.
-    coast_ns = np.where(weak & tracks.confirmed, DOUBTFUL_COAST, 1.0) * settings.coast_s * 1e9
-    unseen = time_ns - tracks.seen_ns > coast_ns
+    unseen = unseen_ns > np.where(weak & tracks.confirmed, DOUBTFUL_COAST * coast_ns, coast_ns)
     vain = tracks.misses > np.where(tracks.hits > 0, settings.confirm_misses, 0)
     vain |= tracks.hits >= PATIENCE * settings.confirm_hits
     # One of many that came up together may be a ghost even so.

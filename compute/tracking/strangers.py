@@ -63,6 +63,29 @@ def doubted(
     return replace(peaks, variance_px2=variance)
 
 
+def any_near(
+    own: NDArray[np.int32],
+    peaks: FramePeaks,
+    free: NDArray[np.bool_],
+    settings: TrackerSettings,
+) -> bool:
+    """Return whether a free peak is near any track's own, as a stranger would be.
+
+    Args:
+        own: index of each track's peaks; -1: none, shape (T, S).
+        peaks: of the exposure.
+        free: peaks that may be strangers', shape (S, K).
+        settings: the merging distance.
+    """
+    sensor, peak = free.nonzero()
+    if len(sensor) == 0:
+        return False
+    there = own[:, sensor]
+    apart = peaks.position_px[sensor, there] - peaks.position_px[sensor, peak]
+    near = (np.abs(apart) <= _REACH * settings.merge_px) & (there >= 0) & (there != peak)
+    return bool(near.any())
+
+
 def beside_after(
     beside: Array,
     own: NDArray[np.int32],

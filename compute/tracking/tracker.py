@@ -21,7 +21,7 @@ from compute.tracking.report import batch_of
 from compute.tracking.seen import Seen
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.states import States, combined, predicted
-from compute.tracking.strangers import beside_after, doubted, hidden_now
+from compute.tracking.strangers import any_near, beside_after, doubted, hidden_now
 from compute.tracking.track_batch import TrackBatch
 from compute.tracking.tracks import Tracks
 
@@ -306,7 +306,10 @@ class Tracker:
         """Note the peaks that are no track's beside those that are."""
         tracks = self._tracks
         free = free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_))
-        if len(rows) == 0 or not (free.any() or tracks.beside[rows, :, 2].any()):
+        if len(rows) == 0:
+            return
+        known = tracks.beside[rows, :, 2].any()
+        if not known and not any_near(seen.peaks[rows], peaks, free, self.settings):
             return
         before = time_ns if self._last_ns is None else self._last_ns
         step = np.full(len(rows), (time_ns - before) * 1e-9)

@@ -41,7 +41,7 @@ class CentroidFinder(PeakFinder):
         import warp as wp
 
         from compute.signal.native.centroid_kernel import find_peaks
-        from compute.signal.native.cuda_sizes import BLOCK_PIXELS
+        from compute.signal.native.cuda_sizes import BLOCK_PIXELS, LINES_PER_BATCH
         from compute.signal.native.prelude import line_record
         from compute.signal.native.runner import LineRunner
 
@@ -64,6 +64,7 @@ class CentroidFinder(PeakFinder):
             device,
             threads,
             reads_once=pixels <= BLOCK_PIXELS,
+            lines_per_warp=LINES_PER_BATCH,
         )
         super().__init__(runner)
         shape = (lines, settings.max_peaks)

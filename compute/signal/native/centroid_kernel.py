@@ -5,7 +5,7 @@ Only ``compute.signal.finder`` imports this module, when a finder is made: it lo
 
 import warp as wp
 
-from compute.signal.native.centroid import FIND_PEAKS
+from compute.signal.native.centroid import FIND_CENTROIDS
 from compute.signal.native.cuda_sizes import LAUNCH_BOUNDS
 
 # Its greeting and its compile times are nothing to a user of ours.
@@ -14,7 +14,7 @@ wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
 wp.set_module_options({"enable_backward": False, "fast_math": False, "fuse_fp": False})
 
 
-@wp.func_native(FIND_PEAKS)  # type: ignore[untyped-decorator]
+@wp.func_native(FIND_CENTROIDS)  # type: ignore[untyped-decorator]
 def _find_peaks(
     number: int,
     lines_address: wp.uint64,

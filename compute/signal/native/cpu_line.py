@@ -46,7 +46,7 @@ CPU_LINE: Final = """
         // Up to the next maximum: what is on the way down has a higher neighbour.
         while (p + 1 < pixels && v[p + 1] > v[p]) ++p;
         Run run;
-        if (is_peak(v, line.background, p, run)) {
+        if (is_peak(Bare{}, v, line.background, p, run)) {
             const Record record = measure(line, run);
             if (found < max_peaks) {
                 records[found++] = record;

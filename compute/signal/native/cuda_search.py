@@ -2,105 +2,63 @@
 
 from typing import Final
 
-# Each lane looks at 8 neighbouring chunks; a block is 2048 pixels. A pair of pixels is bright when
-# the greater of it and the limit less one is not that. Lanes begin with different ones of their
-# chunks, so that no two meet at a bank of the memory.
+# A bit for each of up to 256 chunks, to `words[at ..]`. A pair of pixels is bright when the greater
+# of it and the limit less one is not that.
 SCAN: Final = """
-    int half = 0;
-    auto stage_block = [&](int slot, int first) {
-        stage(staged + half * 256, first_v + slot * pixels + first * 8,
-            lesser(256, chunks - first));
-        end_of_stage();
-    };
-    auto scan = [&](int slot, int first) {
-        const uint4* block = (const uint4*)seen_v + slot * chunks + first;
-        if (!short_lines) {
-            // The next block comes while this one is looked at.
-            block = staged + half * 256;
-            const bool last_of_line = first + 256 >= chunks;
-            const int next_slot = last_of_line ? slot + 1 : slot;
-            __syncwarp();
-            if (slot == 0 && first == 0) stage_block(0, 0);
-            half = 1 - half;
-            if (next_slot < slots) stage_block(next_slot, last_of_line ? 0 : first + 256);
-            await_stage(next_slot < slots);
-        }
-        const int limit = limits[slot];
-        if (limit > 65535) return;
+    auto scan = [&](const uint4* block, int there, int limit, int at) {
         const unsigned below = (unsigned)(limit - 1) * 0x10001u;
-        unsigned bright = 0u;
-        const uint4* own = block + lane * 8;
-        const int turn = lane % 8;
-        auto look = [&](int i, bool there) {
-            uint4 words = make_uint4(0u, 0u, 0u, 0u);
-            if (there) words = own[i ^ turn];
-            const unsigned most = __vmaxu2(__vmaxu2(words.x, words.y),
-                __vmaxu2(__vmaxu2(words.z, words.w), below));
-            if (most != below) bright |= 1u << i;
+        unsigned bits[8];
+        auto look = [&](int i, bool inside) {
+            uint4 pairs = make_uint4(0u, 0u, 0u, 0u);
+            if (inside) pairs = block[i * 32 + lane];
+            const unsigned most = __vmaxu2(__vmaxu2(pairs.x, pairs.y),
+                __vmaxu2(__vmaxu2(pairs.z, pairs.w), below));
+            bits[i] = __ballot_sync(every, most != below);
         };
-        if (first + 256 <= chunks) {
+        if (there >= block_chunks) {
             #pragma unroll
             for (int i = 0; i < 8; ++i) look(i, true);
         } else {
             #pragma unroll
-            for (int i = 0; i < 8; ++i) look(i, first + lane * 8 + (i ^ turn) < chunks);
+            for (int i = 0; i < 8; ++i) look(i, i * 32 + lane < there);
         }
-        // Back into the order of chunks.
-        if (turn & 1) bright = (bright & 0x55u) << 1 | (bright & 0xaau) >> 1;
-        if (turn & 2) bright = (bright & 0x33u) << 2 | (bright & 0xccu) >> 2;
-        if (turn & 4) bright = (bright & 0x0fu) << 4 | (bright & 0xf0u) >> 4;
-        const int own_count = __popc(bright);
-        int place = own_count;
-        #pragma unroll
-        for (int step = 1; step < 32; step *= 2) {
-            const int other = __shfl_up_sync(every, place, step);
-            if (lane >= step) place += other;
+        if (lane == 0) {
+            words[at] = make_uint4(bits[0], bits[1], bits[2], bits[3]);
+            words[at + 1] = make_uint4(bits[4], bits[5], bits[6], bits[7]);
         }
-        const int all_count = __shfl_sync(every, place, 31);
-        place += chunk_end - own_count;
-        const int entry = slot << slot_shift | (first + lane * 8);
-        for (; bright != 0u; bright &= bright - 1u)
-            chunk_queue[place++] = (unsigned short)(entry + __ffs(bright) - 1);
-        chunk_end += all_count;
-        __syncwarp();
     };
 """
 
-# Each lane one chunk: which of its pixels are bright and a maximum among their neighbours.
-SEARCH_CHUNKS: Final = """
-    auto search_chunks = [&]() {
-        unsigned tops = 0u;
-        int start = 0, slot = 0;
-        if (chunk_first + lane < chunk_end) {
-            const int entry = chunk_queue[chunk_first + lane];
-            const int chunk = entry & ((1 << slot_shift) - 1);
-            slot = entry >> slot_shift;
-            start = chunk * 8;
-            const int limit = limits[slot];
-            const unsigned short* v = seen_v + slot * stride;
-            const uint4 words = load_chunk(v, chunk);
-            const unsigned pair[4] = {words.x, words.y, words.z, words.w};
-            auto at = [&](int i) -> int { return pair[i / 2] >> i % 2 * 16 & 0xffff; };
-            const int left = start > 0 ? v[start - 1] : 0;
-            const int right = start + 8 < pixels ? v[start + 8] : 0;
+# Each lane up to four neighbouring chunks: which of their pixels are bright and a maximum among
+# their neighbours, as bits. Two pixels at a time: a pixel is one when it is greater than the left
+# one, the limit less one, and the right one less one.
+SEARCH: Final = """
+    auto pair_of = [](unsigned left, unsigned right) -> unsigned {
+        return __funnelshift_l(left, right, 16);
+    };
+    auto search = [&](auto where, unsigned entry) -> unsigned {
+        const int slot = entry >> 16, start = (entry & 0x1fffu) * 8;
+        const int end = start + (entry >> 13 & 3u) * 8;
+        const unsigned below = (unsigned)(limits[slot] - 1) * 0x10001u, ones = 0x10001u;
+        const unsigned short* v = pixels_of(where, slot);
+        unsigned left = where || start > 0 ? (unsigned)v[start - 1] << 16 : 0u, tops = 0u;
+        #pragma unroll 1
+        for (int p = start, shift = 0; p <= end; p += 8, shift += 8) {
+            const uint4 pairs = load_chunk(where, v, p / 8);
+            const unsigned right = where || p + 8 < pixels ? v[p + 8] : 0u;
+            const unsigned own[4] = {pairs.x, pairs.y, pairs.z, pairs.w};
+            unsigned bits = 0u, to_left = pair_of(left, own[0]);
             #pragma unroll
-            for (int i = 0; i < 8; ++i)
-                if (at(i) >= limit && at(i) > (i > 0 ? at(i - 1) : left)
-                    && at(i) >= (i < 7 ? at(i + 1) : right)) tops |= 1u << i;
+            for (int i = 0; i < 4; ++i) {
+                const unsigned to_right = pair_of(own[i], i < 3 ? own[i < 3 ? i + 1 : 0] : right);
+                const unsigned most =
+                    __vmaxu2(__vmaxu2(to_left, below), __vmaxu2(to_right, ones) - ones);
+                bits |= __vminu2(__vmaxu2(own[i], most) ^ most, ones) << 2 * i;
+                to_left = to_right;
+            }
+            tops |= ((bits | bits >> 15) & 0xffu) << shift;
+            left = own[3];
         }
-        chunk_first = lesser(chunk_first + 32, chunk_end);
-        // Four at most: two maxima are not neighbours.
-        const int own = __popc(tops);
-        int place = top_end;
-        #pragma unroll
-        for (int k = 1; k <= 4; ++k) {
-            const unsigned have = __ballot_sync(every, own >= k);
-            if (have == 0u) break;
-            place += __popc(have & before);
-            top_end += __popc(have);
-        }
-        for (; tops != 0u; tops &= tops - 1u, ++place)
-            top_queue[place] = slot << 16 | (start + __ffs(tops) - 1);
-        __syncwarp();
+        return tops;
     };
 """

@@ -2,9 +2,12 @@
 
 from typing import Final
 
-LINES_PER_BATCH: Final = 3
 BLOCK_THREADS: Final = 64
 BLOCK_PIXELS: Final = 2048
 """Pixels of a line that are brought to shared memory together."""
-STAGED_PIXELS: Final = LINES_PER_BATCH * BLOCK_PIXELS
-LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 8)
+LINES_PER_BATCH: Final = 4
+"""Lines that a warp takes together, at most 4. With eight peaks each, every lane has one."""
+LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 6)
+"""As many blocks of so many lines as shared memory has room for."""
+CANDIDATE_LINES_PER_BATCH: Final = 3
+"""The same where a fit follows: for its arithmetic, more warps are worth more."""

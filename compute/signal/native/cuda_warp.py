@@ -1,32 +1,30 @@
-"""Native source for CUDA: a warp takes a few lines, then their bright groups, then their peaks.
+"""Native source for CUDA: a warp takes a few lines, then their bright chunks, then their peaks.
 
 Lines that a warp takes together are a batch; it may take several, one after another.
 """
 
 from typing import Final
 
-from compute.signal.native.cuda_memory import BEGIN, QUEUES
-from compute.signal.native.cuda_search import SCAN, SEARCH_CHUNKS
+from compute.signal.native.cuda_memory import BEGIN, MEMORY
+from compute.signal.native.cuda_search import SCAN, SEARCH
 
 # Each lane one maximum: whether it is a peak's, the peak's centre of gravity, and its place among
 # its line's records.
 _MEASURE_TOPS: Final = """
-    auto measure_tops = [&]() {
-        bool good = top_first + lane < top_end;
+    auto measure_tops = [&](auto where, int count) {
+        bool good = lane < count;
         int slot = 0;
         Record record;
         record.amplitude = 0.0f;
         if (good) {
-            const unsigned entry = top_queue[top_first + lane];
+            const unsigned entry = top_queue[lane];
             slot = entry >> 16;
             Line line = line_at[slot];
-            // Said again here: so the compiler knows the memory that it is in.
-            line.v = seen_v + slot * stride;
+            line.v = pixels_of(where, slot);
             Run run;
-            good = is_peak(line.v, line.background, entry & 0xffffu, run);
+            good = is_peak(where, line.v, line.background, entry & 0xffffu, run);
             if (good) record = measure(line, run);
         }
-        top_first = lesser(top_first + 32, top_end);
         // Lanes of the same line; those without a peak are of none.
         const unsigned same = __match_any_sync(every, good ? slot : -1);
         const int at = found[slot], rank = __popc(same & before);
@@ -40,6 +38,7 @@ _MEASURE_TOPS: Final = """
             }
         } else {
             // One after another, in order.
+            #pragma unroll 1
             for (int turn = 0; turn < 32; ++turn) {
                 if (good && turn == lane) {
                     int place = found[slot];
@@ -58,54 +57,140 @@ _MEASURE_TOPS: Final = """
     };
 """
 
-# A step runs when all lanes have work, or when no step before it has any left. What a queue holds
-# then moves to its beginning.
-_LOOP: Final = """
-    for (; first_line < end_line; first_line += batch_lines) {
-        slots = lesser(batch_lines, end_line - first_line);
-        stage_batch();
-        begin();
-        int scan_slot = 0, scan_chunk = 0;
+# Entries wait in a queue until every lane has one, or all are to be taken; those for which it has
+# no room wait as bits of their lanes. A lane's word has a bit for each of 32 chunks, from chunk
+# `first` of line `slot` on.
+_TAKE: Final = """
+    int runs_waiting = 0, tops_waiting = 0;
+    // Where a lane's entries go: behind those of the lanes before. Adds the number of all.
+    auto place_of = [&](int own, int& waiting) -> int {
+        int place = own;
+        #pragma unroll
+        for (int step = 1; step < 32; step *= 2) {
+            const int other = __shfl_up_sync(every, place, step);
+            if (lane >= step) place += other;
+        }
+        const int start = waiting + place - own;
+        waiting += __shfl_sync(every, place, 31);
+        return start;
+    };
+    auto take = [&](auto where, unsigned word, int slot, int first, bool all) {
+        // A run of bright chunks begins an entry, and every fourth chunk in it a further one.
+        const unsigned fifth = word & word << 1 & word << 2 & word << 3 & word << 4;
+        unsigned starts = word & ~(word << 1);
+        for (unsigned more = starts << 4 & fifth; more != 0u; more = more << 4 & fifth)
+            starts |= more;
+        int run_place = place_of(__popc(starts), runs_waiting);
+        auto queue_runs = [&]() {
+            #pragma unroll 1
+            for (; starts != 0u && run_place < 32; ++run_place, starts &= starts - 1u) {
+                const int at = __ffs(starts) - 1;
+                // The chunks that follow in it: at most three, and none that begins another.
+                const unsigned next = word >> at >> 1 & ~(starts >> at >> 1) & 7u;
+                const int follow = next == 7u ? 3 : next % 4u == 3u ? 2 : next & 1;
+                run_queue[run_place] = slot << 16 | follow << 13 | (first + at);
+            }
+            __syncwarp();
+        };
+        unsigned tops = 0u, top_entry = 0u;
+        int top_place = 0;
+        #pragma unroll 1
         for (;;) {
-            const bool scanned = scan_slot == slots;
-            const int chunks_left = chunk_end - chunk_first, tops_left = top_end - top_first;
-            if (tops_left >= 32 || (scanned && chunks_left == 0 && tops_left > 0)) {
-                measure_tops();
-            } else if (chunks_left >= 32 || (scanned && chunks_left > 0)) {
-                unsigned entry = 0u;
-                if (lane < tops_left) entry = top_queue[top_first + lane];
-                __syncwarp();
-                if (lane < tops_left) top_queue[lane] = entry;
-                top_first = 0;
-                top_end = tops_left;
-                search_chunks();
-            } else if (!scanned) {
-                unsigned short entry = 0;
-                if (lane < chunks_left) entry = chunk_queue[chunk_first + lane];
-                __syncwarp();
-                if (lane < chunks_left) chunk_queue[lane] = entry;
-                chunk_first = 0;
-                chunk_end = chunks_left;
-                scan(scan_slot, scan_chunk);
-                scan_chunk += 256;
-                if (scan_chunk >= chunks) { scan_chunk = 0; ++scan_slot; }
+            const bool last_tops = all && runs_waiting == 0;
+            if (tops_waiting >= 32 || (last_tops && tops_waiting > 0)) {
+                measure_tops(where, lesser(32, tops_waiting));
+                tops_waiting = tops_waiting > 32 ? tops_waiting - 32 : 0;
+                top_place -= 32;
+            } else if (runs_waiting >= 32 || (all && runs_waiting > 0)) {
+                queue_runs();
+                tops = 0u;
+                if (lane < runs_waiting) {
+                    top_entry = run_queue[lane];
+                    tops = search(where, top_entry);
+                    top_entry = top_entry & 0x30000u | (top_entry & 0x1fffu) * 8;
+                }
+                runs_waiting = runs_waiting > 32 ? runs_waiting - 32 : 0;
+                run_place -= 32;
+                top_place = place_of(__popc(tops), tops_waiting);
             } else {
                 break;
             }
+            #pragma unroll 1
+            for (; tops != 0u && top_place < 32; ++top_place, tops &= tops - 1u)
+                top_queue[top_place] = top_entry + __ffs(tops) - 1;
+            __syncwarp();
         }
-        for (int slot = 0; slot < slots; ++slot) {
-            char* record = record_of(first_line + slot);
-            Record* records = (Record*)(record + 8);
-            const int count = found[slot];
-            if (lane == 0) *(int2*)record = make_int2(count, line_at[slot].background);
-            for (int k = count + lane; k < max_peaks; k += 32) records[k] = no_record();
-            if (lost[slot] != 0)
-                for (int k = lane; k < count; k += 32) records[k].flags |= lost[slot];
+        if (!all) queue_runs();
+    };
+"""
+
+_END: Final = """
+    auto end = [&](int background) {
+        const int count = lane < slots ? found[lane] : max_peaks;
+        const int lacks = lane < slots ? lost[lane] : 0;
+        if (lane < slots) *(int2*)record_of(first_line + lane) = make_int2(count, background);
+        if (!__all_sync(every, count == max_peaks && lacks == 0)) {
+            // Eight lanes a line.
+            const int slot = lane / 8;
+            const int filled = slot < slots ? found[slot] : max_peaks;
+            const int flags = slot < slots ? lost[slot] : 0;
+            Record* records = (Record*)(record_of(first_line + slot) + 8);
+            #pragma unroll 1
+            for (int k = filled + lane % 8; k < max_peaks; k += 8) records[k] = no_record();
+            if (flags != 0)
+                for (int k = lane % 8; k < filled; k += 8) records[k].flags |= flags;
         }
         __syncwarp();
+    };
+"""
+
+# Lines that fit in shared memory together, or one block after another: the next one comes while
+# one is looked at.
+_LOOP: Final = """
+    auto take_short_lines = [&]() -> int {
+        const Padded where;
+        stage_lines();
+        const Line line = lane_line();
+        await_lines();
+        const int background = begin(where, line);
+        #pragma unroll 1
+        for (int slot = 0; slot < slots; ++slot)
+            scan(staged + slot * stride, chunks, limits[slot], slot * 2);
+        __syncwarp();
+        const unsigned word = lane < slots * 8 ? ((const unsigned*)words)[lane] : 0u;
+        take(where, word, lane / 8, lane % 8 * 32, true);
+        return background;
+    };
+    auto take_long_lines = [&]() -> int {
+        const Bare where;
+        const int background = begin(where, lane_line());
+        int half = 0;
+        auto stage_block = [&](int slot, int first) {
+            stage(staged + half * block_chunks, first_v + (long long)slot * pixels, first * 8,
+                lesser(block_chunks, chunks - first));
+        };
+        stage_block(0, 0);
+        for (int slot = 0; slot < slots; ++slot)
+            for (int first = 0; first < chunks; first += block_chunks) {
+                const uint4* block = staged + half * block_chunks;
+                const bool line_ends = first + block_chunks >= chunks;
+                const bool more = !line_ends || slot + 1 < slots;
+                half = 1 - half;
+                if (more) stage_block(slot + line_ends, line_ends ? 0 : first + block_chunks);
+                await_stage(more);
+                scan(block, chunks - first, limits[slot], 0);
+                __syncwarp();
+                const unsigned word = lane < 8 ? ((const unsigned*)words)[lane] : 0u;
+                take(where, word, slot, first + lane * 32, !more);
+            }
+        return background;
+    };
+    __syncwarp();
+    for (; first_line < end_line; first_line += batch_lines) {
+        slots = lesser(batch_lines, end_line - first_line);
+        end(chunks <= block_chunks ? take_short_lines() : take_long_lines());
         first_v += (long long)batch_lines * pixels;
-        if (!short_lines) seen_v = first_v;
     }
 """
 
-CUDA_WARP: Final = QUEUES + BEGIN + SCAN + SEARCH_CHUNKS + _MEASURE_TOPS + _LOOP
+CUDA_WARP: Final = MEMORY + BEGIN + SCAN + SEARCH + _MEASURE_TOPS + _TAKE + _END + _LOOP

@@ -38,8 +38,10 @@ CONSTANTS: Final = f"""
 # A pixel is an unsigned short. Line: its pixels, the noise of its sensor, its background.
 TYPES: Final = """
     struct Record { double position; float sigma, amplitude, width; int flags; };
-    struct Run { int top, left, right; };
     struct Level { int background, limit; };
+    // Whether memory before and behind a line's pixels holds dark ones.
+    struct Padded { constexpr operator bool() const { return true; } };
+    struct Bare { constexpr operator bool() const { return false; } };
     struct Line {
         const unsigned short* v;
         double dark, photon, offset;
@@ -65,13 +67,16 @@ TYPES: Final = """
         return threshold_of(background, value) / level_unit + 1;
     };
     auto lesser = [](int a, int b) -> int { return a < b ? a : b; };
+    auto greater = [](int a, int b) -> int { return a > b ? a : b; };
 """
 
 # Background and limit from the groups' first quartile and first sixteenth, by rank. Keys are
 # unique, since the group's number is in their low bits.
 LEVEL: Final = """
     const int groups = lesser(pixels / group_pixels, sample_groups);
-    const int group_step = (pixels - group_pixels) / (groups - 1);
+    // Nearly always by a constant, which is quicker.
+    const int group_step = groups == sample_groups ? (pixels - group_pixels) / (sample_groups - 1)
+                                                   : (pixels - group_pixels) / (groups - 1);
     const int rank_quartile = (groups - 1) / 4, rank_sixteenth = (groups - 1) / 16;
     auto group_key = [&](const unsigned short* v, int group) -> int {
         const unsigned short* first = v + group * group_step / group_pixels * group_pixels;

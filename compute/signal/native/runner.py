@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.signal.native.batches import check_size
-from compute.signal.native.cuda_sizes import BLOCK_THREADS, LINES_PER_BATCH
+from compute.signal.native.cuda_sizes import BLOCK_THREADS, CANDIDATE_LINES_PER_BATCH
 from compute.signal.noise import LineNoise
 from compute.warp_host import check_threads, helpers, host_memory, warp_device
 
@@ -50,6 +50,7 @@ class LineRunner:
         threads: most CPU threads; None: as many as there are CPUs.
         reads_once: the kernel reads lines only once and no records; those of small batches then
             are not copied.
+        lines_per_warp: lines of a large batch that a warp takes together.
 
     Raises:
         InvalidParameter: a size outside its range, or a device that is not there.
@@ -67,6 +68,7 @@ class LineRunner:
         device: str | None = None,
         threads: int | None = None,
         reads_once: bool = False,
+        lines_per_warp: int = CANDIDATE_LINES_PER_BATCH,
     ) -> None:
         check_size(lines, pixels)
         self._threads = check_threads(threads)
@@ -79,6 +81,7 @@ class LineRunner:
         self.cuda = bool(self._device.is_cuda)
         self._record_bytes = record.itemsize
         self._reads_once = reads_once
+        self._lines_per_warp = lines_per_warp
 
         words = record.itemsize // 8 * lines
         # Records as 64-bit words, which also aligns them.
@@ -226,7 +229,7 @@ class LineRunner:
 
     def _launch_cuda(self, count: int) -> None:
         launch = self._launches[0]
-        per_warp = LINES_PER_BATCH if count >= FILLING_WARPS * LINES_PER_BATCH else 1
+        per_warp = self._lines_per_warp if count >= FILLING_WARPS * self._lines_per_warp else 1
         launch.set_param_at_index(2, count)
         launch.set_param_at_index(4, per_warp)
         launch.set_dim(-(-count // per_warp) * WARP_LANES)

@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 PERCENTILES: Final = (50.0, 99.0)
 
 
+STEPS: Final = 2000
+
+
 @dataclass(frozen=True)
 class Signal:
     """A change of a hold, as it came.
@@ -84,6 +87,29 @@ class Figures:
     false_causes: dict[str, int]
     latency_ms: dict[str, float]
     signal_ms: dict[str, float]
+
+
+def step_us() -> dict[str, float]:
+    """Return the CPU time of a monitor's step [us]: of a tool, and of four markers, at rest."""
+    from compute.pose.hold import HoldLimits, HoldMonitor, MarkerHoldMonitor
+    from compute.pose.transform import Transform
+
+    spread = np.diag([1e-8] * 3 + [1e-3] * 3)
+    pose = Transform(np.eye(3), np.array([0.1, 0.0, 1500.0]), spread)
+    places = np.array([[0.0, 0.0, 1500.0], [80.0, 0, 1500.0], [0, 60.0, 1500.0], [20, 15.0, 1540]])
+    spreads = np.broadcast_to(1e-3 * np.eye(3), (4, 3, 3))
+    limits = HoldLimits(shift_mm=2.0)
+    tool, markers = HoldMonitor(pose, limits), MarkerHoldMonitor(places, limits)
+    found = {}
+    for name, step in (
+        ("tool", lambda time_ns: tool.step(time_ns, pose)),
+        ("markers", lambda time_ns: markers.step(time_ns, places + 0.05, spreads)),
+    ):
+        begin = time.thread_time()
+        for number in range(STEPS):
+            step(number * 1_000_000)
+        found[name] = 1e6 * (time.thread_time() - begin) / STEPS
+    return found
 
 
 def listen(

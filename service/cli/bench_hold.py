@@ -46,7 +46,7 @@ def run(rate_hz: float, seconds: float, *, as_json: bool) -> None:
 
 def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> dict[str, Any]:
     from benchmarks.bare_stream import running_bare_stream
-    from benchmarks.hold import beginning, listen, summed
+    from benchmarks.hold import beginning, listen, step_us, summed
     from benchmarks.live import measure
     from hardware.simulated.scenes import ShiftedPoints
 
@@ -92,6 +92,7 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
     return {
         "rate_hz": rate_hz,
         "holds": found,
+        "step_us": step_us(),
         "bare_ms": {name: bare.latency_ms[name] for name in ("p50", "p99", "max")},
     }
 
@@ -159,6 +160,11 @@ def _show(figures: dict[str, Any]) -> None:
                 cells += [f"{value:.2f}", f"{value / peer:.1f}"]
             table.add_row(f"{what.removesuffix('_ms')} {label}, ms", *cells, f"{peer:.2f}")
     console.print(table)
+    steps = figures["step_us"]
+    console.print(
+        f"a monitor's step: {steps['markers']:.0f} us of four markers, "
+        f"{steps['tool']:.0f} us of a tool"
+    )
     for name, one in figures["holds"].items():
         console.print(
             f"by {name}: held {_listed(one['causes'])}; false {_listed(one['false_causes'])}"

@@ -54,6 +54,16 @@ class LiveCollector(Collector):
             self._live.busy_s,
         )
         yield from self._tools()
+        yield gauge(
+            "hold_held",
+            "1 where a beam is held, 0 where it may go on.",
+            (
+                ((device, now.hold_id), float(now.held))
+                for device, holds in self._live.holds.all().items()
+                for now in holds
+            ),
+            ("device", "hold"),
+        )
         yield from self._streams()
 
     def _tools(self) -> Iterator[Metric]:

@@ -2,10 +2,13 @@
 
 import asyncio
 import json
+import re
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -18,6 +21,7 @@ from lumiline.client.stream import Stream
 from service.cli import app
 from tests.serving import serving
 
+GUIDE = Path(__file__).parents[3] / "docs" / "holds.md"
 MARKERS = [[0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0], [20.0, 15.0, 40.0]]
 SCENE = {"kind": "moving-tools", "moving": False, "tools": [{"markers_mm": MARKERS}]}
 WATCH = {"kind": "strobed-markers", "markers": [0, 1, 2, 3]}
@@ -169,6 +173,31 @@ def test_the_same_by_the_client_for_asyncio(client: Client, hold: str) -> None:
             assert (await other.hold_state("chest")).held
 
     asyncio.run(run())
+
+
+def test_the_program_of_the_guide(
+    client: Client, hold: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wait_for(client, held=False)
+    (program,) = re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL)
+    for given, here in (
+        ("http://127.0.0.1:8000", client._server.url),
+        ('"chest", 0.2', '"chest", 60.0'),
+        ("gate(5.0)", "gate(0.5)"),
+    ):
+        assert given in program
+        program = program.replace(given, here)
+    exec(compile(program, GUIDE.name, "exec"), {})
+    assert set(capsys.readouterr().out.split()) == {"on"}
+    client.remove_hold_reference("chest")
+    exec(compile(program, GUIDE.name, "exec"), {})
+    assert set(capsys.readouterr().out.split()) == {"held"}
+
+
+def test_prometheus_knows(client: Client, hold: str) -> None:
+    wait_for(client, held=False)
+    metrics = httpx.get(f"{client._server.url}/metrics").text
+    assert 'lumiline_hold_held{device="sim",hold="chest"} 0.0' in metrics
 
 
 def lumiline(client: Client, *arguments: str, code: int = 0) -> str:

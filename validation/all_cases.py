@@ -28,6 +28,7 @@ from validation.signal_separation import CASE as TABLE_4_4
 from validation.signal_table_c import CASE as TABLE_C
 from validation.skew_effect import CASE as SKEW_EFFECT
 from validation.stop_and_focus import CASE as STOP_AND_FOCUS
+from validation.strobed_tools import CASE as STROBED_TOOLS
 from validation.table_1_1 import CASE as TABLE_1_1
 from validation.table_5_5 import CASE as TABLE_5_5
 from validation.table_5_generated import TABLE_5_6, TABLE_5_7, TABLE_5_8, TABLE_5_9
@@ -101,6 +102,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     WAND,
     PARTIAL_VIEW,
     POINTER_TIP,
+    STROBED_TOOLS,
 )
 
 ALL_CASES: Final[dict[str, Case | TablesCase]] = {

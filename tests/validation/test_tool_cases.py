@@ -11,10 +11,12 @@ from validation.pointer_tip import Tips
 from validation.pointer_tip_scene import MARKERS_MM as POINTER_MM
 from validation.pointer_tip_scene import TIP_MM as POINTER_TIP_MM
 from validation.pointer_tip_scene import random_strokes
+from validation.strobed_tools import Scores, compare
+from validation.strobed_tools_scene import COURSES, FAST, REST, draw_run, since_change_s
 
 
 def test_the_cases_are_there() -> None:
-    assert {"partial-view", "pointer-tip"} <= set(ALL_CASES)
+    assert {"partial-view", "pointer-tip", "strobed-tools"} <= set(ALL_CASES)
 
 
 @pytest.mark.parametrize("calibrated", [False, True])
@@ -70,3 +72,48 @@ def test_tips_are_summed_up() -> None:
     assert tips.stated_mm == pytest.approx(np.sqrt(3.0))
     assert tips.square == pytest.approx(12.5)
     assert tips.most_mm == pytest.approx(3.95)
+
+
+@pytest.mark.parametrize("course", [REST, FAST])
+def test_strobed_tools_are_known_at_200_exposures_a_second(course: str) -> None:
+    cell = compare(course, 200.0, 4, runs=2, seconds=0.9)
+    single, regimes = cell.single, cell.regimes
+    assert single.ok.mean() < 0.1
+    assert regimes.ok.mean() > 0.7
+    assert regimes.tip_mm < 0.7 * single.tip_mm
+    # Two draws of a calibration, 200 poses that are alike: chi-square of 12 at one in a million.
+    assert regimes.mean_square < 24.0
+
+
+def test_courses_are_what_they_are_called() -> None:
+    rng = np.random.default_rng(1)
+    run = draw_run(rig(), COURSES[FAST], 4, 200.0, 2.0, rng)
+    centroid = run.translation_mm + run.rotation @ run.tool.markers_mm.mean(axis=0)
+    speed = np.linalg.norm(np.diff(centroid, axis=0), axis=1) * 200.0
+    assert speed.max() == pytest.approx(500.0, rel=0.02)
+    change = np.linalg.norm(np.diff(centroid, n=2, axis=0), axis=1) * 200.0**2
+    since = since_change_s(FAST, 1e-9 * run.time_ns)
+    assert since is not None
+    steady = since[2:] > 0.011
+    assert change[steady] == pytest.approx(2000.0, rel=1e-6)
+    assert since_change_s(REST, 1e-9 * run.time_ns) is None
+    still = draw_run(rig(), COURSES[REST], 4, 200.0, 1.0, rng)
+    assert still.bend_mm < 1e-9 < run.bend_mm
+
+
+def test_scores_are_summed_up() -> None:
+    nan = np.nan
+    scores = Scores(
+        np.array([True, False, False]),
+        np.array([True, True, False]),
+        np.array([6.0, 24.0, nan]),
+        np.array([1.0, 9.0, nan]),
+        np.array([4.0, 4.0, nan]),
+        np.array([0.5, 1.5, 1.5]),
+    )
+    assert scores.tip_mm == pytest.approx(np.sqrt(5.0))
+    assert scores.stated_mm == pytest.approx(2.0)
+    assert scores.mean_square == pytest.approx(15.0)
+    assert scores.overconfidence(0.0, 1.0) == pytest.approx(1.0)
+    assert scores.overconfidence(1.0, 2.0) == pytest.approx(2.0)
+    assert np.isnan(scores.overconfidence(2.0, 4.0))

@@ -168,7 +168,6 @@ class _Waiting:
         self._statuses[moved.status] = self._statuses.get(moved.status, 0) + 1
         if not moved.valid or moved.tip_mm is None:
             self._reason = moved.reason
-            self._capture.put(moved.exposure_ns, None)
             return
         self._good += 1
         shared = self._shared(moved)

@@ -2,7 +2,7 @@
 
 from compute.reconstruction.correspondence.group import group_peaks
 from compute.reconstruction.correspondence.match import match_peaks
-from compute.reconstruction.correspondence.meeting_points import (
+from compute.reconstruction.correspondence.meeting import (
     MeetingPoints,
     Part,
     meeting_points,

@@ -43,6 +43,32 @@ def ring(sensors: int = 4) -> tuple[SensorModel, ...]:
     )
 
 
+def bar(sensors: int = 4) -> tuple[SensorModel, ...]:
+    """Sensors on a bar of 1 m, aimed 1.5 m away, that read across, along and at 45 degrees."""
+    along = np.linspace(-500.0, 500.0, sensors)
+    turns = np.resize([0.0, np.pi / 2, np.pi / 4, -np.pi / 4], sensors)
+    return tuple(
+        place_sensor(
+            f"b{index + 1}",
+            lens_position_mm=(float(x), 0.0, 0.0),
+            aim_mm=(0.0, 0.0, 1500.0),
+            measured_direction=(float(np.cos(turn)), float(np.sin(turn)), 0.0),
+            principal_distance_mm=36.0,
+            pixels=PIXELS,
+            pitch_um=12.0,
+        ).model
+        for index, (x, turn) in enumerate(zip(along, turns, strict=True))
+    )
+
+
+def swinging(markers: int, times_s: Array, speed_mm_s: float, rng: np.random.Generator) -> Array:
+    """Places (F, N, 3) of markers that swing to and fro in a cube of 400 mm, each its own way."""
+    middle = MIDDLE_MM + rng.uniform(-200.0, 200.0, (markers, 3))
+    velocity = speed_mm_s * rng.standard_normal((markers, 3)) / np.sqrt(3.0)
+    turn = 2.0 * np.pi * rng.uniform(0.3, 1.0, (markers, 1))
+    return np.asarray(middle + velocity / turn * np.sin(turn * times_s[:, None, None]))
+
+
 def peaks_of(
     cameras: CameraStack,
     places_mm: Array,

@@ -6,10 +6,12 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.tracking.life_cycle import (
+    PROBATION,
     WEAK_EXPOSURES,
     confirmable,
     count_weak,
     ended,
+    entangled,
     exchangeable,
     lost_one,
     replaced,
@@ -107,6 +109,38 @@ def test_when_tracks_end() -> None:
     tracks.misses[:] = [9, 1, SETTINGS.confirm_misses, SETTINGS.confirm_misses + 1]
     assert ended(tracks, SETTINGS, 10**9).tolist() == [False, True, False, True]
     assert ended(tracks, SETTINGS, 10**9 + 1).all()
+
+
+def test_doubt_shortens_a_track_s_life() -> None:
+    """One of many ends when it is doubted early; any that is lost in doubt coasts for less."""
+    still = [0.0, 0.0, 0.0]
+    tracks = tracks_at([still] * 4, [still] * 4)
+    tracks.weak[:] = [0, WEAK_EXPOSURES, WEAK_EXPOSURES, WEAK_EXPOSURES - 1]
+    tracks.unproved[:] = [PROBATION, 1, 0, PROBATION]
+    assert ended(tracks, SETTINGS, 0).tolist() == [False, True, False, False]
+    half = round(0.5 * SETTINGS.coast_s * 1e9)
+    assert ended(tracks, SETTINGS, half).tolist() == [False, True, True, False]
+
+
+def test_what_four_sensors_see_proves_itself_and_what_is_hidden_is_not_doubted() -> None:
+    still = [0.0, 0.0, 0.0]
+    tracks = tracks_at([still] * 3, [still] * 3)
+    tracks.unproved[:] = 1
+    rows, four = np.arange(3), np.array([4, 4, 4])
+    count_weak(tracks, rows, np.array([4, 3, 0]), np.array([4, 3, 0]), four)
+    assert tracks.unproved.tolist() == [0, 1, 1]
+    assert tracks.weak.tolist() == [0, 1, 0]
+    # A peak that may be shared says nothing.
+    count_weak(tracks, rows, np.array([3, 3, 3]), four, four)
+    assert tracks.weak.tolist() == [0, 1, 0]
+
+
+def test_tracks_beside_a_weak_one_are_doubted_with_it() -> None:
+    reading = np.array([[100.0, 200.0, 300.0], [110.0, 215.0, 900.0], [110.0, 700.0, 900.0]])
+    weak = np.array([True, False, False])
+    confirmed = np.ones(3, dtype=np.bool_)
+    assert entangled(reading, weak, confirmed, 4.0).tolist() == [True, True, False]
+    assert entangled(reading, weak, weak, 4.0).tolist() == [True, False, False]
 
 
 def test_a_new_track_knows_what_the_calibration_does_to_it() -> None:

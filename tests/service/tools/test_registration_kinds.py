@@ -15,6 +15,7 @@ from hardware.simulated.settings import SimulationSettings
 from service.database.models import RegistrationRow
 from service.live.batch import FrameBatch
 from service.settings import Settings
+from service.tools.registrations import measured_points
 from tests.service.recorded_live import RecordedLive
 from tests.service.tools.batches import SIGMA_MM, pose, tool_batch
 from tests.service.tools.test_measured import IMAGE, registration
@@ -431,6 +432,19 @@ def test_an_error_in_a_body_is_where_it_was_without_kinds(sqlite_client: Any):
     (error,) = sqlite_client.post(URL, json=body | {"kind": "guess"}).json()["errors"]
     assert error["location"] == ["body"]
     assert "paired-points, three-markers or surface" in error["message"]
+
+
+def test_what_was_measured_has_names_and_places(sqlite_client: Any):
+    """As those are told who are given landmarks; points on a surface have no names."""
+    roughly(sqlite_client)
+    sqlite_client.post(URL, json=MARKERS)
+    sqlite_client.post(URL, json=by_skin())
+    with sqlite_client.app.state.database.read() as session:
+        rows = {name: session.get(RegistrationRow, name) for name in ("ct", "plate", "skin")}
+        places = {name: measured_points(row) for name, row in rows.items()}
+    assert [name for name, _ in places["ct"]] == ["F0", "F1", "F2", "F3", "F4"]
+    assert places["plate"] == [(f"M{n + 1}", tuple(one)) for n, one in enumerate(PLATE.tolist())]
+    assert places["skin"] == []
 
 
 def test_who_registered_what_is_written_down(sqlite_client: Any):

@@ -130,6 +130,27 @@ def test_limits_of_the_database_hold_relative_to_the_reference(
     assert status.text.endswith("in this frame is 0.775 mm; 0.6 mm is the most")
 
 
+def test_landmarks_know_what_they_were_measured_with(
+    service: tuple[TestClient, RecordedLive, Socket],
+):
+    client, live, wire = service
+    points = [[0, 0, 0], [100, 0, 0], [0, 100, 0], [0, 0, 100]]
+    pairs = [{"name": str(n), "frame_mm": one, "measured_mm": one} for n, one in enumerate(points)]
+    answer = client.post(
+        "/api/v1/registrations", json={"id": "ct", "device": "sim", "fiducials": pairs}
+    )
+    assert answer.status_code == 201, answer.text
+    for number, (in_force, count) in enumerate(
+        ((("sim-nominal", None), 4), (("other", None), 0), (("sim-nominal", "map"), 0))
+    ):
+        live.poses.put(entry(number, [pose("probe", number)], in_force=in_force))
+        server = client.app.state.openigtlink  # type: ignore[attr-defined]
+        while server._newest is None or server._newest.entry.sequence != number:
+            time.sleep(0.01)
+        wire.send(Message("GET_POINT", "Landmarks"))
+        assert len(read_points(wire.of("POINT").content)) == count
+
+
 def test_changes_are_refused_and_audited_once_a_minute(
     service: tuple[TestClient, RecordedLive, Socket],
 ):

@@ -116,29 +116,27 @@ def test_three_markers_make_the_frame_of_figure_7_6(client: Any, live: RecordedL
     np.testing.assert_allclose(asked["tip_mm"], [0.0, 10.0, 0.0], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("changes", "problem", "words"),
-    [
-        ({"measured_mm": [[0, 0, 0], [50, 0, 0], [120, 1, 0]]}, "collinear-points", "120 mm long"),
-        ({"measured_mm": [[0, 0, 0], [50, 0, 0], [0, 0, 0]]}, "duplicate-point", "M1 and M3"),
-        ({"measured_sigma_mm": 60.0}, "undetermined-parameters", "too near"),
-        ({"measured_sigma_mm": None}, "invalid-parameter", "measured_sigma_mm"),
-        ({"measured_mm": None}, "invalid-parameter", "strobe_markers"),
-        ({"strobe_markers": [0, 1, 2]}, "invalid-parameter", "not both"),
-        (
-            {"measured_covariance_mm2": [[[1, 0, 0], [0, 1, 0], [0, 0, -1]]] * 3},
-            "invalid-parameter",
-            "M1",
-        ),
-        ({"id": "tracker"}, "invalid-parameter", '"tracker"'),
-    ],
-)
-def test_markers_that_make_no_frame_are_refused(
-    sqlite_client: Any, changes: dict[str, Any], problem: str, words: str
-):
-    answer = sqlite_client.post(URL, json=MARKERS | changes)
-    assert code(answer) == (422, problem), answer.text
-    assert words in answer.json()["detail"]
+NO_FRAMES: list[tuple[Any, ...]] = [
+    ({"measured_mm": [[0, 0, 0], [50, 0, 0], [120, 1, 0]]}, "collinear-points", "120 mm long"),
+    ({"measured_mm": [[0, 0, 0], [50, 0, 0], [0, 0, 0]]}, "duplicate-point", "M1 and M3"),
+    ({"measured_sigma_mm": 60.0}, "undetermined-parameters", "too near"),
+    ({"measured_sigma_mm": None}, "invalid-parameter", "measured_sigma_mm"),
+    ({"measured_mm": None}, "invalid-parameter", "strobe_markers"),
+    ({"strobe_markers": [0, 1, 2]}, "invalid-parameter", "not both"),
+    (
+        {"measured_covariance_mm2": [[[1, 0, 0], [0, 1, 0], [0, 0, -1]]] * 3},
+        "invalid-parameter",
+        "M1",
+    ),
+    ({"id": "tracker"}, "invalid-parameter", '"tracker"'),
+]
+
+
+def test_markers_that_make_no_frame_are_refused(sqlite_client: Any):
+    for changes, problem, words in NO_FRAMES:
+        answer = sqlite_client.post(URL, json=MARKERS | changes)
+        assert code(answer) == (422, problem), answer.text
+        assert words in answer.json()["detail"]
     assert sqlite_client.get(URL).json()["total"] == 0
 
 
@@ -211,28 +209,22 @@ def test_a_reference_that_is_not_seen_is_told(sqlite_client: Any, running: Recor
     assert "1 of 4 markers was seen" in answer.json()["detail"]
 
 
-@pytest.mark.parametrize(
-    ("changes", "problem", "words"),
-    [
-        ({"strobe_markers": [4, 5, 8]}, (422, "invalid-parameter"), "no strobed marker 8"),
-        ({"strobe_markers": [4, 5, 4]}, (422, "invalid-parameter"), "[4, 5, 4]"),
-        ({"strobe_markers": [4, 5, 7]}, (409, "nothing-seen"), "7: 0"),
-        ({"measured_sigma_mm": 0.1}, (422, "invalid-parameter"), "leave them out"),
-        ({"reference": "nobody"}, (404, "unknown-tool"), '"nobody"'),
-        ({"device": "nobody"}, (404, "unknown-device"), '"nobody"'),
-    ],
-)
-def test_strobed_markers_that_cannot_be_measured(
-    sqlite_client: Any,
-    running: RecordedLive,
-    changes: dict[str, Any],
-    problem: tuple[int, str],
-    words: str,
-):
+NOT_MEASURED: list[tuple[Any, ...]] = [
+    ({"strobe_markers": [4, 5, 8]}, (422, "invalid-parameter"), "no strobed marker 8"),
+    ({"strobe_markers": [4, 5, 4]}, (422, "invalid-parameter"), "[4, 5, 4]"),
+    ({"strobe_markers": [4, 5, 7]}, (409, "nothing-seen"), "7: 0"),
+    ({"measured_sigma_mm": 0.1}, (422, "invalid-parameter"), "leave them out"),
+    ({"reference": "nobody"}, (404, "unknown-tool"), '"nobody"'),
+    ({"device": "nobody"}, (404, "unknown-device"), '"nobody"'),
+]
+
+
+def test_strobed_markers_that_cannot_be_measured(sqlite_client: Any, running: RecordedLive):
     running.batches = [strobed(patient(240))]
-    answer = sqlite_client.post(URL, json=NOW | {"strobe_markers": [4, 5, 6]} | changes)
-    assert code(answer) == problem, answer.text
-    assert words in answer.json()["detail"]
+    for changes, problem, words in NOT_MEASURED:
+        answer = sqlite_client.post(URL, json=NOW | {"strobe_markers": [4, 5, 6]} | changes)
+        assert code(answer) == problem, answer.text
+        assert words in answer.json()["detail"]
 
 
 def test_what_was_measured_with_another_calibration_is_not_kept(
@@ -337,38 +329,36 @@ def test_what_a_surface_does_not_hold_is_refused_with_the_motion(sqlite_client: 
     assert context["motion"].startswith(("a turn about", "a shift along"))
 
 
-@pytest.mark.parametrize(
-    ("changes", "problem", "words"),
-    [
-        ({"parent": "nobody"}, (404, "unknown-registration"), '"nobody"'),
-        ({"id": "ct"}, (409, "registration-exists"), '"ct"'),
-        ({"points_mm": [[0, 0, 0]] * 11}, (422, "invalid-request"), ""),
-        ({"most_rms_mm": 0.01}, (422, "high-error"), "0.01 mm"),
-        (
-            {
-                "surface": {
-                    "kind": "mesh",
-                    "vertices_mm": [[0, 0, 0], [1, 0, 0], [0, 1, 0]],
-                    "triangles": [[0, 1, 3]],
-                }
-            },
-            (422, "invalid-parameter"),
-            "vertices",
-        ),
-        (
-            {"surface": {"kind": "points", "points_mm": [[0, 0, 0]]}},
-            (422, "too-few-points"),
-            "12 or more",
-        ),
-    ],
-)
-def test_a_surface_that_refines_nothing_says_why(
-    sqlite_client: Any, changes: dict[str, Any], problem: tuple[int, str], words: str
-):
+NOTHING_REFINED: list[tuple[Any, ...]] = [
+    ({"parent": "nobody"}, (404, "unknown-registration"), '"nobody"'),
+    ({"id": "ct"}, (409, "registration-exists"), '"ct"'),
+    ({"points_mm": [[0, 0, 0]] * 11}, (422, "invalid-request"), ""),
+    ({"most_rms_mm": 0.01}, (422, "high-error"), "0.01 mm"),
+    (
+        {
+            "surface": {
+                "kind": "mesh",
+                "vertices_mm": [[0, 0, 0], [1, 0, 0], [0, 1, 0]],
+                "triangles": [[0, 1, 3]],
+            }
+        },
+        (422, "invalid-parameter"),
+        "vertices",
+    ),
+    (
+        {"surface": {"kind": "points", "points_mm": [[0, 0, 0]]}},
+        (422, "too-few-points"),
+        "12 or more",
+    ),
+]
+
+
+def test_a_surface_that_refines_nothing_says_why(sqlite_client: Any):
     roughly(sqlite_client)
-    answer = sqlite_client.post(URL, json=by_skin(**changes))
-    assert code(answer) == problem, answer.text
-    assert words in answer.json().get("detail", "")
+    for changes, problem, words in NOTHING_REFINED:
+        answer = sqlite_client.post(URL, json=by_skin(**changes))
+        assert code(answer) == problem, answer.text
+        assert words in answer.json().get("detail", "")
     assert sqlite_client.get(URL).json()["total"] == 1
 
 

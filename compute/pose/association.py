@@ -108,6 +108,7 @@ class Look:
         merged: readings that were not looked for, as their lines may be merged, shape (m, S).
         nis: normalised innovation squared of what was found.
         readings: how many readings were found.
+        whitened: innovations and their slopes by the common errors, of a tool with regimes.
         misfit: readings that were where the tool was expected did not fit it.
     """
 
@@ -119,6 +120,7 @@ class Look:
     merged: NDArray[np.bool_] = field(init=False)
     nis: float = 0.0
     readings: int = 0
+    whitened: list[Array] = field(default_factory=list)
     misfit: bool = False
 
     def __post_init__(self) -> None:
@@ -128,6 +130,7 @@ class Look:
         """Go back to what was predicted: what was found does not fit."""
         self.state, self.regimes = self._predicted
         self.nis, self.readings, self.misfit = 0.0, 0, True
+        self.whitened.clear()
         self.peaks[:] = -1
 
     def left_out(self, model: ReadingModel, free: FramePeaks, gate_probability: float) -> Array:
@@ -342,6 +345,8 @@ def _take(
         return False
     look.state = found.state
     look.nis += found.nis
+    if found.whitened is not None:
+        look.whitened.append(found.whitened)
     look.readings += len(found.kept)
     look.peaks[row[found.kept], sensor[found.kept]] = peak[found.kept]
     return True
@@ -361,7 +366,7 @@ def _in_regimes(
         kept = robust.kept
         found = look.regimes.update(told.of(kept), residual_px[kept], sigma_px[kept])
     look.regimes = found.regimes
-    return Update(found.regimes.widest, found.nis, kept)
+    return Update(found.regimes.widest, found.nis, kept, found.whitened)
 
 
 def robust_update(

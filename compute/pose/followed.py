@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from compute.pose.association import LEFT_OUT_MOST, FramePeaks, Look
 from compute.pose.marker_frame import MarkerFrame
+from compute.pose.offered import Offered, judged
 from compute.pose.pose_filter import PoseState, predict
 from compute.pose.pose_report import Support
 from compute.pose.reading_model import ReadingModel
@@ -17,7 +18,6 @@ from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import MotionSettings
 from compute.pose.strobed_start import Exposure
 from compute.pose.tool_pose import PoseStatus
-from compute.reconstruction.points import chi2_limit
 
 CYCLES: Final = 2
 """Exposures of each marker that a strobed tool is found from."""
@@ -42,8 +42,7 @@ class Followed:
         regimes: of a strobed tool's motion, at its last exposure; None: it has a single one.
         seen_ns: when readings last updated it.
         last: its last updates: time, NIS, readings, which markers and sensors (M, S).
-        offered: of its last exposures, what its readings are off, those that were left out as
-            well: sum of squares, readings, and how many were left out of each marker (M,).
+        offered: what the readings of its last exposures are off.
         exposures: the last exposures of a strobed tool that is lost.
         fresh: exposures since it was last looked for in vain.
         fits: whether its last exposures fitted it.
@@ -59,7 +58,7 @@ class Followed:
     regimes: Regimes | None = None
     seen_ns: int = 0
     last: deque[tuple[float, int, NDArray[np.bool_]]] = field(default_factory=deque)
-    offered: deque[tuple[float, int, NDArray[np.intp]]] = field(default_factory=deque)
+    offered: deque[Offered] = field(default_factory=deque)
     exposures: deque[Exposure] = field(default_factory=deque)
     fresh: int = 0
     fits: deque[bool] = field(default_factory=deque)
@@ -153,17 +152,17 @@ class Followed:
         if look.readings + count:
             of_markers = np.zeros(len(self.body), dtype=np.intp)
             of_markers[look.lit] = left_out
-            self._offer(look.nis + square, look.readings + count, of_markers, marker)
+            whitened = np.concatenate(look.whitened) if look.whitened else None
+            one = Offered(look.nis + square, look.readings + count, of_markers, whitened)
+            self._offer(one, marker)
         self.fits.append(look.readings > 0 or not look.misfit)
         self.to_confirm = max(0, self.to_confirm - (look.readings > 0))
         while len(self.fits) > CYCLES * len(self.body):
             self.fits.popleft()
 
-    def _offer(
-        self, square: float, count: int, left_out: NDArray[np.intp], marker: int | None
-    ) -> None:
+    def _offer(self, one: Offered, marker: int | None) -> None:
         """Keep what the readings that an exposure offered are off."""
-        self.offered.append((square, count, left_out))
+        self.offered.append(one)
         cycle = 1 if marker is None else len(self.body)
         while len(self.offered) > OFFERED_CYCLES * cycle:
             self.offered.popleft()
@@ -179,9 +178,9 @@ class Followed:
             probability: chance that right readings are taken for wrong ones.
         """
         nothing = np.zeros(len(self.body), dtype=np.intp)
-        exposures = sum(((one[2] > 0).astype(np.intp) for one in self.offered), nothing)
+        exposures = sum(((one.left_out > 0).astype(np.intp) for one in self.offered), nothing)
         whole = len(self.offered) <= OFFERED_CYCLES
-        times = sum(bool(one[2].any()) for one in self.offered) if whole else exposures.max()
+        times = sum(bool(one.left_out.any()) for one in self.offered) if whole else exposures.max()
         if times >= OFTEN:
             return (
                 f"marker {exposures.argmax() + 1} does not fit the tool's geometry, or another "
@@ -191,8 +190,7 @@ class Followed:
         cycle = list(self.offered)[-max(1, len(self.last)) :]
         # An error of the calibration is the same in all of them: they do not average it away.
         for of in (cycle,) if self.errors else (cycle, self.offered):
-            square, count = sum(one[0] for one in of), sum(one[1] for one in of)
-            limit = chi2_limit(count, probability)
+            square, count, limit = judged(of, probability)
             if square > limit:
                 return (
                     f"its last {count} readings do not fit it: they are "

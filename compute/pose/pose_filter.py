@@ -218,11 +218,14 @@ class Update:
         state: the tool now.
         nis: normalised innovation squared of the readings that were used.
         kept: which of the readings were used, as indices.
+        whitened: innovations of unit covariance and their slopes by the common errors, shape
+            (n, 1 + E); None: not kept.
     """
 
     state: PoseState
     nis: float
     kept: NDArray[np.intp]
+    whitened: Array | None = None
 
 
 def update(state: PoseState, told: Innovations, residual_px: Array, sigma_px: Array) -> Update:

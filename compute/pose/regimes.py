@@ -153,7 +153,9 @@ class Regimes:
         spread = self.spread - gain @ solved[:, :, 1:]
         widest = moved(self.widest, off[-1], *_parts(spread[-1]))
         after = Regimes(self.model, widest, off - off[-1], spread, chance)
-        return RegimesUpdate(after, float(chance @ nis), float(nis[-1]))
+        likeliest = solved[int(chance.argmax())]
+        whitened = np.concatenate([likeliest[:, :1], likeliest[:, 1 + MOVING :]], axis=1)
+        return RegimesUpdate(after, float(chance @ nis), float(nis[-1]), whitened)
 
 
 def _parts(spread: Array) -> tuple[Array, Array]:
@@ -169,11 +171,14 @@ class RegimesUpdate:
         regimes: they now.
         nis: normalised innovation squared of the readings, of the regimes as likely as they are.
         widest_nis: of the widest regime.
+        whitened: innovations of the likeliest regime, of unit covariance, and their slopes by the
+            common errors, shape (n, 1 + E).
     """
 
     regimes: Regimes
     nis: float
     widest_nis: float
+    whitened: Array
 
 
 def _slopes(state: PoseState, step_s: float) -> Array:

@@ -16,6 +16,7 @@ from compute.pose.association import LEFT_OUT_MOST, FramePeaks, Look, associate
 from compute.pose.followed import CYCLES, Followed
 from compute.pose.frozen_image import FrozenImage
 from compute.pose.lit_start import find_lit
+from compute.pose.offered import Offered
 from compute.pose.pose_filter import PoseState
 from compute.pose.pose_report import outside_volume, report, without_pose
 from compute.pose.reading_model import ReadingModel
@@ -322,7 +323,8 @@ class ToolTracker:
         for one in shown:
             sensors[one.marker] = np.isfinite(one.readings_px)
         tool.last.append((found.nis, found.readings, sensors))
-        tool.offered.append((found.nis, found.readings, np.zeros(len(tool.body), dtype=np.intp)))
+        nothing = np.zeros(len(tool.body), dtype=np.intp)
+        tool.offered.append(Offered(found.nis, found.readings, nothing))
 
     def _identify(
         self,
@@ -358,7 +360,7 @@ class ToolTracker:
             tool.last.append((one.nis, int(one.sensors.sum()), one.sensors))
             off = one.nis + LEFT_OUT_MOST * int(one.left_out.sum())
             number = int(one.sensors.sum() + one.left_out.sum())
-            tool.offered.append((off, number, one.left_out))
+            tool.offered.append(Offered(off, number, one.left_out))
 
     def _report(self, tool: Followed, time_ns: int, sequence: int) -> ToolPose:
         if tool.state is None:

@@ -10,6 +10,7 @@ from hardware.recording_reader import RecordingReader
 from service.exports.formats import write_export
 from service.exports.library import Exports
 from service.exports.recorded import recorded_table
+from service.runs.examples import NEW_MAPPING_RUNS
 from service.runs.tasks import export as task
 from service.settings import Settings
 from tests.service.exports.test_sources import MARKERS, PROBE, Taken, recording
@@ -171,6 +172,9 @@ def test_what_is_refused(
     assert code(post(sqlite_client)) == (409, "run-exists")
     other = post(sqlite_client, id="other", result_id="mine", format="trc")
     assert code(other) == (409, "export-exists")
+    # A correction table may be called so.
+    mapping = NEW_MAPPING_RUNS["grid"]["value"] | {"result_id": "mine"}
+    assert sqlite_client.post(f"{API}/mapping-runs", json=mapping).status_code == 202
 
 
 def test_of_a_run_that_is_cancelled_nothing_is_left(

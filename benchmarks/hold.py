@@ -100,11 +100,12 @@ def step_us() -> dict[str, float]:
     spreads = np.broadcast_to(1e-3 * np.eye(3), (4, 3, 3))
     limits = HoldLimits(shift_mm=2.0)
     tool, markers = HoldMonitor(pose, limits), MarkerHoldMonitor(places, limits)
+    steps: dict[str, Callable[[int], object]] = {
+        "tool": lambda time_ns: tool.step(time_ns, pose),
+        "markers": lambda time_ns: markers.step(time_ns, places + 0.05, spreads),
+    }
     found = {}
-    for name, step in (
-        ("tool", lambda time_ns: tool.step(time_ns, pose)),
-        ("markers", lambda time_ns: markers.step(time_ns, places + 0.05, spreads)),
-    ):
+    for name, step in steps.items():
         begin = time.thread_time()
         for number in range(STEPS):
             step(number * 1_000_000)

@@ -99,7 +99,10 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
 
 def _truth(scene: "ShiftedPoints", rate_hz: float, cycle: int) -> np.ndarray[Any, Any]:
     """Return the true shift in each frame of the cycle, shape (C, 3) [mm]."""
-    return scene.shift((np.arange(cycle) + 0.5) / rate_hz)
+    times: np.ndarray[Any, np.dtype[np.float64]] = (
+        np.arange(cycle, dtype=np.float64) + 0.5
+    ) / rate_hz
+    return scene.shift(times)
 
 
 def _watch_markers(client: httpx.Client, places: list[list[float]]) -> None:

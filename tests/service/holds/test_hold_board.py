@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.pose.hold_gate import HoldCause, HoldRules
@@ -390,6 +390,7 @@ def test_tracks_count_while_they_are_seen(bench: Bench):
     assert now.cause is HoldCause.NO_DATA
 
 
+@settings(max_examples=40)
 @given(
     shifts=st.lists(st.one_of(st.floats(-3.0, 3.0), st.none()), min_size=1, max_size=60),
     waits=st.lists(st.integers(1, 80), min_size=60, max_size=60),

@@ -118,65 +118,59 @@ def test_a_hold_from_the_first_to_the_last(client: Any, live: RecordedLive):
     )} <= by  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("hold", "changes", "expected", "words"),
-    [
-        (CHEST, {"device": "nothing"}, (404, "unknown-device"), "nothing"),
-        (HEAD, {"watch": {"kind": "tool", "tool": "no"}}, (404, "unknown-tool"), '"no"'),
-        (CHEST, {"limits": {}}, (422, "invalid-parameter"), "at least one"),
-        (CHEST, {"limits": {"turn_rad": 0.1}}, (422, "invalid-parameter"), "markers do not turn"),
-        (
-            CHEST,
-            {"watch": {"kind": "strobed-markers", "markers": [4, 4]}},
-            (422, "invalid-parameter"),
-            "[4, 4]",
-        ),
-        (
-            CHEST,
-            {"watch": {"kind": "strobed-markers", "markers": [4, 5], "least_markers": 3}},
-            (422, "invalid-parameter"),
-            "least_markers is 3",
-        ),
-        (
-            CHEST,
-            {"watch": {"kind": "lit-markers", "markers": 3, "near_mm": 2}},
-            (422, "invalid-parameter"),
-            "near_mm is 2 mm and a limit 3 mm",
-        ),
-        (
-            HEAD,
-            {"watch": HEAD["watch"] | {"axes": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}},
-            (422, "invalid-parameter"),
-            "no rotation",
-        ),
-        (HEAD, {"reference": GIVEN["given"]}, (422, "invalid-parameter"), "is its pose"),
-        (CHEST, {"reference": POSE}, (422, "invalid-parameter"), "is their places"),
-        (
-            CHEST,
-            {"reference": {"places_mm": [[0, 0, 1500]]}},
-            (422, "invalid-parameter"),
-            "1 places; 3 markers",
-        ),
-        (
-            HEAD,
-            {"reference": POSE | {"covariance": np.diag([1, 1, 1, 1, 1, -1]).tolist()}},
-            (422, "invalid-parameter"),
-            "eigenvalue",
-        ),
-        (CHEST, {"rules": {"most_gap_s": 0}}, (422, "invalid-request"), ""),
-    ],
-)
-def test_a_hold_that_cannot_be_says_why(
-    sqlite_client: Any,
-    hold: dict[str, Any],
-    changes: dict[str, Any],
-    expected: tuple[int, str],
-    words: str,
-):
+REFUSED: list[tuple[dict[str, Any], dict[str, Any], tuple[int, str], str]] = [
+    (CHEST, {"device": "nothing"}, (404, "unknown-device"), "nothing"),
+    (HEAD, {"watch": {"kind": "tool", "tool": "no"}}, (404, "unknown-tool"), '"no"'),
+    (CHEST, {"limits": {}}, (422, "invalid-parameter"), "at least one"),
+    (CHEST, {"limits": {"turn_rad": 0.1}}, (422, "invalid-parameter"), "markers do not turn"),
+    (
+        CHEST,
+        {"watch": {"kind": "strobed-markers", "markers": [4, 4]}},
+        (422, "invalid-parameter"),
+        "[4, 4]",
+    ),
+    (
+        CHEST,
+        {"watch": {"kind": "strobed-markers", "markers": [4, 5], "least_markers": 3}},
+        (422, "invalid-parameter"),
+        "least_markers is 3",
+    ),
+    (
+        CHEST,
+        {"watch": {"kind": "lit-markers", "markers": 3, "near_mm": 2}},
+        (422, "invalid-parameter"),
+        "near_mm is 2 mm and a limit 3 mm",
+    ),
+    (
+        HEAD,
+        {"watch": HEAD["watch"] | {"axes": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}},
+        (422, "invalid-parameter"),
+        "no rotation",
+    ),
+    (HEAD, {"reference": GIVEN["given"]}, (422, "invalid-parameter"), "is its pose"),
+    (CHEST, {"reference": POSE}, (422, "invalid-parameter"), "is their places"),
+    (
+        CHEST,
+        {"reference": {"places_mm": [[0, 0, 1500]]}},
+        (422, "invalid-parameter"),
+        "1 places; 3 markers",
+    ),
+    (
+        HEAD,
+        {"reference": POSE | {"covariance": np.diag([1, 1, 1, 1, 1, -1]).tolist()}},
+        (422, "invalid-parameter"),
+        "eigenvalue",
+    ),
+    (CHEST, {"rules": {"most_gap_s": 0}}, (422, "invalid-request"), ""),
+]
+
+
+def test_a_hold_that_cannot_be_says_why(sqlite_client: Any):
     assert made(sqlite_client, PATIENT).status_code == 201
-    answer = new(sqlite_client, hold, **changes)
-    assert code(answer) == expected, answer.text
-    assert words in answer.json()["detail"]
+    for hold, changes, expected, words in REFUSED:
+        answer = new(sqlite_client, hold, **changes)
+        assert code(answer) == expected, (changes, answer.text)
+        assert words in answer.json()["detail"], (changes, answer.text)
     assert sqlite_client.get("/api/v1/holds").json()["total"] == 0
 
 
@@ -265,30 +259,28 @@ def strolling(frames: int) -> Any:
     return batch
 
 
-@pytest.mark.parametrize(
-    ("shown", "problem", "words"),
-    [
-        ([], "nothing-seen", "0 of 40 frames"),
-        ([lambda: chest(60)], "nothing-seen", "20 of 40 frames"),
-        ([lambda: strolling(300)], "not-still", "marker 4"),
-        ([lambda: chest(300, calibration=None)], "no-active-calibration", "no active"),
-        (
-            [lambda: chest(60), lambda: chest(300, calibration="other")],
-            "calibration-switched",
-            "measure it again",
-        ),
-    ],
-)
-def test_a_reference_that_cannot_be_measured_says_why(
-    sqlite_client: Any, running: RecordedLive, shown: list[Any], problem: str, words: str
-):
+UNMEASURED: list[tuple[list[Any], str, str]] = [
+    ([], "nothing-seen", "0 of 40 frames"),
+    ([lambda: chest(60)], "nothing-seen", "20 of 40 frames"),
+    ([lambda: strolling(300)], "not-still", "marker 4"),
+    ([lambda: chest(300, calibration=None)], "no-active-calibration", "no active"),
+    (
+        [lambda: chest(60), lambda: chest(300, calibration="other")],
+        "calibration-switched",
+        "measure it again",
+    ),
+]
+
+
+def test_a_reference_that_cannot_be_measured_says_why(sqlite_client: Any, running: RecordedLive):
     assert new(sqlite_client, CHEST).status_code == 201
-    running.batches = [make() for make in shown]
     path = "/api/v1/holds/chest/reference"
-    answer = sqlite_client.post(path, json={"frames": 40, "timeout_s": 0.05})
-    assert code(answer)[1] == problem, answer.text
-    assert words in answer.json()["detail"]
-    assert sqlite_client.get("/api/v1/holds/chest").json()["reference"] is None
+    for shown, problem, words in UNMEASURED:
+        running.batches = [make() for make in shown]
+        answer = sqlite_client.post(path, json={"frames": 40, "timeout_s": 0.05})
+        assert code(answer)[1] == problem, answer.text
+        assert words in answer.json()["detail"]
+        assert sqlite_client.get("/api/v1/holds/chest").json()["reference"] is None
 
 
 def test_nothing_is_measured_of_a_device_that_does_not_run(sqlite_client: Any):

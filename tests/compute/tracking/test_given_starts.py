@@ -73,12 +73,12 @@ def test_a_given_marker_that_is_not_there_ends() -> None:
 
 def test_tentative_tracks_of_the_same_marker_give_way_and_numbers_go_on() -> None:
     one, cameras = tracker()
-    before = step(one, cameras, 0, MIDDLE_MM[None], 3)
+    for frame in range(3):
+        before = step(one, cameras, frame, MIDDLE_MM[None], 3)
     assert before.state.tolist() == [TrackState.TENTATIVE]
-    numbers = one.begin_at(
-        1 + round(1e9 / HZ), MIDDLE_MM[None], np.zeros((1, 3)), AT_REST, marker=4
-    )
-    after = step(one, cameras, 1, MIDDLE_MM[None], 3)
+    time_ns = 1 + round(3e9 / HZ)
+    numbers = one.begin_at(time_ns, MIDDLE_MM[None], np.zeros((1, 3)), AT_REST, marker=4)
+    after = step(one, cameras, 3, MIDDLE_MM[None], 3)
     assert numbers[0] > before.identity[0]
     assert after.identity.tolist() == numbers.tolist()
     assert after.marker.tolist() == [4]

@@ -57,7 +57,9 @@ def recorded_table(
     """
     info = reader.info
     if given is None and info.state.in_force == 0:
-        raise InvalidRecording("the recording holds no calibration; give one to reconstruct with")
+        raise InvalidRecording(
+            "the recording holds no calibration; give one: `calibration`, or --calibration"
+        )
     description = info.description
     processor = DeviceProcessor("export", description, "cpu")
     how = Tracking() if tracking is None else tracking

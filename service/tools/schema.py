@@ -58,7 +58,7 @@ class NewTool(_Described):
         Annotated[list[Marker], Field(min_length=LEAST_MARKERS, max_length=MOST_MARKERS)] | None
     ) = Field(
         default=None,
-        description="The number of each marker's strobe slot, or blinking code, in the same "
+        description="The number of each marker's strobe slot, in the same "
         "order; null: they are lit together, and told by their geometry.",
     )
 

@@ -213,7 +213,8 @@ def _log_likelihood(
 def _at_random(amplitude: Array, known: NDArray[np.bool_], model: BlinkModel) -> Array:
     """Return the log likelihood of lights that come and go, of any brightness, shape (T,)."""
     present = np.isfinite(amplitude)
-    scans = (present.any(axis=2)[..., None] & known).sum(axis=(1, 2))
+    seen: NDArray[np.bool_] = np.asarray(present.any(axis=2))
+    scans = (seen[..., None] & known).sum(axis=(1, 2))
     peaks = present.sum(axis=(1, 2))
     likelihood: Array = scans * float(np.log(0.5)) - peaks * float(np.log(model.range_log))
     return likelihood
@@ -246,7 +247,8 @@ def _errors(
     else:
         bright = present
     # Most of the sensors that see the light at all, and could tell in this scan.
-    counted: NDArray[np.bool_] = np.asarray(present.any(axis=2)[..., None] & known)
+    seen: NDArray[np.bool_] = np.asarray(present.any(axis=2))
+    counted = seen[..., None] & known
     lit = (bright & counted).sum(axis=1) * 2 > counted.sum(axis=1)
     wrong = (lit != on) & counted.any(axis=1)
     if model.low > 0.0:

@@ -103,13 +103,14 @@ def follow(run: Run, course: str, rate_hz: float, regimes: RegimeSettings) -> Sc
             ((pose.tip_mm - tips[k]) ** 2).sum(),
             np.trace(pose.tip_covariance_mm2),
         )
-    time_s = 1e-9 * run.time_ns
+    time_s = run.time_ns.astype(np.float64) * 1e-9
     turn_s = len(run.tool) / rate_hz
     since = since_change_s(course, time_s)
     since = np.full(count, np.nan) if since is None else since / turn_s
     counts = time_s >= max(SETTLED_S, SETTLED_TURNS * turn_s)
     kept = values[counts]
-    return Scores(ok[counts], np.isfinite(kept[:, 0]), *kept.T, since[counts])
+    square, off, stated = kept[:, 0], kept[:, 1], kept[:, 2]
+    return Scores(ok[counts], np.isfinite(square), square, off, stated, since[counts])
 
 
 def joined(scores: list[Scores]) -> Scores:
@@ -194,17 +195,15 @@ def work_out(
 
 
 def _row(one: Cells) -> tuple[Cell, ...]:
+    both = one.single, one.regimes
     pairs = [
-        value
-        for of in (
-            lambda scores: 100.0 * scores.ok.mean(),
-            lambda scores: scores.tip_mm,
-            lambda scores: scores.stated_mm,
-            lambda scores: scores.mean_square,
-        )
-        for value in (_rounded(of(one.single)), _rounded(of(one.regimes)))
+        *(100.0 * float(scores.ok.mean()) for scores in both),
+        *(scores.tip_mm for scores in both),
+        *(scores.stated_mm for scores in both),
+        *(scores.mean_square for scores in both),
     ]
-    return (one.course, one.rate_hz, one.markers, _rounded(one.bend_mm), *pairs)
+    values = [_rounded(value) for value in (one.bend_mm, *pairs)]
+    return (one.course, one.rate_hz, one.markers, *values)
 
 
 def _findings(cells: list[Cells]) -> tuple[str, ...]:

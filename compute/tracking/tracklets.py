@@ -161,7 +161,9 @@ class Tracklets:
         if self._kept is None:
             return np.empty((0, len(self._model)), dtype=np.int32)
         kept = self._kept
-        return kept.peaks[(kept.age >= TRIED_AGE) & self._steady(), -1]
+        well_seen = (kept.age >= TRIED_AGE) & self._steady()
+        peaks: NDArray[np.int32] = kept.peaks[well_seen, -1]
+        return peaks
 
     def fresh(self, peaks: NDArray[np.int32]) -> bool:
         """Return whether no tracklet has three of these peaks (S,), and there is room."""
@@ -358,4 +360,5 @@ def _log_crowd(peaks: FramePeaks, settings: TrackerSettings) -> Array:
         density[many] = np.maximum(
             density[many], (count[many] - 1) / np.maximum(width, settings.merge_px)
         )
-    return np.log(density)
+    crowd: Array = np.log(density)
+    return crowd

@@ -24,12 +24,13 @@ def modules() -> Iterator[tuple[Any, int]]:
     from compute.reconstruction.native.launch import THREADS_OF_A_BLOCK as POINTS
     from compute.reconstruction.solver import LEAST_ROOM
     from compute.signal.fit import fit_kernel
-    from compute.signal.native import centroid_kernel
+    from compute.signal.native.centroid_kernel import centroid_kernel
     from compute.signal.native.cuda_sizes import BLOCK_THREADS
 
-    for found in (fit_kernel, centroid_kernel):
-        assert isinstance(found, types.ModuleType)
-        yield wp.get_module(found.__name__), BLOCK_THREADS
+    assert isinstance(fit_kernel, types.ModuleType)
+    yield wp.get_module(fit_kernel.__name__), BLOCK_THREADS
+    for long_lines in (False, True):
+        yield centroid_kernel(long_lines).module, BLOCK_THREADS
     yield tracing.trace_rays.module, RAYS
     yield tracing.trace_rays_without_toroids.module, RAYS
     for sensors in SENSORS:

@@ -7,6 +7,7 @@ from compute.signal.noise import LineNoise
 from compute.signal.peak_finder import PeakFinder
 from compute.signal.peaks import JOINT_PEAKS, PeakBatch
 from compute.signal.settings import CentroidSettings
+from compute.warp_host import warp_device
 
 
 class CentroidFinder(PeakFinder):
@@ -40,15 +41,16 @@ class CentroidFinder(PeakFinder):
         # Here and not above: Warp takes a second to load, and the types are used without it.
         import warp as wp
 
-        from compute.signal.native.centroid_kernel import find_peaks
-        from compute.signal.native.cuda_sizes import BLOCK_PIXELS, LINES_PER_BATCH
+        from compute.signal.native.centroid_kernel import centroid_kernel
+        from compute.signal.native.cuda_sizes import BLOCK_PIXELS, LINES_PER_BATCH, SHORT_PIXELS
         from compute.signal.native.prelude import line_record
         from compute.signal.native.runner import LineRunner
 
         self.settings = settings
+        on_cuda = warp_device(wp, device).is_cuda
         runner = LineRunner(
             wp,
-            find_peaks,
+            centroid_kernel(long_lines=on_cuda and pixels > SHORT_PIXELS),
             lines,
             pixels,
             noise,
@@ -63,8 +65,8 @@ class CentroidFinder(PeakFinder):
             line_record(settings.max_peaks),
             device,
             threads,
-            reads_once=pixels <= BLOCK_PIXELS,
-            lines_per_warp=LINES_PER_BATCH,
+            reads_once=pixels <= SHORT_PIXELS,
+            lines_per_warp=max(LINES_PER_BATCH // -(-pixels // BLOCK_PIXELS), 1),
         )
         super().__init__(runner)
         shape = (lines, settings.max_peaks)

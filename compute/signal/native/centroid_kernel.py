@@ -1,64 +1,27 @@
-"""The Warp kernel that finds the peaks of line scans, on the CPU and on CUDA.
+"""The Warp kernels that find the peaks of line scans, on the CPU and on CUDA.
 
 Only ``compute.signal.finder`` imports this module, when a finder is made: it loads Warp.
 """
 
+from functools import cache
+from typing import Any, Final
+
 import warp as wp
 
-from compute.signal.native.centroid import FIND_CENTROIDS
-from compute.signal.native.cuda_sizes import LAUNCH_BOUNDS
+from compute.signal.native.centroid import find_peaks_source
+from compute.signal.native.cuda_sizes import LAUNCH_BOUNDS, LINES_PER_BATCH
 
 # Its greeting and its compile times are nothing to a user of ours.
 wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
 # Without fused multiply-adds, CUDA rounds as the CPU does.
-wp.set_module_options({"enable_backward": False, "fast_math": False, "fuse_fp": False})
+OPTIONS: Final = {"enable_backward": False, "fast_math": False, "fuse_fp": False}
 
 
-@wp.func_native(FIND_CENTROIDS)  # type: ignore[untyped-decorator]
-def _find_peaks(
-    number: int,
-    lines_address: wp.uint64,
-    lines: int,
-    pixels: int,
-    lines_per_warp: int,
-    dark_variance_address: wp.uint64,
-    photon_variance_address: wp.uint64,
-    offset_address: wp.uint64,
-    full_scale_address: wp.uint64,
-    sensors: int,
-    detection_sigma: wp.float64,
-    fraction_units: int,
-    weigh_above_threshold: int,
-    correct_edges: int,
-    min_width_px: int,
-    max_peaks: int,
-    records_address: wp.uint64,
-    record_bytes: int,
-) -> None: ...
+@cache
+def centroid_kernel(long_lines: bool) -> Any:
+    """Return the kernel for lines of at most SHORT_PIXELS on CUDA, or for longer ones.
 
-
-@wp.kernel(launch_bounds=LAUNCH_BOUNDS)  # type: ignore[untyped-decorator]
-def find_peaks(
-    lanes: int,
-    lines_address: wp.uint64,
-    lines: int,
-    pixels: int,
-    lines_per_warp: int,
-    dark_variance_address: wp.uint64,
-    photon_variance_address: wp.uint64,
-    offset_address: wp.uint64,
-    full_scale_address: wp.uint64,
-    sensors: int,
-    detection_sigma: wp.float64,
-    fraction_units: int,
-    weigh_above_threshold: int,
-    correct_edges: int,
-    min_width_px: int,
-    max_peaks: int,
-    records_address: wp.uint64,
-    record_bytes: int,
-) -> None:
-    """Find the peaks of lines.
+    On the CPU either takes any line.
 
     Launch with a thread a line on the CPU (``lanes`` 1); on CUDA with ``lanes`` 32 threads for
     every ``lines_per_warp`` lines, in blocks of BLOCK_THREADS.
@@ -68,23 +31,72 @@ def find_peaks(
     records of ``line_record(max_peaks)``. All are in the device's memory, or in the host's where
     the device reaches it.
     """
-    _find_peaks(
-        wp.tid() // lanes,  # type: ignore[operator]
-        lines_address,
-        lines,
-        pixels,
-        lines_per_warp,
-        dark_variance_address,
-        photon_variance_address,
-        offset_address,
-        full_scale_address,
-        sensors,
-        detection_sigma,
-        fraction_units,
-        weigh_above_threshold,
-        correct_edges,
-        min_width_px,
-        max_peaks,
-        records_address,
-        record_bytes,
+
+    def find_line_peaks(
+        number: int,
+        lines_address: wp.uint64,
+        lines: int,
+        pixels: int,
+        lines_per_warp: int,
+        dark_variance_address: wp.uint64,
+        photon_variance_address: wp.uint64,
+        offset_address: wp.uint64,
+        full_scale_address: wp.uint64,
+        sensors: int,
+        detection_sigma: wp.float64,
+        fraction_units: int,
+        weigh_above_threshold: int,
+        correct_edges: int,
+        min_width_px: int,
+        max_peaks: int,
+        records_address: wp.uint64,
+        record_bytes: int,
+    ) -> None: ...
+
+    source = find_peaks_source(LINES_PER_BATCH, "long" if long_lines else "short")
+    native = wp.func_native(source)(find_line_peaks)
+
+    def find_peaks(
+        lanes: int,
+        lines_address: wp.uint64,
+        lines: int,
+        pixels: int,
+        lines_per_warp: int,
+        dark_variance_address: wp.uint64,
+        photon_variance_address: wp.uint64,
+        offset_address: wp.uint64,
+        full_scale_address: wp.uint64,
+        sensors: int,
+        detection_sigma: wp.float64,
+        fraction_units: int,
+        weigh_above_threshold: int,
+        correct_edges: int,
+        min_width_px: int,
+        max_peaks: int,
+        records_address: wp.uint64,
+        record_bytes: int,
+    ) -> None:
+        native(
+            wp.tid() // lanes,  # type: ignore[operator]
+            lines_address,
+            lines,
+            pixels,
+            lines_per_warp,
+            dark_variance_address,
+            photon_variance_address,
+            offset_address,
+            full_scale_address,
+            sensors,
+            detection_sigma,
+            fraction_units,
+            weigh_above_threshold,
+            correct_edges,
+            min_width_px,
+            max_peaks,
+            records_address,
+            record_bytes,
+        )
+
+    return wp.kernel(module="unique", module_options=OPTIONS, launch_bounds=LAUNCH_BOUNDS)(
+        find_peaks
     )

@@ -22,20 +22,23 @@ CPU_LINE: Final = """
     const Level level = level_of(line, quartile, sixteenth);
     line.background = level.background;
     const int limit = level.limit;
+    auto dark = [&](int p, auto size) -> bool {
+        unsigned short top = 0;
+        for (int i = 0; i < (int)sizeof size; ++i) top = v[p + i] > top ? v[p + i] : top;
+        return top < limit;
+    };
     auto search = [&](int from) -> int {
         int p = from;
-        const int block = 64;
-        for (; p + block <= pixels; p += block) {
-            unsigned short top = 0;
-            for (int i = 0; i < block; ++i) top = v[p + i] > top ? v[p + i] : top;
-            if (top >= limit) break;
+        struct Block { char pixels[256]; };
+        struct Piece { char pixels[64]; };
+        struct Part { char pixels[8]; };
+        for (; p + 256 <= pixels; p += 256) {
+            // The next line's: what a CPU fetches ahead by itself ends with the page.
+            for (int i = 0; i < 256; i += 32) __builtin_prefetch(v + p + pixels + i);
+            if (!dark(p, Block{})) break;
         }
-        const int part = 8;
-        for (; p + part <= pixels; p += part) {
-            unsigned short top = 0;
-            for (int i = 0; i < part; ++i) top = v[p + i] > top ? v[p + i] : top;
-            if (top >= limit) break;
-        }
+        while (p + 64 <= pixels && dark(p, Piece{})) p += 64;
+        while (p + 8 <= pixels && dark(p, Part{})) p += 8;
         while (p < pixels && v[p] < limit) ++p;
         return p;
     };

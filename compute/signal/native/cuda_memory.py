@@ -31,6 +31,7 @@ MEMORY: Final = f"""
     const unsigned short* first_v =
         (const unsigned short*)lines_address + (long long)first_line * pixels;
     const int chunks = (pixels + 7) / 8, stride = chunks + 1;
+    const int line_blocks = (chunks + block_chunks - 1) / block_chunks;
     uint4* staged = all_staged[warp] + 1;
     // 16-byte copies, where every line begins on a boundary.
     const bool whole = ((lines_address | (unsigned long long)(pixels * 2)) & 15ull) == 0;
@@ -60,14 +61,16 @@ MEMORY: Final = f"""
             for (int p = lane; p < count * 8; p += 32)
                 ((unsigned short*)to)[p] = first + p < pixels ? v[first + p] : 0;
         }}
+    }};
+    auto end_of_stage = [&]() {{
 #if __CUDA_ARCH__ >= 800
         asm volatile("cp.async.commit_group;" ::: "memory");
 #endif
     }};
-    // Waits for all that was staged, or for all but the last.
-    auto await_stage = [&](bool but_last) {{
+    // Waits for all that was staged, or for all but the last two.
+    auto await_stage = [&](bool but_two) {{
 #if __CUDA_ARCH__ >= 800
-        if (but_last) asm volatile("cp.async.wait_group 1;" ::: "memory");
+        if (but_two) asm volatile("cp.async.wait_group 2;" ::: "memory");
         else asm volatile("cp.async.wait_group 0;" ::: "memory");
 #endif
         __syncwarp();
@@ -92,6 +95,7 @@ MEMORY: Final = f"""
 #endif
         for (int slot = 0; slot < slots; ++slot)
             stage(staged + slot * stride, first_v + slot * pixels, 0, chunks);
+        end_of_stage();
     }};
     auto await_lines = [&]() {{
 #if __CUDA_ARCH__ >= 900

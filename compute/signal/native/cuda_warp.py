@@ -144,8 +144,7 @@ _END: Final = """
     };
 """
 
-# Lines that fit in shared memory together, or one block after another: the next one comes while
-# one is looked at.
+# Lines that fit in shared memory together, or one block after another.
 _LOOP: Final = """
     auto take_short_lines = [&]() -> int {
         const Padded where;
@@ -155,41 +154,55 @@ _LOOP: Final = """
         const int background = begin(where, line);
         #pragma unroll 1
         for (int slot = 0; slot < slots; ++slot)
-            scan(staged + slot * stride, chunks, limits[slot], slot * 2);
+            #pragma unroll 1
+            for (int block = 0; block < line_blocks; ++block) {
+                const int first = block * block_chunks;
+                scan(staged + slot * stride + first, chunks - first, limits[slot],
+                    (slot * line_blocks + block) * 2);
+            }
         __syncwarp();
-        const unsigned word = lane < slots * 8 ? ((const unsigned*)words)[lane] : 0u;
-        take(where, word, lane / 8, lane % 8 * 32, true);
+        const int line_words = line_blocks * 8;
+        const unsigned word = lane < slots * line_words ? ((const unsigned*)words)[lane] : 0u;
+        take(where, word, lane / line_words, lane % line_words * 32, true);
         return background;
     };
     auto take_long_lines = [&]() -> int {
         const Bare where;
         const int background = begin(where, lane_line());
-        int half = 0;
-        auto stage_block = [&](int slot, int first) {
-            stage(staged + half * block_chunks, first_v + (long long)slot * pixels, first * 8,
-                lesser(block_chunks, chunks - first));
+        // Two blocks are on their way while one is looked at.
+        int coming_slot = 0, coming_chunk = 0, coming = 0, at = 0;
+        auto stage_next = [&]() {
+            if (coming_slot < slots)
+                stage(staged + coming * block_chunks, first_v + (long long)coming_slot * pixels,
+                    coming_chunk * 8, lesser(block_chunks, chunks - coming_chunk));
+            end_of_stage();
+            coming = coming == 2 ? 0 : coming + 1;
+            coming_chunk += block_chunks;
+            if (coming_chunk >= chunks) { coming_chunk = 0; ++coming_slot; }
         };
-        stage_block(0, 0);
+        stage_next();
+        stage_next();
         for (int slot = 0; slot < slots; ++slot)
             for (int first = 0; first < chunks; first += block_chunks) {
-                const uint4* block = staged + half * block_chunks;
-                const bool line_ends = first + block_chunks >= chunks;
-                const bool more = !line_ends || slot + 1 < slots;
-                half = 1 - half;
-                if (more) stage_block(slot + line_ends, line_ends ? 0 : first + block_chunks);
-                await_stage(more);
-                scan(block, chunks - first, limits[slot], 0);
+                stage_next();
+                await_stage(true);
+                scan(staged + at * block_chunks, chunks - first, limits[slot], 0);
                 __syncwarp();
+                at = at == 2 ? 0 : at + 1;
+                const bool last = slot + 1 == slots && first + block_chunks >= chunks;
                 const unsigned word = lane < 8 ? ((const unsigned*)words)[lane] : 0u;
-                take(where, word, slot, first + lane * 32, !more);
+                if (last || __any_sync(every, word != 0u))
+                    take(where, word, slot, first + lane * 32, last);
             }
         return background;
     };
     __syncwarp();
-    for (; first_line < end_line; first_line += batch_lines) {
-        slots = lesser(batch_lines, end_line - first_line);
-        end(chunks <= block_chunks ? take_short_lines() : take_long_lines());
-        first_v += (long long)batch_lines * pixels;
+    const int step_lines = line_blocks <= batch_lines ? batch_lines / line_blocks : batch_lines;
+    for (; first_line < end_line; first_line += step_lines) {
+        slots = lesser(step_lines, end_line - first_line);
+        const bool in_shared = all_short || (!all_long && line_blocks <= batch_lines);
+        end(in_shared ? take_short_lines() : take_long_lines());
+        first_v += (long long)step_lines * pixels;
     }
 """
 

@@ -19,7 +19,7 @@ def device():
     return "cuda:0"
 
 
-@pytest.mark.parametrize("pixels", [64, 65, 127, 300, 1023, 2048, 4097, 16384])
+@pytest.mark.parametrize("pixels", [64, 65, 127, 300, 1023, 2048, 4096, 4097, 8192, 8193, 16384])
 @pytest.mark.parametrize("weighting", ["edge-corrected", "above-threshold", "above-background"])
 def test_matches_the_reference(device, pixels, weighting):
     lines = varied_lines(96, pixels, np.random.default_rng(pixels))

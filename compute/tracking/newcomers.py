@@ -27,7 +27,7 @@ from compute.tracking.point_matching import match_points, update_by_points
 from compute.tracking.reading_model import Predicted, ReadingModel
 from compute.tracking.seen import Seen
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.states import combined
+from compute.tracking.states import combined, places
 from compute.tracking.tracklets import FoundMarkers
 from compute.tracking.tracks import Tracks
 
@@ -133,8 +133,7 @@ class Newcomers:
         weak &= seen.degrees() >= 2
         if not weak[part].any():
             return weak
-        place = combined(self._motion, tracks.states).mean[:, :3]
-        reading = self._model.predict(place).reading_px
+        reading = self._model.predict(places(tracks.states)).reading_px
         return entangled(reading, weak, tracks.confirmed, self._settings.merge_px)
 
     def _follow(

@@ -130,6 +130,12 @@ def combined(models: MotionModels, states: States) -> Combined:
     return _mixture(models, states, states.probability)
 
 
+def places(states: States) -> Array:
+    """Return the mixtures' mean places alone, shape (T, 3)."""
+    mean: Array = (states.probability[..., None] * states.mean[..., :3]).sum(axis=1)
+    return mean
+
+
 def weighed(states: States, log_likelihood: Array) -> None:
     """Change the models' probabilities by the likelihoods of what was seen, logs (T, M)."""
     log = np.log(states.probability) + log_likelihood

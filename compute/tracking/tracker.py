@@ -20,7 +20,7 @@ from compute.tracking.reading_model import ReadingModel
 from compute.tracking.report import batch_of
 from compute.tracking.seen import Seen
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.states import States, combined, predicted
+from compute.tracking.states import States, combined, places, predicted
 from compute.tracking.strangers import any_near, beside_after, doubted, hidden_now
 from compute.tracking.track_batch import TrackBatch
 from compute.tracking.tracks import Tracks
@@ -296,8 +296,7 @@ class Tracker:
         some = np.flatnonzero(hidden.any(axis=1))
         if len(some) == 0:
             return peaks
-        place = combined(self.motion, tracks.states.rows(rows[some])).mean[:, :3]
-        reading = self.model.predict(place).reading_px
+        reading = self.model.predict(places(tracks.states)[rows[some]]).reading_px
         return doubted(peaks, reading, hidden[some], self.settings)
 
     def _note_strangers(
@@ -329,8 +328,7 @@ class Tracker:
         possible = degrees.copy()
         few = np.flatnonzero((degrees < VOUCHING_SENSORS) & (in_view >= VOUCHING_SENSORS))
         if len(few):
-            place = combined(self.motion, states.rows(few)).mean[:, :3]
-            reading = self.model.predict(place).reading_px
+            reading = self.model.predict(places(states)[few]).reading_px
             with np.errstate(invalid="ignore"):
                 apart = np.abs(peaks.position_px - reading[..., None])
                 shared = ((apart <= self.settings.merge_px) & peaks.usable).any(axis=2)

@@ -14,7 +14,7 @@ from compute.tracking.motion_model import MotionModels
 from compute.tracking.native.associator import Associator
 from compute.tracking.reading_model import ReadingModel
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.states import States, combined, predicted
+from compute.tracking.states import States, places, predicted
 from compute.tracking.strangers import FIELDS, beside_after, doubted, hidden_now
 
 Array = NDArray[np.float64]
@@ -225,7 +225,7 @@ class Tracklets:
             # Against other markers' peaks, not against false ones.
             kept.score[one, -1] = found.evidence[0] - (used * (crowd - base)).sum()
             kept.nis[one] = found.nis[0]
-        there = self._model.predict(combined(self._motion, kept.states).mean[:, :3])
+        there = self._model.predict(places(kept.states))
         with np.errstate(invalid="ignore"):
             apart = np.abs(peaks.position_px - there.reading_px[..., None])
             shared = ((apart <= self._settings.merge_px) & peaks.usable).any(axis=2)
@@ -242,8 +242,7 @@ class Tracklets:
         self._join()
 
     def _readings(self, states: States) -> Array:
-        place = combined(self._motion, states).mean[:, :3]
-        return self._model.predict(place).reading_px
+        return self._model.predict(places(states)).reading_px
 
     def decide(self) -> FoundMarkers | None:
         """Return those that are markers, and follow them no longer; None: there are none."""

@@ -28,9 +28,13 @@ _BEGIN: Final = """
     // last, its variance is that of the last pivot.
     struct Level { enum { parameters = 4 }; };
     struct Slope { enum { parameters = 5 }; };
+    // A known width's row is nothing, and the compiler leaves it out.
+    struct OpenWidth { enum { is_fitted = 1 }; };
+    struct KnownWidth { enum { is_fitted = 0 }; };
     auto fit_alone_by = [&](
-        auto background, const Candidate& c, int first, int last, Fitted* out) -> int {
+        auto background, auto width, const Candidate& c, int first, int last, Fitted* out) -> int {
         const int size = decltype(background)::parameters;
+        const bool width_is_fitted = decltype(width)::is_fitted;
         const int light_at = size - 3, width_at = size - 2, place_at = size - 1;
         const int most_passes = 8;
         // Beyond a thousand deviations float32 would tell.
@@ -40,7 +44,7 @@ _BEGIN: Final = """
         const int used = last - first + 1;
         for (int i = first; i <= last; ++i)
             if (v[i] >= full_scale) return 0;
-        const int freedom = used - size + !plan.width_is_fitted + plan.has_prior;
+        const int freedom = used - size + !width_is_fitted + plan.has_prior;
         if (freedom < 1 + plan.has_prior) return 0;
         const float chi2_limit = (float)chi2_limits[freedom];
         const bool may_split = plan.further_peaks && plan.max_joint > 1;
@@ -163,7 +167,7 @@ _STEP: Final = """
             score[width_at] += prior * away + narrow_power_f * narrow;
             information[width_row + width_at] += prior + narrow_power_f * narrow_power_f * narrow;
             chi2 += prior * away * away;
-            const bool held = !plan.width_is_fitted
+            const bool held = !width_is_fitted
                 || (log_w <= least_log && score[width_at] < 0.0f)
                 || (log_w >= most_log && score[width_at] > 0.0f);
             if (held) {
@@ -204,7 +208,7 @@ _STEP: Final = """
             const float by_width_column = information[place_row + width_at];
             const float width2 = information[width_row + width_at]
                 + by_width_column * by_width_column * sigma2;
-            if (plan.width_is_fitted && width2 > 2.0f * open_width2_f) return 0;
+            if (width_is_fitted && width2 > 2.0f * open_width2_f) return 0;
             #pragma unroll
             for (int a = size - 1; a >= 0; --a) {
                 score[a] *= information[a * (a + 1) / 2 + a];
@@ -230,7 +234,7 @@ _STEP: Final = """
             if (size == 5) slope += part * score[1];
             light += part * score[light_at];
             x += part * score[place_at];
-            if (plan.width_is_fitted) {
+            if (width_is_fitted) {
                 // exp to 1e-7: a step is a quarter at most.
                 float rise = part * score[width_at];
                 if (log_w + rise < least_log) rise = least_log - log_w;
@@ -243,7 +247,7 @@ _STEP: Final = """
             }
             if (!(x > low_end && x < high_end && light > 0.0f)) return 0;
             if (ended) {
-                if (plan.width_is_fitted && !(width2 < 0.999f * open_width2_f)) return 0;
+                if (width_is_fitted && !(width2 < 0.999f * open_width2_f)) return 0;
                 // The light's variance: its column of the inverse of L, by the pivots.
                 const float by_width_row = information[width_row + light_at];
                 const float by_place_row = information[place_row + light_at]
@@ -272,8 +276,11 @@ _END: Final = """
         return 1;
     };
     auto fit_alone = [&](const Candidate& c, int first, int last, Fitted* out) -> int {
-        return plan.sloped ? fit_alone_by(Slope{}, c, first, last, out)
-                           : fit_alone_by(Level{}, c, first, last, out);
+        if (plan.width_is_fitted)
+            return plan.sloped ? fit_alone_by(Slope{}, OpenWidth{}, c, first, last, out)
+                               : fit_alone_by(Level{}, OpenWidth{}, c, first, last, out);
+        return plan.sloped ? fit_alone_by(Slope{}, KnownWidth{}, c, first, last, out)
+                           : fit_alone_by(Level{}, KnownWidth{}, c, first, last, out);
     };
 """
 

@@ -82,8 +82,7 @@ def test_points_from_readings(ask: Ask) -> None:
 
 
 def test_a_list_of_many_pages_is_read_whole(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lumiline.client.client.PAGE", 2)
-    monkeypatch.setattr("lumiline.client.async_client.PAGE", 2)
+    monkeypatch.setattr("lumiline.client.call.PAGE", 2)
     for _ in range(5):
         ask("reconstruct", "sim", {"a": {sensor_bar()[0].model.name: 1000.0}})
     found = ask("reconstructions", "sim")

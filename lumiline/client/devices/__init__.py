@@ -1,0 +1,1 @@
+"""Devices, their calibrations, and points from readings."""

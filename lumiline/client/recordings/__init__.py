@@ -1,0 +1,1 @@
+"""Recordings, their exports, and runs."""

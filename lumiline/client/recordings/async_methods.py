@@ -1,0 +1,95 @@
+"""AsyncClient's methods for recordings, their exports, and runs."""
+
+import asyncio
+import time
+from pathlib import Path
+from typing import Any
+
+from lumiline.client.async_connection import AsyncConnection
+from lumiline.client.recordings import calls
+from lumiline.client.recordings import documents as d
+
+
+class AsyncRecordingMethods(AsyncConnection):
+    """Recordings, their exports, and runs, with asyncio."""
+
+    async def recordings(self, device_id: str | None = None) -> list[d.Recording]:
+        """Recordings, of a device, the newest first."""
+        return await self._all(calls.recordings(device_id))
+
+    async def recording(self, name: str) -> d.Recording:
+        """One recording."""
+        return await self._one(calls.recording(name))
+
+    async def start_recording(
+        self, device_id: str, name: str | None = None, seconds: float | None = None
+    ) -> d.Recording:
+        """Record a running device from its next frame on."""
+        return await self._one(calls.start_recording(device_id, name, seconds))
+
+    async def stop_recording(self, name: str) -> d.Recording:
+        """End a recording."""
+        return await self._one(calls.stop_recording(name))
+
+    async def download_recording(self, name: str, path: Path | str) -> Path:
+        """Write a recording that is complete to a file, which is there only when it is whole.
+
+        Raises:
+            ServerProblem: there is no such recording, or it is still written.
+            NotReached: the connection was lost before the end.
+        """
+        return await self._download(calls.recording_file(name), path, f"recording {name}")
+
+    async def start_export(
+        self, recording: str, device_id: str, file_format: str, **members: Any
+    ) -> d.Run:
+        """Have points, tracks and tool poses of a recording written to a file on the server.
+
+        Args:
+            recording: its name.
+            device_id: whose tools are followed, as its settings of tracking say.
+            file_format: ``c3d``, ``trc``, ``csv``, ``parquet`` or ``igs.mha``.
+            members: others of the request, such as ``result_id``, ``tools``, ``calibration``.
+
+        Returns:
+            The run, for ``wait_for_run``; its ``result_id`` is then the export's id.
+        """
+        return await self._one(calls.start_export(recording, device_id, file_format, members))
+
+    async def exports(self) -> list[d.Export]:
+        """Files that export runs have made."""
+        return await self._all(calls.exports())
+
+    async def export(self, export_id: str) -> d.Export:
+        """One of them."""
+        return await self._one(calls.export(export_id))
+
+    async def download_export(self, export_id: str, path: Path | str) -> Path:
+        """Write an export to a file, which is there only when it is whole.
+
+        Raises:
+            ServerProblem: there is no such export.
+            NotReached: the connection was lost before the end.
+        """
+        return await self._download(calls.export_file(export_id), path, f"export {export_id}")
+
+    async def delete_export(self, export_id: str) -> None:
+        """Delete a file that an export run has made."""
+        await self.request("DELETE", calls.export(export_id).path)
+
+    async def run(self, run_id: str) -> d.Run:
+        """How far a run is: of an export, a calibration or a map."""
+        return await self._one(calls.run(run_id))
+
+    async def wait_for_run(
+        self, run_id: str, timeout_s: float = 600.0, every_s: float = 0.2
+    ) -> d.Run:
+        """Return a run when it has ended, in whatever way, or as it is after so long."""
+        end = time.monotonic() + timeout_s
+        while not (found := await self.run(run_id)).ended and time.monotonic() < end:
+            await asyncio.sleep(every_s)
+        return found
+
+    async def cancel_run(self, run_id: str) -> d.Run:
+        """End a run that waits or is computed."""
+        return await self._one(calls.cancel_run(run_id))

@@ -1,0 +1,92 @@
+"""AsyncClient's methods for registrations, and the transforms between frames."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from lumiline.client.async_connection import AsyncConnection
+from lumiline.client.registrations import calls
+from lumiline.client.registrations import documents as d
+from lumiline.client.tools.documents import MeasuredPoint
+
+
+class AsyncRegistrationMethods(AsyncConnection):
+    """Registrations, and the transforms between frames, with asyncio."""
+
+    async def registrations(self, device_id: str | None = None) -> list[d.Registration]:
+        """Registrations, of a device, newest first."""
+        return await self._all(calls.registrations(device_id))
+
+    async def registration(self, registration_id: str) -> d.Registration:
+        """One registration."""
+        return await self._one(calls.registration(registration_id))
+
+    async def register(
+        self,
+        registration_id: str,
+        device_id: str,
+        pairs: Mapping[str, tuple[Sequence[float], Sequence[float] | MeasuredPoint]],
+        targets: Mapping[str, Sequence[float]] | None = None,
+        **members: Any,
+    ) -> d.Registration:
+        """Find where a frame lies.
+
+        Args:
+            registration_id: the frame's name.
+            device_id: the device.
+            pairs: by name: a point's place in the frame, and where it was measured [mm], which
+                ``measure_point`` tells with its covariance.
+            targets: by name: places in the frame at which the error is asked for [mm].
+            members: others of the body of POST /api/v1/registrations.
+        """
+        return await self._one(
+            calls.register(registration_id, device_id, pairs, targets or {}, members)
+        )
+
+    async def register_markers(
+        self, registration_id: str, device_id: str, **members: Any
+    ) -> d.Registration:
+        """Find where the frame of three markers lies: M1 its origin, M2 on x, M3 at positive y.
+
+        Args:
+            registration_id: the frame's name.
+            device_id: the device.
+            members: others of the body of POST /api/v1/registrations: ``measured_mm`` and
+                ``measured_sigma_mm``, or ``strobe_markers`` that are held still now.
+        """
+        call = calls.register_markers(registration_id, device_id, members)
+        return await self._one(call, float(members.get("seconds", 1.0)))
+
+    async def register_surface(
+        self,
+        registration_id: str,
+        device_id: str,
+        parent_id: str,
+        points_mm: Sequence[Sequence[float]],
+        surface_mm: Sequence[Sequence[float]],
+        triangles: Sequence[Sequence[int]] | None = None,
+        **members: Any,
+    ) -> d.Registration:
+        """Refine a registration by points measured on a surface.
+
+        Args:
+            registration_id: the new frame's name.
+            device_id: the device.
+            parent_id: the registration that is refined.
+            points_mm: where the points were measured [mm].
+            surface_mm: vertices of the surface in the frame, or points of it [mm].
+            triangles: numbers of three vertices each; None: the surface is given as points.
+            members: others of the body of POST /api/v1/registrations.
+        """
+        surface = calls.mesh(surface_mm, triangles)
+        call = calls.register_surface(
+            registration_id, device_id, parent_id, points_mm, surface, members
+        )
+        return await self._one(call, 60.0)
+
+    async def frames(self, device_id: str) -> d.Frames:
+        """A device's frames, and whether they are connected now."""
+        return await self._one(calls.frames(device_id))
+
+    async def transform(self, device_id: str, frame: str, to: str = "tracker") -> d.FrameTransform:
+        """The transform from one frame to another now, or why there is none."""
+        return await self._one(calls.transform(device_id, frame, to))

@@ -1,0 +1,1 @@
+"""Tools, their calibration, and points measured with them."""

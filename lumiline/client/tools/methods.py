@@ -1,0 +1,70 @@
+"""Client's methods for tools, their calibration, and points measured with them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from lumiline.client.answer import Vector3
+from lumiline.client.connection import Connection
+from lumiline.client.tools import calls
+from lumiline.client.tools import documents as d
+
+
+class ToolMethods(Connection):
+    """Tools, their calibration, and points measured with them."""
+
+    def tools(self, device_id: str | None = None) -> list[d.Tool]:
+        """Tools, of a device."""
+        return self._all(calls.tools(device_id))
+
+    def tool(self, tool_id: str) -> d.Tool:
+        """One tool."""
+        return self._one(calls.tool(tool_id))
+
+    def create_tool(
+        self, tool_id: str, device_id: str, markers_mm: Sequence[Vector3], **members: Any
+    ) -> d.Tool:
+        """Make a tool of known geometry; ``members`` as in the body of POST /api/v1/tools."""
+        return self._one(calls.create_tool(tool_id, device_id, markers_mm, members))
+
+    def delete_tool(self, tool_id: str) -> None:
+        """Delete a tool."""
+        self.request("DELETE", calls.tool(tool_id).path)
+
+    def tool_pose(self, tool_id: str, frame: str | None = None) -> d.Pose:
+        """The newest pose of a tool, in its reference's frame or another."""
+        return self._one(calls.tool_pose(tool_id, frame))
+
+    def calibrate_pivot(
+        self, tool_id: str, seconds: float = 10.0, *, apply: bool = True
+    ) -> d.ToolCalibration:
+        """Find a tool's tip, from its poses of the next seconds about a fixed point."""
+        call = calls.calibrate_tool(tool_id, "pivot", seconds, apply=apply)
+        return self._one(call, seconds)
+
+    def calibrate_spin(
+        self, tool_id: str, seconds: float = 10.0, *, apply: bool = True
+    ) -> d.ToolCalibration:
+        """Find a tool's axis, from its poses of the next seconds about it."""
+        call = calls.calibrate_tool(tool_id, "spin", seconds, apply=apply)
+        return self._one(call, seconds)
+
+    def measure_point(
+        self,
+        tool_id: str,
+        *,
+        frame: str | None = None,
+        name: str | None = None,
+        timeout_s: float = 30.0,
+        **members: Any,
+    ) -> d.MeasuredPoint:
+        """Wait until a tool's tip is held still; return where, to be ``measured`` in ``register``.
+
+        Args:
+            tool_id: the tool.
+            frame: ``tracker``, a tool, or a registration; None: the tool's reference.
+            name: of the point, for the answer.
+            timeout_s: how long is waited [s].
+            members: others of the body of POST /api/v1/tools/ID/points.
+        """
+        call = calls.measure_point(tool_id, frame, name, timeout_s, members)
+        return self._one(call, timeout_s)

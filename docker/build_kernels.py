@@ -8,7 +8,7 @@ import types
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from typing import Any
+from typing import Any, get_args
 
 SENSORS = (3, 4, 5, 6)
 """Devices with another number of sensors have their kernel built at their first start."""
@@ -24,13 +24,14 @@ def modules() -> Iterator[tuple[Any, int]]:
     from compute.reconstruction.native.launch import THREADS_OF_A_BLOCK as POINTS
     from compute.reconstruction.solver import LEAST_ROOM
     from compute.signal.fit import fit_kernel
+    from compute.signal.native.centroid import Length
     from compute.signal.native.centroid_kernel import centroid_kernel
     from compute.signal.native.cuda_sizes import BLOCK_THREADS
 
     assert isinstance(fit_kernel, types.ModuleType)
     yield wp.get_module(fit_kernel.__name__), BLOCK_THREADS
-    for long_lines in (False, True):
-        yield centroid_kernel(long_lines).module, BLOCK_THREADS
+    for length in get_args(Length)[:3]:
+        yield centroid_kernel(length).module, BLOCK_THREADS
     yield tracing.trace_rays.module, RAYS
     yield tracing.trace_rays_without_toroids.module, RAYS
     for sensors in SENSORS:

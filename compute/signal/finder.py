@@ -41,6 +41,7 @@ class CentroidFinder(PeakFinder):
         # Here and not above: Warp takes a second to load, and the types are used without it.
         import warp as wp
 
+        from compute.signal.native.centroid import length_of
         from compute.signal.native.centroid_kernel import centroid_kernel
         from compute.signal.native.cuda_sizes import BLOCK_PIXELS, LINES_PER_BATCH, SHORT_PIXELS
         from compute.signal.native.prelude import line_record
@@ -50,7 +51,7 @@ class CentroidFinder(PeakFinder):
         on_cuda = warp_device(wp, device).is_cuda
         runner = LineRunner(
             wp,
-            centroid_kernel(long_lines=on_cuda and pixels > SHORT_PIXELS),
+            centroid_kernel(length_of(pixels) if on_cuda else "block"),
             lines,
             pixels,
             noise,

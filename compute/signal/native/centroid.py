@@ -3,32 +3,34 @@
 from typing import Final, Literal
 
 from compute.signal.native.cpu_line import CPU_LINE
-from compute.signal.native.cuda_sizes import CANDIDATE_LINES_PER_BATCH
+from compute.signal.native.cuda_memory import CUDA_MEMORY
+from compute.signal.native.cuda_sizes import BLOCK_PIXELS, CANDIDATE_LINES_PER_BATCH, SHORT_PIXELS
 from compute.signal.native.cuda_warp import CUDA_WARP
 from compute.signal.native.measure import MEASURE, RUN
 from compute.signal.native.prelude import CONSTANTS, LEVEL, TYPES
 
-Length = Literal["short", "long", "any"]
-"""Lines of at most SHORT_PIXELS, longer ones, or both: with one of the two, the source for CUDA is
-half as long, which leaves the compiler more registers."""
+Length = Literal["block", "short", "long", "any"]
+"""Lines of at most BLOCK_PIXELS, of at most SHORT_PIXELS, longer ones, or all: with less to choose
+from, the source for CUDA is shorter, which leaves the compiler more registers."""
+
+
+def length_of(pixels: int) -> Length:
+    """Return the name of a line's length."""
+    return "block" if pixels <= BLOCK_PIXELS else "short" if pixels <= SHORT_PIXELS else "long"
 
 
 def find_peaks_source(lines_per_batch: int, length: Length) -> str:
     """Return the source for CUDA's warps to take so many lines of a length, and for the CPU."""
+    sizes = (
+        f"    const int batch_lines = {lines_per_batch};\n"
+        f"    const bool all_blocks = {int(length == 'block')};\n"
+        f"    const bool all_short = {int(length in ('block', 'short'))};\n"
+        f"    const bool all_long = {int(length == 'long')};\n"
+    )
+    on_cuda = "#if defined(__CUDA_ARCH__)\n"
     return (
-        CONSTANTS
-        + TYPES
-        + LEVEL
-        + RUN
-        + MEASURE
-        + "#if defined(__CUDA_ARCH__)\n"
-        + f"    const int batch_lines = {lines_per_batch};\n"
-        + f"    const bool all_short = {int(length == 'short')};\n"
-        + f"    const bool all_long = {int(length == 'long')};\n"
-        + CUDA_WARP
-        + "#else\n"
-        + CPU_LINE
-        + "#endif\n"
+        f"{CONSTANTS}{TYPES}{on_cuda}{sizes}{CUDA_MEMORY}#endif\n"
+        f"{LEVEL}{RUN}{MEASURE}{on_cuda}{CUDA_WARP}#else\n{CPU_LINE}#endif\n"
     )
 
 

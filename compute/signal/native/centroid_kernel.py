@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import warp as wp
 
-from compute.signal.native.centroid import find_peaks_source
+from compute.signal.native.centroid import Length, find_peaks_source
 from compute.signal.native.cuda_sizes import LAUNCH_BOUNDS, LINES_PER_BATCH
 
 # Its greeting and its compile times are nothing to a user of ours.
@@ -18,10 +18,8 @@ OPTIONS: Final = {"enable_backward": False, "fast_math": False, "fuse_fp": False
 
 
 @cache
-def centroid_kernel(long_lines: bool) -> Any:
-    """Return the kernel for lines of at most SHORT_PIXELS on CUDA, or for longer ones.
-
-    On the CPU either takes any line.
+def centroid_kernel(length: Length) -> Any:
+    """Return the kernel for lines of a length on CUDA; on the CPU each takes any line.
 
     Launch with a thread a line on the CPU (``lanes`` 1); on CUDA with ``lanes`` 32 threads for
     every ``lines_per_warp`` lines, in blocks of BLOCK_THREADS.
@@ -53,7 +51,7 @@ def centroid_kernel(long_lines: bool) -> Any:
         record_bytes: int,
     ) -> None: ...
 
-    source = find_peaks_source(LINES_PER_BATCH, "long" if long_lines else "short")
+    source = find_peaks_source(LINES_PER_BATCH, length)
     native = wp.func_native(source)(find_line_peaks)
 
     def find_peaks(

@@ -8,7 +8,7 @@ from compute.signal.native.cuda_sizes import BLOCK_PIXELS, BLOCK_THREADS
 # whole chunks with dark pixels, and a dark chunk before and behind each; of lines that are too
 # long, one block after another. Two queues of what each lane is to take next, each line's entries
 # in the order of its pixels: neighbouring bright chunks, and maxima.
-MEMORY: Final = f"""
+CUDA_MEMORY: Final = f"""
     const int warps = {BLOCK_THREADS} / 32, block_chunks = {BLOCK_PIXELS} / 8;
     __shared__ uint4 all_staged[warps][batch_lines * (block_chunks + 1) + 1];
     __shared__ uint4 all_words[warps][batch_lines * 2];
@@ -31,7 +31,11 @@ MEMORY: Final = f"""
     const unsigned short* first_v =
         (const unsigned short*)lines_address + (long long)first_line * pixels;
     const int chunks = (pixels + 7) / 8, stride = chunks + 1;
-    const int line_blocks = (chunks + block_chunks - 1) / block_chunks;
+    const int line_blocks = all_blocks ? 1 : (chunks + block_chunks - 1) / block_chunks;
+    const bool in_shared = all_short || (!all_long && line_blocks <= batch_lines);
+    // Without a division; of lines of three blocks or four there is one.
+    const int step_lines =
+        !in_shared || line_blocks == 1 ? batch_lines : line_blocks == 2 ? batch_lines / 2 : 1;
     uint4* staged = all_staged[warp] + 1;
     // 16-byte copies, where every line begins on a boundary.
     const bool whole = ((lines_address | (unsigned long long)(pixels * 2)) & 15ull) == 0;
@@ -113,6 +117,13 @@ MEMORY: Final = f"""
 #endif
         await_stage(false);
     }};
+    // As early as can be: the rest is worked out meanwhile.
+    auto stage_batch = [&]() {{
+        slots = lesser(step_lines, end_line - first_line);
+        if (in_shared && slots > 0) stage_lines();
+    }};
+    __syncwarp();
+    stage_batch();
     // Lines lie there, or are looked at where they are after the search for bright chunks.
     auto pixels_of = [&](auto where, int slot) -> const unsigned short* {{
         if constexpr (where) return (const unsigned short*)(staged + slot * stride);

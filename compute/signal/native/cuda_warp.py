@@ -5,7 +5,7 @@ Lines that a warp takes together are a batch; it may take several, one after ano
 
 from typing import Final
 
-from compute.signal.native.cuda_memory import BEGIN, MEMORY
+from compute.signal.native.cuda_memory import BEGIN
 from compute.signal.native.cuda_search import SCAN, SEARCH
 
 # Each lane one maximum: whether it is a peak's, the peak's centre of gravity, and its place among
@@ -148,22 +148,21 @@ _END: Final = """
 _LOOP: Final = """
     auto take_short_lines = [&]() -> int {
         const Padded where;
-        stage_lines();
         const Line line = lane_line();
         await_lines();
         const int background = begin(where, line);
         #pragma unroll 1
-        for (int slot = 0; slot < slots; ++slot)
-            #pragma unroll 1
-            for (int block = 0; block < line_blocks; ++block) {
-                const int first = block * block_chunks;
-                scan(staged + slot * stride + first, chunks - first, limits[slot],
-                    (slot * line_blocks + block) * 2);
-            }
+        for (int slot = 0, block = 0, at = 0; slot < slots; at += 2) {
+            const int first = block * block_chunks;
+            scan(staged + slot * stride + first, chunks - first, limits[slot], at);
+            if (++block == line_blocks) { block = 0; ++slot; }
+        }
         __syncwarp();
-        const int line_words = line_blocks * 8;
-        const unsigned word = lane < slots * line_words ? ((const unsigned*)words)[lane] : 0u;
-        take(where, word, lane / line_words, lane % line_words * 32, true);
+        const int own_block = lane / 8;
+        const int slot = line_blocks == 1 ? own_block : line_blocks == 2 ? own_block / 2 : 0;
+        const int first = (lane - slot * line_blocks * 8) * 32;
+        const bool there = slot < slots && first < chunks;
+        take(where, there ? ((const unsigned*)words)[lane] : 0u, slot, first, true);
         return background;
     };
     auto take_long_lines = [&]() -> int {
@@ -196,14 +195,12 @@ _LOOP: Final = """
             }
         return background;
     };
-    __syncwarp();
-    const int step_lines = line_blocks <= batch_lines ? batch_lines / line_blocks : batch_lines;
-    for (; first_line < end_line; first_line += step_lines) {
-        slots = lesser(step_lines, end_line - first_line);
-        const bool in_shared = all_short || (!all_long && line_blocks <= batch_lines);
+    while (slots > 0) {
         end(in_shared ? take_short_lines() : take_long_lines());
+        first_line += step_lines;
         first_v += (long long)step_lines * pixels;
+        stage_batch();
     }
 """
 
-CUDA_WARP: Final = MEMORY + BEGIN + SCAN + SEARCH + _MEASURE_TOPS + _TAKE + _END + _LOOP
+CUDA_WARP: Final = BEGIN + SCAN + SEARCH + _MEASURE_TOPS + _TAKE + _END + _LOOP

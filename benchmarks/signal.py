@@ -51,7 +51,9 @@ def throughput(device: str | None = None, seconds: float = 0.3) -> list[Row]:
 
     Rows have the keys lines, pixels, peaks, method, time_us, million_lines_per_s,
     million_peaks_per_s, gigabytes_per_s (of raw counts), share_of_copy (of the bandwidth of a
-    copy, or on the CPU of reading) and times_ours (the time over that of our centre of gravity).
+    copy, or on the CPU of reading), times_ours (the time over that of our centre of gravity) and
+    times_copy (over that of reading each pixel once at that bandwidth: more than this nobody can
+    be faster).
     """
     on_cuda = centroid_finder(1, 64, device).device.startswith("cuda")
     limit = _copy_bytes_per_s() if on_cuda else read_bytes_per_s()
@@ -237,6 +239,7 @@ def _row(
         "gigabytes_per_s": rate * 1e-9,
         "share_of_copy": rate / limit,
         "times_ours": time_us / ours_us,
+        "times_copy": limit / rate,
     }
 
 

@@ -1,5 +1,7 @@
 """CentroidFinder: finds the peaks of batches of lines on one device, in buffers of its own."""
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,6 +10,9 @@ from compute.signal.peak_finder import PeakFinder
 from compute.signal.peaks import JOINT_PEAKS, PeakBatch
 from compute.signal.settings import CentroidSettings
 from compute.warp_host import warp_device
+
+PIXELS_PER_THREAD: Final = 4_194_304
+"""A further CPU thread pays from twice as many pixels on: a line takes 0.3 us, waking it tens."""
 
 
 class CentroidFinder(PeakFinder):
@@ -67,6 +72,7 @@ class CentroidFinder(PeakFinder):
             device,
             threads,
             reads_once=pixels <= SHORT_PIXELS,
+            pixels_per_thread=PIXELS_PER_THREAD,
             lines_per_warp=max(LINES_PER_BATCH // -(-pixels // BLOCK_PIXELS), 1),
         )
         super().__init__(runner)

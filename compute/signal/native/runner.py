@@ -21,7 +21,7 @@ FILLING_WARPS: Final = 8192
 HEAD_START_PIXELS: Final = 262_144
 """By so many pixels more than the others the caller's own thread takes: until they have woken."""
 PIXELS_PER_THREAD: Final = 786_432
-"""A further thread must have so many pixels to be worth it."""
+"""A further thread must have so many pixels to be worth it, unless a kernel says otherwise."""
 MAX_GRAPHS: Final = 64
 """Sizes of batches for which a CUDA graph is kept."""
 GRAPH_PIXELS: Final = 1 << 20
@@ -51,6 +51,7 @@ class LineRunner:
         reads_once: the kernel reads lines only once and no records; those of small batches then
             are not copied.
         lines_per_warp: lines of a large batch that a warp takes together.
+        pixels_per_thread: a further CPU thread must have so many to be worth it.
 
     Raises:
         InvalidParameter: a size outside its range, or a device that is not there.
@@ -69,6 +70,7 @@ class LineRunner:
         threads: int | None = None,
         reads_once: bool = False,
         lines_per_warp: int = CANDIDATE_LINES_PER_BATCH,
+        pixels_per_thread: int = PIXELS_PER_THREAD,
     ) -> None:
         check_size(lines, pixels)
         self._threads = check_threads(threads)
@@ -82,6 +84,7 @@ class LineRunner:
         self._record_bytes = record.itemsize
         self._reads_once = reads_once
         self._lines_per_warp = lines_per_warp
+        self._pixels_per_thread = pixels_per_thread
 
         words = record.itemsize // 8 * lines
         # Records as 64-bit words, which also aligns them.
@@ -219,7 +222,7 @@ class LineRunner:
         The first is the caller's own.
         """
         shared = count * self.pixels - HEAD_START_PIXELS
-        threads = min(self._threads, max(shared // PIXELS_PER_THREAD, 1))
+        threads = min(self._threads, max(shared // self._pixels_per_thread, 1))
         if threads == 1:
             return [0, count]
         frames = -(-count // self._sensors)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from compute.errors import InvalidParameter
+from compute.signal import finder
 from compute.signal.finder import CentroidFinder
 from compute.signal.native import runner
 from compute.signal.noise import LineNoise
@@ -165,7 +166,7 @@ def test_a_finder_that_cannot_be_is_refused_with_the_reason(lines, pixels, devic
 @pytest.mark.parametrize("threads", [2, 3, 7])
 def test_threads_share_a_batch_and_change_nothing(threads, sensors, monkeypatch):
     monkeypatch.setattr(runner, "HEAD_START_PIXELS", 50_000)
-    monkeypatch.setattr(runner, "PIXELS_PER_THREAD", 100_000)
+    monkeypatch.setattr(finder, "PIXELS_PER_THREAD", 100_000)
     # Noise by sensor: a part that began with another sensor than 0 would find other peaks.
     noise = LineNoise.of(GAIN, np.linspace(5.0, 200.0, sensors), OFFSET, FULL)
     lines = np.tile(varied_lines(120, 512, np.random.default_rng(3)), (17, 1))

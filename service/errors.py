@@ -406,7 +406,7 @@ class TooManyTools(LumilineError):
 
 
 class ToolReplaced(LumilineError):
-    """The tool was deleted and created again while it was measured; measure it again."""
+    """The tool was created again, or its tip changed, while it was measured; do it again."""
 
     code = "tool-replaced"
 
@@ -433,6 +433,12 @@ class RegistrationExists(LumilineError):
     """The id that a registration is to have is taken, by a registration or by a tool."""
 
     code = "registration-exists"
+
+
+class RegistrationReplaced(LumilineError):
+    """The registration was deleted, or made again, while it was used; do it again."""
+
+    code = "registration-replaced"
 
 
 class UnknownHold(LumilineError):

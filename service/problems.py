@@ -39,6 +39,7 @@ _STATUS: Final[dict[str, int]] = {
     own.TipNotCalibrated.code: 409,
     own.MarkersTaken.code: 409,
     own.RegistrationExists.code: 409,
+    own.RegistrationReplaced.code: 409,
     own.UnknownHold.code: 404,
     own.HoldExists.code: 409,
     own.TooManyHolds.code: 409,

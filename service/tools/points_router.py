@@ -5,6 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Path
 
 from compute.errors import InvalidParameter, NotStill, TooFewPoses
+from service.database.models import RegistrationRow
 from service.dependencies import DatabaseDep, LiveDep
 from service.errors import (
     Busy,
@@ -12,7 +13,9 @@ from service.errors import (
     DeviceNotRunning,
     NoActiveCalibration,
     NothingSeen,
+    RegistrationReplaced,
     TipNotCalibrated,
+    ToolReplaced,
     UnknownTool,
 )
 from service.json_body import FromJson, JsonRoute
@@ -22,6 +25,7 @@ from service.tools.bodies import tip_of
 from service.tools.examples import NEW_POINTS, TOOL_IDS
 from service.tools.point_schema import MeasuredPoint, NewPoint
 from service.tools.poses import frame_of
+from service.tools.relied_on import relied_on
 from service.tools.store import get_tool
 from service.tools.tip_limit import tip_limit_of
 from service.tools.waiting import pointing
@@ -40,6 +44,8 @@ ToolPath = Annotated[
     summary="Measure a point with a tool's tip",
     responses=problems(
         UnknownTool,
+        ToolReplaced,
+        RegistrationReplaced,
         TipNotCalibrated,
         Busy,
         DeviceNotRunning,
@@ -71,8 +77,20 @@ def measure_point(
             )
         frame = frame_of(session, tool, request.frame)
         pointer = Pointer(tool_id, tool.device_id, tip_limit_of(session, tool))
+        registered = session.get(RegistrationRow, frame.name)
+        relied = relied_on(
+            session, [tool_id, frame.reference], [] if registered is None else [registered]
+        )
     with pointing():
         found = measured(live, pointer, frame, request)
+    with database.read() as session:
+        relied.check(session)
+        if tip_of(get_tool(session, tool_id)) != tip:
+            raise ToolReplaced(
+                f'the tip of tool "{tool_id}" was changed while a point was measured with it; '
+                "measure it again",
+                tool=tool_id,
+            )
     return MeasuredPoint.model_validate(
         found
         | {

@@ -1,6 +1,6 @@
 """Registrations in the database, kept as named frames."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -23,6 +23,7 @@ from service.tools.registration_schema import (
     NewThreeMarkers,
     Registration,
 )
+from service.tools.relied_on import ReliedOn
 from service.tools.schema import TRACKER
 from service.tools.store import get_tool
 
@@ -58,12 +59,14 @@ class Made:
         reference: the tool that the points were measured relative to; None: the tracker.
         measured_with: calibration and table in force when they were, where that is known; None:
             what is active when it is stored.
+        relied_on: what it was found from by name, while that took its time.
     """
 
     result: dict[str, Any]
     asked: dict[str, Any]
     reference: str | None
     measured_with: tuple[str | None, str | None] | None = None
+    relied_on: ReliedOn = field(default_factory=ReliedOn)
 
 
 def check_new(session: Session, request: NewAny, reference: str | None) -> None:
@@ -120,8 +123,10 @@ def add_registration(session: Session, request: NewAny, made: Made) -> Registrat
     Raises:
         CalibrationSwitched: what its points were measured with is active no more.
         RegistrationExists, UnknownTool, InvalidParameter: as ``check_new``.
+        ToolReplaced, RegistrationReplaced: what it was found from is another by now.
     """
     check_new(session, request, made.reference)
+    made.relied_on.check(session)
     active = what_is_active(session, request.device)
     if made.measured_with not in (None, (active["calibration"], active["table"])):
         raise CalibrationSwitched(

@@ -1,5 +1,6 @@
 """REST resource /api/v1/registrations."""
 
+from dataclasses import replace
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Path, Response
@@ -26,6 +27,8 @@ from service.errors import (
     NoActiveCalibration,
     NothingSeen,
     RegistrationExists,
+    RegistrationReplaced,
+    ToolReplaced,
     UnknownDevice,
     UnknownRegistration,
     UnknownTool,
@@ -47,6 +50,7 @@ from service.tools.registration_schema import (
     NewThreeMarkers,
     Registration,
 )
+from service.tools.relied_on import relied_on
 from service.tools.waiting import refining, waiting
 
 router = APIRouter(prefix="/api/v1/registrations", tags=["tools"], route_class=JsonRoute)
@@ -83,6 +87,8 @@ def list_registrations(
         UnknownTool,
         UnknownRegistration,
         RegistrationExists,
+        RegistrationReplaced,
+        ToolReplaced,
         Busy,
         DeviceNotRunning,
         NoActiveCalibration,
@@ -147,10 +153,11 @@ def _of_markers(database: Database, live: LiveManager, asked: NewThreeMarkers) -
     with database.read() as session:
         get_device(session, asked.device)
         store.check_new(session, asked, asked.reference)
+        relied = relied_on(session, [asked.reference])
     if asked.strobe_markers is None:
-        return of_markers(live, asked)
+        return replace(of_markers(live, asked), relied_on=relied)
     with waiting():
-        return of_markers(live, asked)
+        return replace(of_markers(live, asked), relied_on=relied)
 
 
 def _of_surface(database: Database, settings: Settings, asked: NewSurface) -> store.Made:
@@ -164,11 +171,12 @@ def _of_surface(database: Database, settings: Settings, asked: NewSurface) -> st
         start = store.frame_from_measured(parent)
         active = what_is_active(session, asked.device)
         reference, created = parent.reference_id, parent.created_at
+        relied = relied_on(session, [reference], [parent])
     with refining():
         result = refined(asked, start)
     of = {"parent": asked.parent, "parent_created_at": created.isoformat()}
     with_these = (active["calibration"], active["table"])
-    return store.Made(result | of, kept(asked), reference, with_these)
+    return store.Made(result | of, kept(asked), reference, with_these, relied)
 
 
 @router.get(

@@ -83,3 +83,29 @@ def test_a_member_with_the_name_of_a_key_does_not_hide_what_lies_beside_it() -> 
     assert found == ["source", "settings", "frame_rate_hz"]
     named = location_in_body(("source", "profile", "profile"), body, missing=False)
     assert named == ["source", "profile"]
+
+
+def test_a_body_whose_kind_is_also_one_of_its_keys(sqlite_client: Any):
+    places = [[0.0, 0.0, 0.0]] * 12
+    body = {
+        "id": "skin", "kind": "surface", "device": "sim", "parent": "ct", "points_mm": places,
+        "surface": {"kind": "points", "points_mm": places},
+    }  # fmt: skip
+    more = {"trim": 0.5, "reference": "pointer"}
+    for changes, expected in (
+        (more, [["trim"], ["reference"]]),
+        ({"surface": {"kind": "points", "points": 3}},
+         [["surface", "points_mm"], ["surface", "points"]]),
+        ({"surface": {"kind": "mesh", "vertices_mm": [[0.0, 0.0, "x"]] * 3, "triangles": []}},
+         [["surface", "vertices_mm", 0, 2], ["surface", "vertices_mm", 1, 2],
+          ["surface", "vertices_mm", 2, 2], ["surface", "triangles"]]),
+        ({"surface": {"kind": "skin"}}, [["surface"]]),
+        ({"surface": 3, "points_mm": [[0.0]]},
+         [["points_mm", 0, 1], ["points_mm", 0, 2], ["surface"]]),
+    ):  # fmt: skip
+        answer = sqlite_client.post("/api/v1/registrations", json=body | changes)
+        found = locations(answer)
+        assert sorted(found, key=str) == sorted((["body", *one] for one in expected), key=str)
+    without = {name: value for name, value in body.items() if name not in ("surface", "parent")}
+    answer = sqlite_client.post("/api/v1/registrations", json=without)
+    assert locations(answer) == [["body", "parent"], ["body", "surface"]]

@@ -16,6 +16,8 @@ _log = logging.getLogger(__name__)
 
 Publish = Callable[[str, dict[str, Any]], None]
 """Tells the clients of a device."""
+Told = Callable[[str, HoldNow, bool], None]
+"""Takes a device, one of its holds, and whether it is the last of that hold."""
 
 DELETED = "the hold was deleted"
 
@@ -46,6 +48,7 @@ class HoldBoard:
         self._devices: dict[str, tuple[HoldWatch, ...]] = {}
         self._told: dict[str, HoldNow] = {}
         self._due_s: dict[str, float] = {}
+        self._listeners: tuple[Told, ...] = ()
         self.changed = Condition()
         """Its lock is the board's; notified when there is another deadline to watch."""
 
@@ -74,6 +77,27 @@ class HoldBoard:
             for watch in kept:
                 self._watches[watch.hold.id] = watch
                 self._tell(watch, watch.now, anew=True)
+
+    def listen(self, told: Told) -> Callable[[], None]:
+        """Have ``told`` called with every hold now, and from now on with every change, in order.
+
+        It is called in the thread that notices, with the board's lock held: it returns at once.
+
+        Returns:
+            What ends it; may be called again.
+        """
+        with self.changed:
+            self._check(self._monotonic_s())
+            for device_id, watches in self._devices.items():
+                for watch in watches:
+                    told(device_id, watch.now, False)
+            self._listeners = (*self._listeners, told)
+
+        def end() -> None:
+            with self.changed:
+                self._listeners = tuple(one for one in self._listeners if one is not told)
+
+        return end
 
     def take(self, batch: FrameBatch) -> tuple[tuple[HoldNow, ...], ...]:
         """Step a device's holds with all frames of a batch, and tell of changes.
@@ -200,6 +224,8 @@ class HoldBoard:
         told = self._told.get(hold_id)
         if now.differs(told) or last or (anew and told is not None and told.reason != now.reason):
             self._told[hold_id] = now
+            for listener in self._listeners:
+                listener(device_id, now, last)
             self._publish(device_id, hold_message(device_id, now))
         if last:
             del self._watches[hold_id], self._told[hold_id]

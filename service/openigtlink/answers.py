@@ -53,6 +53,7 @@ class Answers:
         newest: returns the newest poses.
         tools: returns the tools that are known.
         counters: of the server.
+        holds: returns the STATUS of a beam hold by its name; None: there is none.
         invalid: whether poses that are not OK are sent.
         changes: whether clients may change anything.
     """
@@ -63,6 +64,7 @@ class Answers:
         newest: Callable[[], Snapshot | None],
         tools: Callable[[], Sequence[WireTool]],
         counters: Counters,
+        holds: Callable[[Session, str], Message | None],
         *,
         invalid: bool,
         changes: bool,
@@ -71,6 +73,7 @@ class Answers:
         self._newest = newest
         self._tools = tools
         self._counters = counters
+        self._holds = holds
         self._invalid = invalid
         self._commands = Commands(host, newest, changes=changes)
 
@@ -130,6 +133,9 @@ class Answers:
         return reply
 
     def _status(self, session: Session, message: Message) -> Message:
+        hold = self._holds(session, message.device)
+        if hold is not None:
+            return hold
         snapshot = self._newest()
         if snapshot is None:
             text = "no device with tools runs now"

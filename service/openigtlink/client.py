@@ -45,6 +45,7 @@ class Client(asyncio.Protocol):
         lost: called when the connection has ended.
         spawn: begins a task, and keeps it: what was commanded is done, and written down, also if
             the client has gone.
+        missed: called when it reads again and has not been told of changes of beam holds.
     """
 
     def __init__(
@@ -55,6 +56,7 @@ class Client(asyncio.Protocol):
         made: Callable[["Client"], tuple[str, StatusCode | None] | None],
         lost: Callable[["Client"], None],
         spawn: Callable[[Coroutine[None, None, None]], None],
+        missed: Callable[["Client"], None],
     ) -> None:
         self._settings = settings
         self._answers = answers
@@ -62,6 +64,8 @@ class Client(asyncio.Protocol):
         self._made = made
         self._lost = lost
         self._spawn = spawn
+        self._missed = missed
+        self._misses_holds = False
         self._loop = asyncio.get_running_loop()
         self._decoder = Decoder(KNOWN)
         self._transport: asyncio.Transport | None = None
@@ -114,6 +118,9 @@ class Client(asyncio.Protocol):
         """Go on with the newest frame, and with what it asked."""
         self._writable = True
         self._cancel("stall")
+        if self._misses_holds:
+            self._misses_holds = False
+            self._missed(self)
         self._send_frame()
         self._work()
 
@@ -143,6 +150,13 @@ class Client(asyncio.Protocol):
         """Tell the client once that no frames come."""
         if self._writable:
             self._write(self.session.stale(device_id, age_s))
+
+    def tell_hold(self, status: Message) -> None:
+        """Tell the client of a beam hold, or, if it does not read, how all are when it does."""
+        if self._writable:
+            self._send((status,))
+        else:
+            self._misses_holds = True
 
     def end(self, reason: str, code: StatusCode, word: str = "error") -> None:
         """Tell the client why by STATUS, if it reads, and close the connection.

@@ -36,7 +36,7 @@ async def openigtlink_running(
         return
     live = app.state.live
     host = ServiceHost(app.state.database, live, recordings)
-    server = OpenIGTLinkServer(live.poses, host, found)
+    server = OpenIGTLinkServer(live.poses, host, found, live.holds)
     try:
         await server.start()
     except OSError as error:

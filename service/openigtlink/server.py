@@ -9,11 +9,13 @@ from collections.abc import Coroutine, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from compute.errors import LumilineError
+from service.live.hold_board import HoldBoard
 from service.live.pose_board import BoardEntry, PoseBoard
 from service.navigation.allow_list import AllowList
 from service.openigtlink.answers import Answers
 from service.openigtlink.client import Client
 from service.openigtlink.counters import Counters
+from service.openigtlink.hold_statuses import HoldStatuses
 from service.openigtlink.host import Host, WireTool
 from service.openigtlink.names import Naming, name_tools
 from service.openigtlink.settings import ServerSettings
@@ -40,10 +42,20 @@ class OpenIGTLinkServer:
         board: where the newest poses are.
         host: the application.
         settings: of the server.
+        holds: beam holds, of which clients are told; None: there are none.
     """
 
-    def __init__(self, board: PoseBoard, host: Host, settings: ServerSettings) -> None:
+    def __init__(
+        self,
+        board: PoseBoard,
+        host: Host,
+        settings: ServerSettings,
+        holds: HoldBoard | None = None,
+    ) -> None:
         self.counters = Counters()
+        if holds is None:
+            holds = HoldBoard(lambda *_: None)
+        self._holds = HoldStatuses(holds, settings.device, lambda: self._clients)
         self._board = board
         self._host = host
         self._settings = settings
@@ -52,6 +64,7 @@ class OpenIGTLinkServer:
             self._fresh,
             lambda: self._tools,
             self.counters,
+            self._holds.answer,
             invalid=settings.send_invalid,
             changes=settings.changes,
         )
@@ -95,6 +108,7 @@ class OpenIGTLinkServer:
         )
         await self.refresh()
         self._end = self._board.listen(self._told)
+        self._holds.start()
         self._watcher = loop.create_task(self._watch())
         host, port = self.address
         others = ", ".join(self._settings.allow)
@@ -108,6 +122,7 @@ class OpenIGTLinkServer:
     async def close(self) -> None:
         """Tell all clients, and close; those that do not read are cut off."""
         self._end()
+        self._holds.close()
         self._watcher.cancel()
         self._server.close()
         for client in list(self._clients):
@@ -118,7 +133,13 @@ class OpenIGTLinkServer:
 
     def _client(self) -> Client:
         return Client(
-            self._settings, self._answers, self.counters, self._made, self._lost, self._spawn
+            self._settings,
+            self._answers,
+            self.counters,
+            self._made,
+            self._lost,
+            self._spawn,
+            self._holds.greet,
         )
 
     def _spawn(self, work: Coroutine[None, None, None]) -> None:
@@ -148,6 +169,7 @@ class OpenIGTLinkServer:
         newest = self._fresh()
         if newest is not None:
             client.offer(newest)
+        self._holds.greet(client)
         return None
 
     def _tell_refused(self, text: str) -> None:
@@ -208,7 +230,7 @@ class OpenIGTLinkServer:
         return found
 
     async def _watch(self) -> None:
-        """Ask for the tools now and then, and tell clients when no frames come."""
+        """Ask for the tools now and then, tell of beam holds again, and when no frames come."""
         asked = time.monotonic()
         while True:
             with contextlib.suppress(TimeoutError):
@@ -217,6 +239,7 @@ class OpenIGTLinkServer:
                 self._wake.clear()
                 await self.refresh()
                 asked = time.monotonic()
+            self._holds.repeat()
             if self._newest is not None and not self._newest.fresh:
                 age_s = self._newest.age_s
                 for client in list(self._clients):

@@ -32,6 +32,7 @@ class StatusCode(IntEnum):
     NOT_ENOUGH_RESOURCE = 11
     UNKNOWN_INSTRUCTION = 12
     NOT_READY = 13
+    MANUAL_MODE = 14
     NOT_PRESENT = 16
     SHUT_DOWN = 19
 

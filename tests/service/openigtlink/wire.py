@@ -13,6 +13,7 @@ import uvloop
 from compute.camera.rotation import rotation_matrix
 from compute.errors import LumilineError
 from compute.pose.tool_pose import PoseStatus, ToolPose
+from service.live.hold_board import HoldBoard
 from service.live.pose_board import BoardEntry, PoseBoard
 from service.openigtlink.decoder import Damaged, Decoder, Skipped
 from service.openigtlink.host import Caller, Landmark, WireTool
@@ -174,10 +175,13 @@ async def until(holds: Callable[[], bool]) -> None:
 
 
 @asynccontextmanager
-async def serving(host: FakeHost | None = None, **settings: Any) -> AsyncIterator[Served]:
+async def serving(
+    host: FakeHost | None = None, holds: HoldBoard | None = None, **settings: Any
+) -> AsyncIterator[Served]:
     host = FakeHost() if host is None else host
     board = PoseBoard()
-    server = OpenIGTLinkServer(board, host, ServerSettings(port=0, rate_hz=1e9, **settings))
+    made = ServerSettings(port=0, rate_hz=1e9, **settings)
+    server = OpenIGTLinkServer(board, host, made, holds)
     await server.start()
     served = Served(server, board, host)
     try:

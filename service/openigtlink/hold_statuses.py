@@ -84,14 +84,20 @@ class HoldStatuses:
             return
         self._changes.append((now, last))
         try:
-            self._loop.call_soon_threadsafe(self._tell_changes)
+            self._loop.call_soon_threadsafe(self._look)
         except RuntimeError:
             # The loop is closed: the service is ending, and its clients are gone.
             return
 
     def _tell_changes(self) -> None:
+        taken = []
         while self._changes:
-            now, last = self._changes.popleft()
+            taken.append(self._changes.popleft())
+        for index, (now, last) in enumerate(taken):
+            newer = (one for one, _ in taken[index + 1 :] if one.hold_id == now.hold_id)
+            if not now.held and any(newer):
+                # The beam is held again already: what was not told in time is not told.
+                continue
             self._now[now.hold_id] = now
             for client in tuple(self._clients()):
                 client.tell_hold(self._message(client.session, now))

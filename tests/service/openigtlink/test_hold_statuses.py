@@ -76,13 +76,35 @@ def test_every_change_is_told_to_everybody_in_order(loop: str):
             peers = [await served.joined() for _ in range(2)]
             # Not in the loop: frames are taken by another thread.
             await asyncio.to_thread(bench.release)
+            for peer in peers:
+                assert await changes(peer, 3) == [(16, "NO_DATA"), (13, "SETTLING"), (1, "OK")]
             await asyncio.to_thread(bench.show, 110, 110, shift_mm=1.5)
             for peer in peers:
-                assert await changes(peer, 4) == [
-                    (16, "NO_DATA"), (13, "SETTLING"), (1, "OK"), (8, "MOVED")
-                ]  # fmt: skip
+                status = told(await other_than(peer, StatusCode.OK))
+                assert (status.code, status.name) == (8, "MOVED")
+                assert "1.50 mm off its place" in status.text
 
     run(test, loop)
+
+
+@pytest.mark.parametrize(("shift_mm", "silent_ms", "code"), [(1.5, 0, 8), (None, 60, 16)])
+def test_that_the_beam_may_go_on_is_not_told_when_it_is_held_again(
+    shift_mm: float | None, silent_ms: int, code: int
+):
+    async def test() -> None:
+        bench = Bench()
+        async with serving(holds=bench.board) as served:
+            peer = await served.joined()
+            # All of it before the loop comes to tell of any.
+            bench.release()
+            if shift_mm is not None:
+                bench.show(110, 110, shift_mm=shift_mm)
+            bench.now_ns += silent_ms * MS
+            codes = [told(await peer.of("STATUS", "watch")).code for _ in range(4)]
+            assert StatusCode.OK not in codes
+            assert codes[-1] == code
+
+    run(test)
 
 
 @pytest.mark.usefixtures("unrepeated")

@@ -27,7 +27,7 @@ from compute.tracking.point_matching import match_points, update_by_points
 from compute.tracking.reading_model import Predicted, ReadingModel
 from compute.tracking.seen import Seen
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.states import combined, places
+from compute.tracking.states import combined, finite, places
 from compute.tracking.tracklets import FoundMarkers
 from compute.tracking.tracks import Tracks
 
@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 
 class Newcomers:
     """Starts, confirms, finds again and ends tracks; counts their identity numbers.
+
+    A track whose state is no longer finite ends: its marker is found anew.
 
     A tentative track lives on peaks that confirmed tracks leave: a ghost of theirs has none. It
     begins with two points of at least three sensors; then it is followed as others are.
@@ -100,6 +102,9 @@ class Newcomers:
         hits = tracks.hits[part].copy()
         tentative = part[~tracks.confirmed[part]]
         self._follow(tracks, tentative[tracks.hits[tentative] > 0], seen, peaks, marker, time_ns)
+        sound = finite(tracks.states)
+        hits, part = hits[sound[part]], part[sound[part]]
+        tentative = tentative[sound[tentative]]
         last = self._searched_ns.get(marker)
         due = last is None or time_ns - last >= round(self._settings.start_every_s * 1e9)
         due |= marker is not None and not (tracks.marker == marker).any()
@@ -125,6 +130,8 @@ class Newcomers:
             tracks, seen = tracks.joined(new[0]), seen.joined(new[1])
         keep = self._confirm(tracks, part, seen, weak, time_ns)
         keep &= ~ended(tracks, self._settings, time_ns)
+        # What is not finite now never will be again, and its place is nowhere.
+        keep[: len(sound)] &= sound
         return (tracks, seen) if keep.all() else (tracks.rows(keep), seen.rows(keep))
 
     def _doubted(self, tracks: Tracks, part: NDArray[np.intp], seen: Seen) -> NDArray[np.bool_]:

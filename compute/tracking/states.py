@@ -136,6 +136,16 @@ def places(states: States) -> Array:
     return mean
 
 
+def finite(states: States) -> NDArray[np.bool_]:
+    """Return which tracks' states are finite in all that their places depend on, shape (T,)."""
+    found: NDArray[np.bool_] = (
+        np.isfinite(states.mean).all(axis=(1, 2))
+        & np.isfinite(states.covariance).all(axis=(1, 2, 3))
+        & np.isfinite(states.probability).all(axis=1)
+    )
+    return found
+
+
 def weighed(states: States, log_likelihood: Array) -> None:
     """Change the models' probabilities by the likelihoods of what was seen, logs (T, M)."""
     log = np.log(states.probability) + log_likelihood

@@ -140,3 +140,22 @@ def test_a_soft_reading_has_the_moments_of_its_mixture() -> None:
     spread = sum(chance * (cov + np.outer(one - mean, one - mean)) for chance, one, cov in parts)
     assert np.allclose(after.mean[0, 0], mean)
     assert np.allclose(after.covariance[0, 0], spread)
+
+
+def test_a_marker_that_was_lost_for_long_is_known_as_well_as_it_is_seen_again() -> None:
+    """Rounding makes no variance negative: half a metre first, then a tenth of a millimetre."""
+    rng = np.random.default_rng(3)
+    states = predicted(ONE_MODEL, start(), np.array([1.0]))
+    used = np.ones(SENSORS, dtype=np.bool_)
+    for nearly_alike in (1.0, 0.1):
+        for _ in range(10):
+            slope = 2.0 * (rng.standard_normal(3) + nearly_alike * rng.standard_normal((4, 3)))
+            after, _, _ = joint_update(states, innovation(slope, used), np.zeros((1, 1, 4)))
+            known = np.linalg.inv(100.0 * slope.T @ slope)
+            # What was known before adds next to nothing to what the readings say.
+            np.testing.assert_allclose(
+                after.covariance[0, 0, :3, :3], known, rtol=1e-3, atol=1e-4 * known.max()
+            )
+            sd = np.sqrt(np.diag(after.covariance[0, 0]))
+            alike = after.covariance[0, 0] / np.outer(sd, sd)
+            assert np.linalg.eigvalsh(alike)[0] > -1e-9

@@ -361,3 +361,26 @@ def test_bad_input_is_refused_with_its_value(change: dict[str, Any], message: st
 def test_settings_are_refused_with_their_value(name: str, value: Any) -> None:
     with pytest.raises(InvalidParameter, match=f"{name} is {value!r}"):
         TrackerSettings(**{name: value})
+
+
+@pytest.mark.parametrize("marker", [None, 0])
+def test_a_track_that_is_not_finite_ends_and_the_others_go_on(marker: int | None) -> None:
+    """Its marker is found anew, under another number."""
+    cameras, rng = CameraStack.of(ring()), np.random.default_rng(5)
+    one, apart = tracker(), np.array([[-80.0, 0.0, 0.0], [90.0, 40.0, 0.0], [0.0, -70.0, 60.0]])
+    count = 3 if marker is None else 1
+    places = np.broadcast_to(MIDDLE_MM + apart[:count], (80, count, 3))
+    before = owners(follow(one, cameras, places[:40], Sensing(), rng, marker)[-1], places[0])
+    assert len(before) == count
+    lost = int(one._tracks.identity[0])
+    one._tracks.states.covariance[0, :, 0, 0] = np.nan
+    one._tracks.states.mean[0, :, 0] = np.nan
+    found = []
+    for frame in range(40, 80):
+        peaks = peaks_of(cameras, places[frame], Sensing(), rng)[:3]
+        found.append(one.step(1 + round(frame * STEP_S * 1e9), *peaks, marker))
+    assert all(np.isfinite(batch.position_mm).all() for batch in found)
+    after = owners(found[-1], places[0])
+    assert lost not in found[0].identity
+    assert sorted(after.values()) == sorted(before.values())
+    assert {number for number in after if number in before} == set(before) - {lost}

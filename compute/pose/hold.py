@@ -168,7 +168,7 @@ class HoldMonitor:
 
     @property
     def seen_ns(self) -> int | None:
-        """When something was last measured [ns]; None: not yet."""
+        """When the oldest of what is needed was measured [ns]; None: not yet."""
         return self._gate.seen_ns
 
     @property
@@ -245,7 +245,7 @@ class MarkerHoldMonitor:
 
     @property
     def seen_ns(self) -> int | None:
-        """When something was last measured [ns]; None: not yet."""
+        """When the oldest of what is needed was measured [ns]; None: not yet."""
         return self._gate.seen_ns
 
     @property
@@ -262,7 +262,11 @@ class MarkerHoldMonitor:
         return _told(self._gate.time_ns, self._gate.fail(why))
 
     def step(
-        self, time_ns: int, positions_mm: Array | None, covariances_mm2: Array | None = None
+        self,
+        time_ns: int,
+        positions_mm: Array | None,
+        covariances_mm2: Array | None = None,
+        times_ns: NDArray[np.int64] | None = None,
     ) -> HoldState:
         """Return the state after positions of the markers.
 
@@ -270,6 +274,8 @@ class MarkerHoldMonitor:
             time_ns: of the exposure [ns].
             positions_mm: shape (M, 3) [mm]; NaN where a marker is not seen; None: none is.
             covariances_mm2: shape (M, 3, 3) [mm^2]; None: exact.
+            times_ns: when each was seen, shape (M,) [ns]; None: all now. The longest gap counts
+                from the oldest of the markers that are needed.
         """
         if positions_mm is None:
             return _state(time_ns, self._gate, None)
@@ -288,7 +294,12 @@ class MarkerHoldMonitor:
                 told = None if beyond is None else f'marker "{self._names[one]}" is {beyond}'
         if len(seen) < self._least and told is None:
             return _state(time_ns, self._gate, None)
-        return _state(time_ns, self._gate, Measured(told, within), shifts[worst[2]], None, worst[0])
+        since_ns = time_ns
+        if times_ns is not None:
+            # Of the newest that are enough, the oldest: one that moves unseen is not forgotten.
+            since_ns = int(np.sort(times_ns[seen])[max(len(seen) - self._least, 0)])
+        measured = Measured(told, within, since_ns)
+        return _state(time_ns, self._gate, measured, shifts[worst[2]], None, worst[0])
 
 
 def _turn(rotation: Array) -> Array:

@@ -51,10 +51,12 @@ class Measured:
     Args:
         beyond: what is, or may be, out of tolerance, for a person; None: nothing.
         within: whether all is within the release limits.
+        time_ns: when the oldest of what it needs was measured [ns]; None: just now.
     """
 
     beyond: str | None
     within: bool
+    time_ns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -83,14 +85,14 @@ class HoldGate:
         Args:
             rules: when holds begin and end.
             latched: whether the first hold lasts until it is acknowledged, as one that goes on
-                from another gate's.
+                from another gate's; whatever the rules say of later ones.
         """
         self._rules = rules
         self._time: int | None = None
         self._seen: int | None = None
         self._within_since: int | None = None
         self._released = False
-        self._latched = latched and rules.latched
+        self._latched = latched
         self._state: GateState | None = None
         self._why = "nothing was measured yet"
         self._cause = HoldCause.NO_DATA
@@ -115,10 +117,15 @@ class HoldGate:
                 f"nothing was measured for {gap * 1e-6:.0f} ms; at most "
                 f"{self._rules.most_gap_ns * 1e-6:.0f} ms are allowed",
             )
-        if measured is not None:
-            self._seen = time_ns
-            self._take(time_ns, measured)
-        return self._settled(time_ns)
+        if measured is None:
+            return self._settled(time_ns, measured=False)
+        since = time_ns if measured.time_ns is None else measured.time_ns
+        if measured.beyond is None and time_ns - since > self._rules.most_gap_ns:
+            # As old as nothing: it says only where all was.
+            return self._settled(time_ns, measured=False)
+        self._seen = since if self._seen is None else max(since, self._seen)
+        self._take(time_ns, measured)
+        return self._settled(time_ns, measured=True)
 
     def fail(self, why: str) -> GateState:
         """Hold now: no measurements are to be had, or those that come are not to be used.
@@ -132,7 +139,7 @@ class HoldGate:
         time_ns = self.time_ns
         self._hold(HoldCause.NO_DATA, why)
         self._time = self._seen = None
-        return self._settled(time_ns)
+        return self._settled(time_ns, measured=False)
 
     @property
     def time_ns(self) -> int:
@@ -141,13 +148,13 @@ class HoldGate:
 
     @property
     def seen_ns(self) -> int | None:
-        """When something was last measured, on the measurements' clock [ns]; None: not yet."""
+        """Since when all that is needed is not known [measurements' clock, ns]; None: ever."""
         return self._seen
 
     @property
     def keeps_latch(self) -> bool:
         """Whether what goes on from here has to be acknowledged before it releases."""
-        return self._rules.latched and (self._latched or self._released)
+        return self._latched or (self._rules.latched and self._released)
 
     def acknowledge(self) -> None:
         """End the latch; the hold ends once all is, and stays, within the release limits."""
@@ -168,12 +175,12 @@ class HoldGate:
         elif self._within_since is None:
             self._within_since = time_ns
 
-    def _settled(self, time_ns: int) -> GateState:
+    def _settled(self, time_ns: int, *, measured: bool) -> GateState:
         since, settle = self._within_since, self._rules.settle_ns
         waited = None if since is None else time_ns - since
         if not self._released and waited is not None and waited >= settle and not self._latched:
             # Never on the mere passing of time: the last word was a measurement.
-            self._released = self._seen == time_ns
+            self._released = measured
         cause, reason = HoldCause.NONE, None
         if not self._released:
             cause, reason = self._cause, self._why

@@ -5,9 +5,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime
-from math import sqrt
-from threading import Timer
-from typing import Any
+from math import inf, sqrt
+from queue import Empty, Queue
+from threading import Thread
+from time import monotonic
+from typing import Any, Final
 
 import typer
 from rich.table import Table
@@ -16,8 +18,15 @@ from rich.text import Text
 from lumiline.client import Client
 from lumiline.client.documents import HoldState
 from lumiline.client.errors import ClientError
-from lumiline.client.messages import BeamHold, Hello, HoldChange
+from lumiline.client.messages import BeamHold, Frame, Hello, HoldChange, Message
+from lumiline.client.stream import Stream
 from service.cli.output import console, fail, print_json
+
+SILENCE_S: Final = 2.0
+"""After which a beam counts as held, without a word of the server."""
+RATE_HZ: Final = 5.0
+"""Of frames, which say that the line is alive."""
+SILENT: Final = "no word of the server"
 
 
 @contextmanager
@@ -79,46 +88,91 @@ def acknowledge(url: str, key: str | None, hold_id: str, *, as_json: bool) -> No
         _show(state)
 
 
-def watch(url: str, key: str | None, hold_id: str, seconds: float | None, *, as_json: bool) -> None:
-    """Print changes of a hold until the time is over; exit code 1 where it is held then."""
+def watch(
+    url: str,
+    key: str | None,
+    hold_id: str,
+    seconds: float | None,
+    *,
+    as_json: bool,
+    silence_s: float = SILENCE_S,
+) -> None:
+    """Print changes of a hold until the time is over; exit code 1 where it is held then.
+
+    A server from which nothing comes for ``silence_s`` says nothing of now: held.
+    """
     held = True
+    end_s = inf if seconds is None else monotonic() + seconds
     with _server(url, key) as client:
         device = client.hold(hold_id).device
-        with client.stream(device, ["holds"], rate_hz=1.0) as stream:
-            timer = None if seconds is None else Timer(seconds, stream.close)
-            if timer is not None:
-                timer.daemon = True
-                timer.start()
+        with client.stream(device, ["holds"], rate_hz=RATE_HZ) as stream:
             try:
-                for message in stream:
-                    for one in _changes(message, hold_id):
-                        held = one.held
-                        _line(one, as_json=as_json)
+                for one in _told(stream, hold_id, end_s, silence_s):
+                    held = one is None or one.held
+                    _line(hold_id, one, as_json=as_json)
             except KeyboardInterrupt:
                 pass
-            finally:
-                if timer is not None:
-                    timer.cancel()
     if held:
         raise typer.Exit(1)
 
 
-def _changes(message: object, hold_id: str) -> Iterator[BeamHold | HoldChange]:
-    """Yield what a message says anew of a hold: a connection begins with how it stands."""
-    if isinstance(message, Hello):
+def _told(
+    stream: Stream, hold_id: str, end_s: float, silence_s: float
+) -> Iterator[BeamHold | HoldChange | None]:
+    """Yield each change of a hold until a time; None: nothing has come for too long."""
+    heard: Queue[Message | ClientError | None] = Queue()
+    Thread(target=_hear, args=(stream, heard), daemon=True).start()
+    last: tuple[bool, str] | None = None
+    while (left_s := end_s - monotonic()) > 0.0:
+        try:
+            message = heard.get(timeout=min(left_s, silence_s))
+        except Empty:
+            # What is held stays so in silence; a device that is stopped sends no frames.
+            if last is not None and not last[0] and left_s > silence_s:
+                last = None
+                yield None
+            continue
+        if isinstance(message, ClientError):
+            raise message
+        if message is None:
+            return
+        for one in _holds(message, hold_id):
+            if isinstance(one, HoldChange) or (one.held, one.cause) != last:
+                yield one
+            last = one.held, one.cause
+
+
+def _hear(stream: Stream, heard: "Queue[Message | ClientError | None]") -> None:
+    try:
+        for message in stream:
+            heard.put(message)
+        heard.put(None)
+    except ClientError as error:
+        heard.put(error)
+
+
+def _holds(message: Message, hold_id: str) -> Iterator[BeamHold | HoldChange]:
+    """Yield what a message says of a hold: a connection begins with how it stands."""
+    if isinstance(message, Hello | Frame):
         yield from (one for one in message.holds or () if one.hold == hold_id)
     elif isinstance(message, HoldChange) and message.hold == hold_id:
         yield message
 
 
-def _line(one: BeamHold | HoldChange, *, as_json: bool) -> None:
+def _line(hold_id: str, one: BeamHold | HoldChange | None, *, as_json: bool) -> None:
+    """Print a change with the time at which it came."""
+    now = datetime.now(UTC)
     if as_json:
-        members: dict[str, Any] = asdict(one)
-        typer.echo(json.dumps(members))
+        silent = {"hold": hold_id, "held": True, "cause": "no-data", "reason": SILENT}
+        members: dict[str, Any] = silent if one is None else asdict(one)
+        typer.echo(json.dumps(members | {"received_at": now.isoformat()}))
         return
-    at = datetime.fromtimestamp(one.since_ns * 1e-9, UTC).astimezone().strftime("%H:%M:%S.%f")[:-3]
+    at = now.astimezone().strftime("%H:%M:%S.%f")[:-3]
+    held, cause, reason = (
+        (True, "no-data", SILENT) if one is None else (one.held, one.cause, one.reason)
+    )
     # A line at once, also into a pipe, and no wrapping: each is one event.
-    typer.echo(f"{at}  {'HELD' if one.held else 'on'}  {one.cause}  {one.reason or ''}".rstrip())
+    typer.echo(f"{at}  {'HELD' if held else 'on'}  {cause}  {reason or ''}".rstrip())
 
 
 def _show(state: HoldState) -> None:

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Body, Path, Response
 from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from compute.errors import InvalidParameter, NotStill
+from service.database.models import HoldRow
 from service.dependencies import DatabaseDep, LiveDep, OperationDep
 from service.errors import (
     Busy,
@@ -26,6 +27,7 @@ from service.holds.schema import Hold, HoldChange, HoldState, NewHold, NewRefere
 from service.holds.specs import spec_of, watch_of
 from service.holds.state import state_of
 from service.json_body import FromJson, JsonRoute
+from service.live.manager import LiveManager
 from service.openapi import problems
 from service.pages import PagingDep, page_of
 from service.parameters import DeviceFilter
@@ -56,14 +58,16 @@ def list_holds(database: DatabaseDep, paging: PagingDep, device: DeviceFilter = 
     status_code=HTTP_201_CREATED,
     responses=problems(UnknownDevice, UnknownTool, HoldExists, TooManyHolds, InvalidParameter),
 )
-def create_hold(request: NewHoldBody, operation: OperationDep, response: Response) -> Hold:
+def create_hold(
+    request: NewHoldBody, live: LiveDep, operation: OperationDep, response: Response
+) -> Hold:
     """Say what is watched, and how far it may move.
 
     The beam is held from the first: until there is a reference, and all was near it for as long
     as `settle_s`.
     """
     with operation.tools_change(request.device) as session:
-        made = store.document(store.add_hold(session, request))
+        made = _set_up(live, store.add_hold(session, request))
     response.headers["Location"] = f"/api/v1/holds/{made.id}"
     return made
 
@@ -143,15 +147,16 @@ def set_hold_reference(
     with database.read() as session:
         row = store.get_hold(session, hold_id)
         device, created, spec = row.device_id, row.created_at, spec_of(watch_of(row))
+        before = store.reference_id(row)
     if request.given is not None:
         with operation.tools_change(device) as session:
-            row = store.get_same_hold(session, hold_id, created)
-            return store.document(store.set_given(session, row, request.given))
+            row = store.get_same_hold(session, hold_id, created, before)
+            return _set_up(live, store.set_given(session, row, request.given))
     with waiting():
         measured, calibration, table = captured(live, device, spec, request)
     with operation.tools_change(device) as session:
-        row = store.get_same_hold(session, hold_id, created)
-        return store.document(store.set_captured(session, row, measured, calibration, table))
+        row = store.get_same_hold(session, hold_id, created, before)
+        return _set_up(live, store.set_captured(session, row, measured, calibration, table))
 
 
 @router.delete(
@@ -200,6 +205,14 @@ def get_hold_state(
     device = _device_of(database, hold_id)
     response.headers["Cache-Control"] = "no-store"
     return state_of(live, device, hold_id)
+
+
+def _set_up(live: LiveManager, row: HoldRow) -> Hold:
+    """Return a hold whose reference, if it has one, is taken now; said before it is watched."""
+    made = store.document(row)
+    if made.reference is not None:
+        live.holds.set_up(made.reference.id)
+    return made
 
 
 def _device_of(database: DatabaseDep, hold_id: str) -> str:

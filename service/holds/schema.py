@@ -14,6 +14,57 @@ _LIMITS = HoldLimits(shift_mm=1.0)
 _RULES = HoldRules()
 
 Length = Annotated[float, Field(gt=0, le=1e4)]
+Shift = Annotated[float, Field(gt=0, le=100)]
+"""Of a patient [mm]; more is a slip of the unit."""
+ShiftLimit = Annotated[
+    Shift | None, Field(description="Distance of the target, or of each marker, from its place.")
+]
+AxisLimits = Annotated[
+    tuple[Shift, Shift, Shift] | None, Field(description="Shift along each axis.")
+]
+TurnLimit = Annotated[
+    Annotated[float, Field(gt=0, le=3.2)] | None, Field(description="Turn, of a tool.")
+]
+Chance = Annotated[
+    float,
+    Field(
+        gt=0,
+        le=0.5,
+        description="The beam is held when the chance of being beyond a limit is above this. 0.5 "
+        "leaves uncertainty aside; less holds sooner.",
+    ),
+]
+ReleaseShare = Annotated[
+    float,
+    Field(
+        gt=0,
+        le=1,
+        description="Share of the limits within which, by the same chance, a hold may end.",
+    ),
+]
+MostGap = Annotated[
+    float,
+    Field(
+        ge=1e-3,
+        le=10,
+        description="Longest time without a measurement before the beam is held: for so long a "
+        "movement may go unseen.",
+    ),
+]
+Settle = Annotated[
+    float,
+    Field(
+        ge=0,
+        le=600,
+        description="How long all has to be within the release limits before the beam goes on.",
+    ),
+]
+Latched = Annotated[
+    bool,
+    Field(
+        description="Whether a hold, after the first release, lasts until it is acknowledged.",
+    ),
+]
 LeastMarkers = Annotated[int, Field(ge=1, le=MOST_MARKERS)]
 
 
@@ -70,41 +121,37 @@ Watch = Annotated[ToolWatch | StrobedWatch | LitWatch, Field(discriminator="kind
 class Limits(Given):
     """How far all may move from the reference; at least one of the first three is needed."""
 
-    shift_mm: Length | None = Field(
-        default=None, description="Distance of the target, or of each marker, from its place."
-    )
-    axis_mm: tuple[Length, Length, Length] | None = Field(
-        default=None, description="Shift along each axis."
-    )
-    turn_rad: Annotated[float, Field(gt=0, le=3.2)] | None = Field(
-        default=None, description="Turn, of a tool."
-    )
-    chance: Annotated[float, Field(gt=0, le=0.5)] = Field(
-        default=_LIMITS.chance,
-        description="The beam is held when the chance of being beyond a limit is above this. 0.5 "
-        "leaves uncertainty aside; less holds sooner.",
-    )
-    release: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=_LIMITS.release,
-        description="Share of the limits within which, by the same chance, a hold may end.",
-    )
+    shift_mm: ShiftLimit = None
+    axis_mm: AxisLimits = None
+    turn_rad: TurnLimit = None
+    chance: Chance = _LIMITS.chance
+    release: ReleaseShare = _LIMITS.release
 
 
 class Rules(Given):
     """When a hold begins and ends, whatever is measured."""
 
-    most_gap_s: Annotated[float, Field(ge=1e-3, le=10)] = Field(
-        default=_RULES.most_gap_ns * 1e-9,
-        description="Longest time without a measurement before the beam is held.",
-    )
-    settle_s: Annotated[float, Field(ge=0, le=600)] = Field(
-        default=_RULES.settle_ns * 1e-9,
-        description="How long all has to be within the release limits before the beam goes on.",
-    )
-    latched: bool = Field(
-        default=_RULES.latched,
-        description="Whether a hold, after the first release, lasts until it is acknowledged.",
-    )
+    most_gap_s: MostGap = _RULES.most_gap_ns * 1e-9
+    settle_s: Settle = _RULES.settle_ns * 1e-9
+    latched: Latched = _RULES.latched
+
+
+class LimitsChange(Given):
+    """Limits to change; one left out stays as it is, null takes it away."""
+
+    shift_mm: ShiftLimit = absent()
+    axis_mm: AxisLimits = absent()
+    turn_rad: TurnLimit = absent()
+    chance: Chance = absent()
+    release: ReleaseShare = absent()
+
+
+class RulesChange(Given):
+    """Rules to change; one left out stays as it is."""
+
+    most_gap_s: MostGap = absent()
+    settle_s: Settle = absent()
+    latched: Latched = absent()
 
 
 class GivenReference(Given):
@@ -140,11 +187,11 @@ class NewHold(Given):
 
 
 class HoldChange(Given):
-    """What may be changed; a field left out stays as it is. What is watched never changes."""
+    """What may be changed; what is left out stays as it is. What is watched never changes."""
 
     title: Text200 = absent()
-    limits: Limits = absent()
-    rules: Rules = absent()
+    limits: LimitsChange = absent()
+    rules: RulesChange = absent()
     note: Note = absent()
 
 

@@ -2,7 +2,7 @@
 
 import json
 from datetime import datetime
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ from service.live.hold_spec import (
     WatchedHold,
 )
 
+LEAST_APART_MM: Final = 1.0
+"""Of markers: two lights that are nearer to each other are seen as one."""
 _WATCH: TypeAdapter[Watch] = TypeAdapter(Watch)
 
 
@@ -116,6 +118,8 @@ def checked_reference(given: GivenReference, watch: Watch) -> dict[str, Any]:
         raise InvalidParameter(
             f"places_mm has {len(given.places_mm)} places; {count} markers are watched"
         )
+    elif given.places_mm is not None:
+        _check_apart(np.array(given.places_mm))
     return {
         **given.model_dump(mode="json"),
         "covariances_mm2": None,
@@ -123,6 +127,17 @@ def checked_reference(given: GivenReference, watch: Watch) -> dict[str, Any]:
         "frames": None,
         "scatter_mm": None,
     }
+
+
+def _check_apart(places_mm: NDArray[np.float64]) -> None:
+    apart = np.linalg.norm(places_mm[:, None] - places_mm, axis=2)
+    close = np.argwhere(np.triu(apart < LEAST_APART_MM, 1))
+    if len(close):
+        one, other = close[0].tolist()
+        raise InvalidParameter(
+            f"places_mm has two markers at one place: {one + 1} and {other + 1} are "
+            f"{apart[one, other]:.3g} mm apart; at least {LEAST_APART_MM:g} mm are needed"
+        )
 
 
 def _check_covariance(given: NDArray[np.float64]) -> None:

@@ -39,9 +39,27 @@ def get_hold(session: Session, hold_id: str) -> HoldRow:
     return row
 
 
-def get_same_hold(session: Session, hold_id: str, created_at: datetime) -> HoldRow:
-    """Return a hold that was measured for; raises UnknownHold, or HoldReplaced: it is another."""
+def reference_id(row: HoldRow) -> str | None:
+    """Return which reference a hold has; None: it has none."""
+    return None if row.reference is None else str(row.reference["id"])
+
+
+def get_same_hold(
+    session: Session, hold_id: str, created_at: datetime, reference: str | None
+) -> HoldRow:
+    """Return a hold that was measured for.
+
+    Raises:
+        UnknownHold.
+        HoldReplaced: it is another, or its reference was changed meanwhile.
+    """
     row = get_hold(session, hold_id)
+    if reference_id(row) != reference:
+        raise HoldReplaced(
+            f'the reference of hold "{hold_id}" was changed or taken away while this one was '
+            "measured, which was not kept; do it again",
+            hold=hold_id,
+        )
     if row.created_at != created_at:
         raise HoldReplaced(
             f'hold "{hold_id}" was deleted and created again while its reference was measured, '
@@ -113,8 +131,9 @@ def add_hold(session: Session, request: NewHold) -> HoldRow:
 def change_hold(session: Session, row: HoldRow, change: HoldChange) -> HoldRow:
     """Change what the request gives; raises InvalidParameter: it contradicts itself."""
     given = change.model_fields_set
-    limits = change.limits if "limits" in given else Limits.model_validate(row.limits)
-    rules = change.rules if "rules" in given else Rules.model_validate(row.rules)
+    members = change.model_dump(mode="json", exclude_unset=True)
+    limits = Limits.model_validate(row.limits | members.get("limits", {}))
+    rules = Rules.model_validate(row.rules | members.get("rules", {}))
     limits_of(limits, rules, watch_of(row))
     row.limits = limits.model_dump(mode="json")
     row.rules = rules.model_dump(mode="json")

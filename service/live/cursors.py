@@ -144,6 +144,9 @@ class Newest:
         message = self._log.message_since(self._message, self._variant)
         if message is not None:
             self._message = message.end
+            if message.content is not None and message.content in self._variant[0]:
+                # What it tells of has changed: frames before it are not of now.
+                self._frame = max(self._frame, message.end)
             return Taken(message.payload(self._variant, message.first), frames=False)
         newest = self._log.newest
         if not due or not self._variant[0] or newest is None or newest.end <= self._frame:

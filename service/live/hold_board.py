@@ -3,12 +3,11 @@
 import logging
 import time
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from threading import Condition
 from typing import Any
 
 from service.live.batch import FrameBatch
-from service.live.hold_now import HoldNow, hold_message
+from service.live.hold_now import HoldMessage, HoldNow
 from service.live.hold_spec import WatchedHold
 from service.live.hold_watch import HoldWatch
 
@@ -43,7 +42,8 @@ class HoldBoard:
         self._publish = publish
         self._monotonic_s = monotonic_s
         self._wall_ns = wall_ns
-        self._began_at = datetime.fromtimestamp(wall_ns() * 1e-9, UTC)
+        self._set_up_here: set[str] = set()
+        self._distrusted: dict[str, str] = {}
         self._watches: dict[str, HoldWatch] = {}
         self._devices: dict[str, tuple[HoldWatch, ...]] = {}
         self._told: dict[str, HoldNow] = {}
@@ -56,27 +56,41 @@ class HoldBoard:
         """Watch these holds of a device, and no others; what is the same goes on as it was.
 
         A hold of which anything but the reference changed keeps its latch. With a latched one
-        that was set up before this board was made nobody knows what happened meanwhile: it is to
-        be acknowledged.
+        whose reference is not known to be taken since this board was made nobody knows what
+        happened meanwhile: it is to be acknowledged.
         """
         with self.changed:
+            distrusted = self._distrusted.pop(device_id, None)
             now_ns = self._wall_ns()
             kept: list[HoldWatch] = []
             for hold in holds:
                 before = self._watches.get(hold.id)
                 if before is not None and before.hold.device_id != device_id:
                     before = None
+                if distrusted is not None and before is not None:
+                    before.fail(distrusted, now_ns)
                 if before is None or before.hold.key != hold.key:
                     kept.append(self._made(hold, before, now_ns))
                 else:
                     kept.append(before)
             for gone in self._devices.get(device_id, ()):
                 if gone.hold.id not in {hold.id for hold in holds}:
-                    self._tell(gone, gone.fail(DELETED, now_ns), last=True)
+                    self._tell(gone, gone.end(DELETED, now_ns), last=True)
             self._devices[device_id] = tuple(kept)
             for watch in kept:
                 self._watches[watch.hold.id] = watch
                 self._tell(watch, watch.now, anew=True)
+
+    def set_up(self, reference_id: str) -> None:
+        """Say that a reference is taken now, and not before this board was made."""
+        with self.changed:
+            self._set_up_here.add(reference_id)
+
+    def distrust(self, device_id: str, why: str) -> None:
+        """Hold all of a device until it is ``set`` again: what is watched may be another thing."""
+        with self.changed:
+            self._distrusted[device_id] = why
+            self._fail(device_id, why)
 
     def listen(self, told: Told) -> Callable[[], None]:
         """Have ``told`` called with every hold now, and from now on with every change, in order.
@@ -110,21 +124,28 @@ class HoldBoard:
         with self.changed:
             self._check(self._monotonic_s())
             watches = self._devices.get(batch.device_id, ())
-            found = []
-            for index in range(len(batch.frames)):
-                after = tuple(self._step(watch, batch, index) for watch in watches)
-                for watch, now in zip(watches, after, strict=True):
-                    self._tell(watch, now)
-                found.append(after)
+            now_ns = self._wall_ns()
+            found = [
+                tuple(self._step(watch, batch, index, now_ns) for watch in watches)
+                for index in range(len(batch.frames))
+            ]
             for watch in watches:
                 self._set_deadline(watch)
+            # Not before: a release that is over by now is told to nobody.
+            for after in found:
+                for watch, now in zip(watches, after, strict=True):
+                    self._tell(watch, now)
+            self._check(self._monotonic_s())
             return tuple(found)
 
     def fail(self, device_id: str, why: str) -> None:
         """Hold all of a device: it was stopped, is not there, or was started anew."""
         with self.changed:
-            for watch in self._devices.get(device_id, ()):
-                self._tell(watch, watch.fail(why, self._wall_ns()), anew=True)
+            self._fail(device_id, why)
+
+    def _fail(self, device_id: str, why: str) -> None:
+        for watch in self._devices.get(device_id, ()):
+            self._tell(watch, watch.fail(why, self._wall_ns()), anew=True)
 
     def forget(self, device_id: str) -> None:
         """Hold and forget all of a device: it was deleted."""
@@ -178,55 +199,70 @@ class HoldBoard:
 
     def _made(self, hold: WatchedHold, before: HoldWatch | None, now_ns: int) -> HoldWatch:
         reference = hold.reference
-        latched, since_ns = False, None
+        latched, since_ns, why = False, None, None
         if before is not None:
-            held = before.fail("it was changed", now_ns)
-            since_ns = held.since_ns
+            since_ns = before.fail("it was changed", now_ns).since_ns
             same = (before.hold.reference and before.hold.reference.id) == (
                 reference and reference.id
             )
             latched = same and before.keeps_latch
-        elif reference is not None:
-            latched = reference.at < self._began_at
-        return HoldWatch(hold, latched=latched, time_ns=now_ns, since_ns=since_ns)
+            why = "the hold was changed" if same else "it has a new reference"
+        elif reference is not None and reference.id not in self._set_up_here:
+            latched = hold.limits.rules.latched
+        if reference is not None:
+            self._set_up_here.discard(reference.id)
+        return HoldWatch(
+            hold,
+            latched=latched,
+            time_ns=now_ns,
+            since_ns=since_ns,
+            why=why,
+            monotonic_s=self._monotonic_s,
+        )
 
-    def _step(self, watch: HoldWatch, batch: FrameBatch, index: int) -> HoldNow:
+    def _step(self, watch: HoldWatch, batch: FrameBatch, index: int, now_ns: int) -> HoldNow:
+        exposed_ns = batch.frames[index].exposure_host_ns
+        distrusted = self._distrusted.get(batch.device_id)
+        if distrusted is not None:
+            return watch.fail(distrusted, exposed_ns)
         try:
-            return watch.step(batch, index)
+            return watch.step(batch, index, now_ns - exposed_ns)
         except Exception as error:  # noqa: BLE001 - held, and the device goes on
             if watch.now.held and watch.now.reason == _failed(error):
                 return watch.now
             _log.exception("hold %s cannot be watched", watch.hold.id)
-            return watch.fail(_failed(error), batch.frames[index].exposure_host_ns)
+            return watch.fail(_failed(error), exposed_ns)
 
     def _set_deadline(self, watch: HoldWatch) -> None:
         """Say until when a hold that is not held may stay so without a measurement."""
         hold_id = watch.hold.id
-        if watch.now.held or watch.measured_ns is None:
+        release = watch.release
+        if release is None or watch.measured_ns is None:
             self._due_s.pop(hold_id, None)
             return
         # A clock that is set back makes no measurement newer than it came.
         age_ns = max(0, self._wall_ns() - watch.measured_ns)
         first = hold_id not in self._due_s
         now_s = self._monotonic_s()
-        self._due_s[hold_id] = now_s + 1e-9 * (watch.most_gap_ns - age_ns)
+        release.due_s = self._due_s[hold_id] = now_s + 1e-9 * (watch.most_gap_ns - age_ns)
         if first:
             self.changed.notify_all()
-        self._check(now_s)
 
     def _tell(
         self, watch: HoldWatch, now: HoldNow, *, anew: bool = False, last: bool = False
     ) -> None:
         """Tell of a change; ``anew``: also where only the reason is another."""
         hold_id, device_id = watch.hold.id, watch.hold.device_id
-        if now.held:
+        if watch.now.held:
             self._due_s.pop(hold_id, None)
+        if now.superseded:
+            return
         told = self._told.get(hold_id)
         if now.differs(told) or last or (anew and told is not None and told.reason != now.reason):
             self._told[hold_id] = now
             for listener in self._listeners:
                 listener(device_id, now, last)
-            self._publish(device_id, hold_message(device_id, now))
+            self._publish(device_id, HoldMessage(device_id, now))
         if last:
             del self._watches[hold_id], self._told[hold_id]
 

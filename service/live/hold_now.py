@@ -1,6 +1,8 @@
 """HoldNow: whether a beam is held now, and why; as the stream sends it."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -10,6 +12,39 @@ from compute.pose.hold import HoldState
 from compute.pose.hold_gate import HoldCause
 
 Vector = tuple[float, float, float]
+
+
+class Release:
+    """A time during which a beam is not held: all that says so while it lasts has the same one.
+
+    Once it is over, whatever said that the beam may go on says so no more, however long it waits
+    until it is sent. Ended by whoever holds the beam, and by itself at its deadline.
+
+    Args:
+        monotonic_s: a clock that does not go back [s].
+    """
+
+    __slots__ = ("_ended", "_monotonic_s", "due_s")
+
+    def __init__(self, monotonic_s: Callable[[], float]) -> None:
+        self._monotonic_s = monotonic_s
+        self._ended: HoldNow | None = None
+        self.due_s = -math.inf
+        """When its newest measurement is too old, by that clock [s]."""
+
+    def end(self, by: "HoldNow") -> None:
+        """End it; ``by``: the hold that does."""
+        self._ended = by
+
+    @property
+    def over(self) -> bool:
+        """Whether the beam is held since."""
+        return self._ended is not None or self._monotonic_s() >= self.due_s
+
+    @property
+    def ended(self) -> "HoldNow | None":
+        """The hold that ended it; None: none did, though its deadline may have passed."""
+        return self._ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +64,7 @@ class HoldNow:
             measured in this frame.
         turn_rad: rotation vector from the reference [rad]; None: not measured, or of markers.
         chance: of being beyond the limit that is nearest to it.
+        release: while it is not held: what says whether that is still so.
     """
 
     hold_id: str
@@ -41,6 +77,26 @@ class HoldNow:
     shift_mm: Vector | None = None
     turn_rad: Vector | None = None
     chance: float | None = None
+    release: Release | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def superseded(self) -> bool:
+        """Whether it says that the beam is not held, and the beam was held since."""
+        return not self.held and self.release is not None and self.release.over
+
+    @property
+    def standing(self) -> "HoldNow":
+        """The same as it is to be told now: held, where the beam was held since."""
+        if not self.superseded:
+            return self
+        assert self.release is not None
+        by = self.release.ended
+        if by is None:
+            why = "nothing was measured since for longer than is allowed"
+            return replace(self, held=True, cause=HoldCause.NO_DATA, reason=why, release=None)
+        return replace(
+            self, held=True, cause=by.cause, reason=by.reason, since_ns=by.since_ns, release=None
+        )
 
     @classmethod
     def of(
@@ -79,7 +135,8 @@ def _vector(values: NDArray[np.float64] | None) -> Vector | None:
 
 
 def hold_part(now: HoldNow) -> dict[str, Any]:
-    """Return a hold as frames and hello have it."""
+    """Return a hold as frames and hello have it: held, where it was held since."""
+    now = now.standing
     return {
         "hold": now.hold_id,
         "held": now.held,
@@ -92,12 +149,22 @@ def hold_part(now: HoldNow) -> dict[str, Any]:
     }
 
 
-def hold_message(device_id: str, now: HoldNow) -> dict[str, Any]:
-    """Return the message that tells of a change."""
-    return {
-        "type": "hold",
-        "device": device_id,
-        **hold_part(now),
-        "exposure_ns": now.exposure_ns,
-        "sequence": now.sequence,
-    }
+class HoldMessage(dict[str, Any]):
+    """The message that tells of a change; ``sent`` says it as it is when it is sent."""
+
+    def __init__(self, device_id: str, now: HoldNow) -> None:
+        super().__init__(
+            {
+                "type": "hold",
+                "device": device_id,
+                **hold_part(now),
+                "exposure_ns": now.exposure_ns,
+                "sequence": now.sequence,
+            }
+        )
+        self.now = now
+
+    @property
+    def sent(self) -> dict[str, Any]:
+        """Its members, held where the beam was held since it was told."""
+        return {**self, **hold_part(self.now)}

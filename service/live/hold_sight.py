@@ -29,12 +29,15 @@ class Shown:
         places_mm: of markers, shape (M, 3) [mm], NaN where one is not seen; None: none is.
         covariances_mm2: of these, shape (M, 3, 3) [mm^2].
         why: why nothing, or not all, is known; None: all is.
+        times_ns: when each marker was seen, on the device's clock, shape (M,) [ns]; None: in this
+            frame.
     """
 
     pose: Transform | None = None
     places_mm: Array | None = None
     covariances_mm2: Array | None = None
     why: str | None = None
+    times_ns: NDArray[np.int64] | None = None
 
 
 class Sight(Protocol):
@@ -107,7 +110,13 @@ class StrobedSight:
         self._times[row] = now
         age = now - self._times
         self._places[(age < 0) | (age > self._oldest_ns)] = np.nan
-        return Shown(None, self._places.copy(), self._covariances.copy(), self._missing())
+        return Shown(
+            None,
+            self._places.copy(),
+            self._covariances.copy(),
+            self._missing(),
+            self._times.copy(),
+        )
 
     def _missing(self) -> str | None:
         gone = ~np.isfinite(self._places[:, 0])
@@ -182,6 +191,7 @@ def _tracks(batch: FrameBatch, index: int) -> tuple[Array, Array]:
     first, last = batch.motion.track_owner.searchsorted((index, index + 1)).tolist()
     own = batch.motion.tracks
     good = own.state[first:last] == int(TrackState.CONFIRMED)
-    good &= np.isfinite(own.nis[first:last])  # seen now, and not predicted
+    # Seen now, and not predicted; not every method says how well it fits.
+    good &= (own.peaks[first:last] >= 0).any(axis=1)
     good &= (own.flags[first:last] & int(UNUSABLE_TRACK)) == 0
     return own.position_mm[first:last][good], own.covariance[first:last, :3, :3][good]

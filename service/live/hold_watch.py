@@ -1,13 +1,17 @@
 """HoldWatch: one beam hold of a running device, frame by frame, held whenever in doubt."""
 
+import time
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
+from compute.pose.frozen_image import FrozenImage
 from compute.pose.hold import HoldMonitor, HoldState, MarkerHoldMonitor
 from compute.pose.hold_gate import HoldCause
 from service.live.batch import FrameBatch
-from service.live.hold_now import HoldNow
+from service.live.hold_now import HoldNow, Release
 from service.live.hold_sight import LitSight, Shown, Sight, StrobedSight, ToolSight
 from service.live.hold_spec import StrobedSpec, ToolSpec, WatchedHold
 
@@ -26,24 +30,62 @@ class HoldWatch:
         latched: whether the first hold is to be acknowledged: it goes on from another's.
         time_ns: now, on the host's clock [ns].
         since_ns: since when the beam is held already; None: since now.
+        why: what took its place, for a person; None: nothing did.
+        monotonic_s: a clock that does not go back [s].
     """
 
     def __init__(
-        self, hold: WatchedHold, *, latched: bool, time_ns: int, since_ns: int | None = None
+        self,
+        hold: WatchedHold,
+        *,
+        latched: bool,
+        time_ns: int,
+        since_ns: int | None = None,
+        why: str | None = None,
+        monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.hold = hold
         self._latched = latched
+        self._monotonic_s = monotonic_s
+        self._release: Release | None = None
         self._monitor = _monitor(hold, latched=latched)
         self._sight = _sight(hold)
+        self._image = FrozenImage()
         self._last: tuple[int | None, int | None] = None, None  # host time and number of a frame
         self._measured_ns: int | None = None
         self.why: str | None = None
         """Why the newest frame showed not all that is watched; None: it did, or none came."""
-        why = "nothing was measured yet"
+        told = "nothing was measured yet"
         if self._monitor is None:
-            why = NO_REFERENCE.format(id=hold.id)
+            told = NO_REFERENCE.format(id=hold.id)
+        elif why is not None:
+            told = f"{why}, and nothing was measured since"
+            self._monitor.fail(told)
         began_ns = time_ns if since_ns is None else since_ns
-        self.now = HoldNow(hold.id, True, HoldCause.NO_DATA, why, began_ns)
+        self._now = HoldNow(hold.id, True, HoldCause.NO_DATA, told, began_ns)
+
+    @property
+    def now(self) -> HoldNow:
+        """The hold after the newest frame, or what came after it."""
+        return self._now
+
+    @property
+    def release(self) -> Release | None:
+        """What says that the beam is not held; None: it is."""
+        return self._release
+
+    def _set(self, now: HoldNow) -> HoldNow:
+        """Keep a state; one that holds ends all that said before that the beam may go on."""
+        if now.held:
+            if self._release is not None:
+                self._release.end(now)
+            self._release = None
+        else:
+            if self._release is None:
+                self._release = Release(self._monotonic_s)
+            now = replace(now, release=self._release)
+        self._now = now
+        return now
 
     @property
     def keeps_latch(self) -> bool:
@@ -52,7 +94,7 @@ class HoldWatch:
 
     @property
     def measured_ns(self) -> int | None:
-        """Exposure of the newest frame in which all that is needed was measured [host's ns]."""
+        """When the oldest of what is needed was measured [host's ns]; None: not since a hold."""
         return self._measured_ns
 
     @property
@@ -60,27 +102,38 @@ class HoldWatch:
         """Longest time without a measurement before the beam is held [ns]."""
         return self.hold.limits.rules.most_gap_ns
 
-    def step(self, batch: FrameBatch, index: int) -> HoldNow:
-        """Return the state after a frame."""
+    def step(self, batch: FrameBatch, index: int, age_ns: int = 0) -> HoldNow:
+        """Return the state after a frame.
+
+        Args:
+            batch: frames.
+            index: of the frame.
+            age_ns: time since its exposure; one that is older than the longest gap is no
+                measurement.
+        """
         frame = batch.frames[index]
         self._last = frame.exposure_host_ns, frame.sequence
         why = self._unfit(batch)
         if self._monitor is None or self._sight is None:
-            self.now = self._held(self.now.cause, self.now.reason, self.now.since_ns)
-            return self.now
+            return self._set(self._held(self.now.cause, self.now.reason, self.now.since_ns))
         if why is not None:
             return self.fail(why, frame.exposure_host_ns)
         shown = self._sight.of(batch, index)
+        if self._frozen(batch, index):
+            shown = Shown(why="the device sends the same image again and again: it is frozen")
+        if age_ns > self.most_gap_ns:
+            shown = Shown(why=f"frames come {age_ns * 1e-6:.0f} ms after their exposure")
         self.why = shown.why
-        state = self._stepped(frame.exposure_device_ns, shown)
-        if self._monitor.seen_ns == frame.exposure_device_ns:
-            self._measured_ns = frame.exposure_host_ns
+        before_ns, exposed_ns = self._monitor.seen_ns, frame.exposure_device_ns
+        state = self._stepped(exposed_ns, shown)
+        seen_ns = self._monitor.seen_ns
+        if seen_ns is not None and seen_ns != before_ns:
+            self._measured_ns = frame.exposure_host_ns - (exposed_ns - seen_ns)
         reason = state.reason
         if state.cause is HoldCause.NO_DATA and shown.why and shown.why not in str(reason):
             reason = f"{reason}; {shown.why}"
         since = frame.exposure_host_ns if state.hold != self.now.held else self.now.since_ns
-        self.now = HoldNow.of(self.hold.id, state, reason, since, *self._last)
-        return self.now
+        return self._set(HoldNow.of(self.hold.id, state, reason, since, *self._last))
 
     def fail(self, why: str, time_ns: int) -> HoldNow:
         """Hold now.
@@ -93,8 +146,13 @@ class HoldWatch:
         self._measured_ns = None
         if self._monitor is not None:
             state = self._monitor.fail(why)
-            self.now = self._held(state.cause, state.reason, since)
+            self._set(self._held(state.cause, state.reason, since))
         return self.now
+
+    def end(self, why: str, time_ns: int) -> HoldNow:
+        """Hold for good; arguments as of ``fail``."""
+        since = self.now.since_ns if self.now.held else time_ns
+        return self._set(self._held(HoldCause.NO_DATA, why, since))
 
     def acknowledge(self) -> None:
         """End a latch; a hold ends with the next frames, if all is back."""
@@ -127,6 +185,20 @@ class HoldWatch:
             now = f"readings are corrected {_with_table(batch.table_id)} now"
         return f"its reference was taken {then}, and {now}: take it again"
 
+    def _frozen(self, batch: FrameBatch, index: int) -> bool:
+        """Return whether a frame shows what was shown before; of tools their tracker knows it."""
+        spec = self.hold.spec
+        if isinstance(spec, ToolSpec):
+            return False
+        sensors = len(batch.sensor_names)
+        lines = slice(index * sensors, (index + 1) * sensors)
+        self._image.see(
+            batch.frames[index].marker,
+            batch.peaks.position_px[lines],
+            batch.peaks.sigma_px[lines].astype(np.float64),
+        )
+        return self._image.of(spec.markers if isinstance(spec, StrobedSpec) else None)
+
     def _stepped(self, time_ns: int, shown: Shown) -> HoldState:
         if isinstance(self._monitor, HoldMonitor):
             return self._monitor.step(time_ns, shown.pose)
@@ -135,7 +207,7 @@ class HoldWatch:
         reference = self.hold.reference
         if spread is not None and reference is not None and reference.covariances_mm2 is not None:
             spread = spread + reference.covariances_mm2
-        return self._monitor.step(time_ns, shown.places_mm, spread)
+        return self._monitor.step(time_ns, shown.places_mm, spread, shown.times_ns)
 
 
 def _with_table(table_id: str | None) -> str:

@@ -39,6 +39,10 @@ FIRST_ATTEMPT_S = 3.0
 """How long a start waits for a device that may not be there; then it goes on by itself."""
 _LOOK_S = 0.1
 STOPPED = "the device is stopped"
+NOT_AS_STORED = (
+    "what is stored of it could not be taken over (the log says why); change the hold, or start "
+    "the device again"
+)
 
 Accept = Callable[[DeviceDescription], None]
 """Raises a LumilineError when a device is not what it should be."""
@@ -241,10 +245,14 @@ class LiveManager:
         """Say what of a device is followed: from the next batch on, or once it is started."""
         with self._lock:
             self._tracked[device_id] = tracked
-            self.holds.set(device_id, tracked.holds)
-            session = self._sessions.get(device_id)
-            if session is not None and session.running:
-                self._compute.submit(lambda: session.set_tracked(tracked)).result()
+            try:
+                self.holds.set(device_id, tracked.holds)
+                session = self._sessions.get(device_id)
+                if session is not None and session.running:
+                    self._compute.submit(lambda: session.set_tracked(tracked)).result()
+            except Exception:
+                self.holds.distrust(device_id, NOT_AS_STORED)
+                raise
 
     def tracked(self, device_id: str) -> Tracked:
         """Return what of a device is followed, or will be once it is started."""

@@ -10,7 +10,7 @@ from compute.reconstruction.estimate import PointBatch
 from compute.signal.peaks import PeakBatch
 from hardware.frame import FrameFlag
 from service.live.batch import FrameBatch
-from service.live.hold_now import HoldNow
+from service.live.hold_now import HoldNow, Release
 from service.live.motion import Motion
 
 
@@ -62,7 +62,11 @@ class FlatPeaks:
 
 @dataclass(frozen=True, eq=False)
 class StreamBatch:
-    """Frames of one device as the streams keep them; the members are those of FrameBatch."""
+    """Frames of one device as the streams keep them; the members are those of FrameBatch.
+
+    Args:
+        releases: of all holds that say that a beam is not held, each once.
+    """
 
     device_id: str
     sensor_names: tuple[str, ...]
@@ -74,6 +78,7 @@ class StreamBatch:
     owner: NDArray[np.intp]
     motion: Motion | None = None
     holds: tuple[tuple[HoldNow, ...], ...] = ()
+    releases: tuple[Release, ...] = ()
 
     @classmethod
     def of(cls, batch: FrameBatch) -> Self:
@@ -99,4 +104,5 @@ class StreamBatch:
             batch.owner,
             batch.motion,
             batch.holds,
+            tuple({now.release for after in batch.holds for now in after if now.release}),
         )

@@ -10,6 +10,7 @@ from itertools import islice
 from threading import Lock
 from typing import Any
 
+from service.live.hold_now import HoldMessage, Release
 from service.live.messages import Content, Encoding, Payload, encode, frame_messages
 from service.live.stream_batch import StreamBatch
 
@@ -21,7 +22,8 @@ Variant = tuple[frozenset[Content], Encoding]
 class LogEntry:
     """Messages that came together: one for each frame of a batch, or a single other one.
 
-    Encoded when a client first asks, in the event loop, and kept for the others.
+    Encoded when a client first asks, in the event loop, and kept for the others; again when a
+    beam that it says is not held was held since.
 
     Args:
         first: number of the first message.
@@ -38,8 +40,8 @@ class LogEntry:
     batch: StreamBatch | None = None
     message: dict[str, Any] | None = None
     content: Content | None = None
-    _all: dict[Variant, list[Payload]] = field(default_factory=dict)
-    _single: dict[tuple[Variant, int], Payload] = field(default_factory=dict)
+    _all: dict[Variant, tuple[int, list[Payload]]] = field(default_factory=dict)
+    _single: dict[tuple[Variant, int], tuple[int, Payload]] = field(default_factory=dict)
 
     @property
     def end(self) -> int:
@@ -52,28 +54,46 @@ class LogEntry:
 
     def payloads(self, variant: Variant) -> list[Payload]:
         """Return all messages, encoded."""
-        found = self._all.get(variant)
-        if found is None:
-            found = self._all[variant] = self._encoded(variant, 0, self.count)
+        over = self._over
+        known, found = self._all.get(variant, (-1, []))
+        if known != over:
+            found = self._encoded(variant, 0, self.count)
+            self._all[variant] = over, found
         return found
 
     def payload(self, variant: Variant, number: int) -> Payload:
         """Return one message, encoded; the others of a batch are not touched."""
         index = number - self.first
+        over = self._over
         known = self._all.get(variant)
-        if known is not None:
-            return known[index]
-        found = self._single.get((variant, index))
-        if found is None:
-            (found,) = self._encoded(variant, index, index + 1)
-            self._single[variant, index] = found
+        if known is not None and known[0] == over:
+            return known[1][index]
+        single = self._single.get((variant, index))
+        if single is not None and single[0] == over:
+            return single[1]
+        (found,) = self._encoded(variant, index, index + 1)
+        self._single[variant, index] = over, found
         return found
+
+    @property
+    def _over(self) -> int:
+        """How many of the releases that it tells of are over."""
+        return sum(one.over for one in self._releases)
+
+    @property
+    def _releases(self) -> tuple[Release, ...]:
+        if self.batch is not None:
+            return self.batch.releases
+        if isinstance(self.message, HoldMessage) and self.message.now.release is not None:
+            return (self.message.now.release,)
+        return ()
 
     def _encoded(self, variant: Variant, first: int, last: int) -> list[Payload]:
         content, encoding = variant
         if self.batch is None:
             assert self.message is not None
-            messages = [self.message]
+            own = self.message
+            messages = [own.sent if isinstance(own, HoldMessage) else dict(own)]
         else:
             messages = frame_messages(self.batch, content, first, last)
         for number, message in enumerate(messages, self.first + first):
@@ -135,7 +155,8 @@ class StreamLog:
 
     def append(self, message: dict[str, Any], content: Content | None = None) -> None:
         """Add a message that is no frame, for all clients, or those of a content."""
-        self._append(1, None, dict(message), content)
+        own = message if isinstance(message, HoldMessage) else dict(message)
+        self._append(1, None, own, content)
 
     def _append(
         self,

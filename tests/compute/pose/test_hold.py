@@ -327,4 +327,24 @@ def test_a_latch_goes_on_from_another_monitor() -> None:
     next_one.acknowledge()
     assert not next_one.step(time + 300 * MS, at()).hold
     free = HoldMonitor(REFERENCE, HoldLimits(shift_mm=1.0, rules=RULES), latched=True)
-    assert [free.step(step * MS, at()).hold for step in range(0, 110, 10)][-1] is False
+    # Rules without a latch do not end one that waits.
+    states = [free.step(step * MS, at()) for step in range(0, 310, 10)]
+    assert states[-1].cause is HoldCause.LATCHED
+    assert free.keeps_latch
+    free.acknowledge()
+    assert not free.step(310 * MS, at()).hold
+    assert not free.keeps_latch
+
+
+def test_the_longest_gap_counts_from_the_oldest_marker_that_is_needed() -> None:
+    for least, held in ((3, True), (2, False)):
+        limits = HoldLimits(shift_mm=1.0, rules=HoldRules(50 * MS, 0))
+        monitor = MarkerHoldMonitor(MARKERS[:3], limits, least)
+        assert not monitor.step(0, MARKERS[:3]).hold
+        # The third was seen at 0; the others are seen anew.
+        for time in (20 * MS, 40 * MS):
+            times = np.array([time, time, 0])
+            assert not monitor.step(time, MARKERS[:3], None, times).hold
+        after = monitor.step(51 * MS, MARKERS[:3], None, np.array([51, 51, 0]) * MS)
+        assert after.hold is held
+        assert monitor.seen_ns == (0 if held else 51 * MS)

@@ -89,11 +89,18 @@ def test_a_hold_from_the_first_to_the_last(client: Any, live: RecordedLive):
     taken = referred.json()["reference"]
     assert (taken["kind"], taken["calibration"], taken["frames"]) == ("given", "sim-nominal", None)
     assert taken["places_mm"] == GIVEN["given"]["places_mm"]
-    assert state(client, "chest")["reason"] == "nothing was measured yet"
+    why = "it has a new reference, and nothing was measured since"
+    assert state(client, "chest")["reason"] == why
     change = {"limits": {"axis_mm": [1, 2, 3]}, "rules": {"settle_s": 0, "latched": True}}
     changed = client.patch("/api/v1/holds/chest", json=change).json()
     assert changed["limits"]["axis_mm"] == [1, 2, 3]
-    assert changed["limits"]["shift_mm"] is None
+    assert changed["limits"]["shift_mm"] == 3.0
+    why = "the hold was changed, and nothing was measured since"
+    assert state(client, "chest")["reason"] == why
+    alone = client.patch("/api/v1/holds/chest", json={"limits": {"shift_mm": None}}).json()
+    assert (alone["limits"]["shift_mm"], alone["limits"]["axis_mm"]) == (None, [1, 2, 3])
+    changed = client.patch("/api/v1/holds/chest", json={"limits": {"shift_mm": 3}}).json()
+    assert changed["rules"]["latched"] is True
     assert changed["rules"] == {"most_gap_s": 0.1, "settle_s": 0.0, "latched": True}
     assert (changed["title"], changed["reference"]) == ("Chest", taken)
     (watched,) = live.tracked["sim"].holds
@@ -161,6 +168,13 @@ REFUSED: list[tuple[dict[str, Any], dict[str, Any], tuple[int, str], str]] = [
         (422, "invalid-parameter"),
         "eigenvalue",
     ),
+    (
+        CHEST,
+        {"reference": {"places_mm": [[0, 0, 1500], [9, 0, 1500], [0, 0, 1500]]}},
+        (422, "invalid-parameter"),
+        "1 and 3 are 0 mm apart",
+    ),
+    (CHEST, {"limits": {"shift_mm": 500}}, (422, "invalid-request"), ""),
     (CHEST, {"rules": {"most_gap_s": 0}}, (422, "invalid-request"), ""),
 ]
 
@@ -235,7 +249,8 @@ def test_a_reference_of_a_tool_is_its_mean_pose(sqlite_client: Any, running: Rec
     np.testing.assert_allclose(found.rotation, turn, atol=6 * 2e-4 / np.sqrt(50))
     np.testing.assert_allclose(found.translation_mm, at, atol=6 * 0.02 / np.sqrt(50))
     assert np.linalg.eigvalsh(found.covariance).min() > 0.0
-    assert state(sqlite_client, "head")["reason"] == "nothing was measured yet"
+    why = "it has a new reference, and nothing was measured since"
+    assert state(sqlite_client, "head")["reason"] == why
 
 
 def test_the_mean_of_poses_keeps_what_is_common_to_them():
@@ -335,6 +350,23 @@ def test_a_reference_is_not_given_to_another_hold(
     monkeypatch.setattr(running, "attach", attach)
     answer = sqlite_client.post("/api/v1/holds/chest/reference", json={"frames": 40})
     assert code(answer) == (409, "hold-replaced")
+
+
+def test_a_reference_that_was_taken_away_meanwhile_stays_away(
+    sqlite_client: Any, running: RecordedLive, monkeypatch: pytest.MonkeyPatch
+):
+    assert new(sqlite_client, CHEST, reference=GIVEN["given"]).status_code == 201
+    running.batches = [chest(300)]
+
+    def attach(session: Any, tap: Any) -> None:
+        assert sqlite_client.delete("/api/v1/holds/chest/reference").status_code == 200
+        RecordedLive.attach(running, session, tap)
+
+    monkeypatch.setattr(running, "attach", attach)
+    answer = sqlite_client.post("/api/v1/holds/chest/reference", json={"frames": 40})
+    assert code(answer) == (409, "hold-replaced")
+    assert "changed or taken away" in answer.json()["detail"]
+    assert sqlite_client.get("/api/v1/holds/chest").json()["reference"] is None
 
 
 def test_a_server_that_starts_knows_its_holds(sqlite_settings: Any):

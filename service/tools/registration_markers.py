@@ -69,6 +69,12 @@ def of_markers(live: LiveManager, request: NewThreeMarkers) -> Made:
 
 def _given_covariances(request: NewThreeMarkers) -> Array:
     if request.measured_covariance_mm2 is not None:
+        if request.measured_sigma_mm is not None:
+            raise InvalidParameter(
+                f"measured_sigma_mm is {request.measured_sigma_mm:g}, and measured_covariance_mm2 "
+                "is given as well; give one of the two",
+                measured_sigma_mm=request.measured_sigma_mm,
+            )
         covariances = np.array(request.measured_covariance_mm2, float)
         for number, one in enumerate(covariances):
             if not np.allclose(one, one.T, rtol=1e-6) or np.linalg.eigvalsh(one)[0] <= 0.0:

@@ -119,10 +119,11 @@ class _SurfaceOptions(_Named):
     start_turn_deg: Annotated[float, Field(ge=0, le=45)] = Field(
         default=5.0,
         description="By how much the earlier registration may be turned off: other answers within "
-        "this are looked for; 0: they are not.",
+        "this are looked for, and what lies further off is refused; 0: neither.",
     )
     start_shift_mm: Annotated[float, Field(ge=0, le=1e3)] = Field(
-        default=5.0, description="By how much it may be shifted off."
+        default=5.0,
+        description="By how much it may be shifted off, in the middle of the points; the same.",
     )
 
 

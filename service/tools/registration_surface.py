@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.errors import InvalidParameter
+from compute.errors import HighError, InvalidParameter
 from compute.pose.surface import PointCloud, Surface, TriangleMesh
 from compute.pose.surface_registration import (
     SurfaceRegistration,
@@ -64,7 +64,7 @@ def refined(
 
     Raises:
         TooFewPoints, UndeterminedParameters, HighError, NoConvergence, InvalidParameter: as
-            ``register_surface``.
+            ``register_surface``; HighError also of what lies too far from the start.
     """
     points = np.array(request.points_mm, dtype=np.float64)
     arrays = _arrays(request.surface)
@@ -88,6 +88,7 @@ def refined(
     turned_deg = float(np.degrees(np.linalg.norm(moved[:3])))
     shifted = found.transform.apply(middle) - frame_from_measured.apply(middle)
     shifted_mm = float(np.linalg.norm(shifted))
+    _check_near(request, turned_deg, shifted_mm)
     other = found.other
     return {
         "matrix": back.matrix.tolist(),
@@ -107,7 +108,7 @@ def refined(
             else {"matrix": other.inverse().matrix.tolist(), "rms_mm": found.other_rms_mm},
         },
         "targets": target_errors(request.targets, back),
-        "warnings": _warnings(request, found, turned_deg, shifted_mm),
+        "warnings": _warnings(found),
     }
 
 
@@ -155,9 +156,7 @@ def _known(transform: Transform) -> Array:
     return transform.covariance
 
 
-def _warnings(
-    request: NewSurface, found: SurfaceRegistration, turned_deg: float, shifted_mm: float
-) -> list[str]:
+def _warnings(found: SurfaceRegistration) -> list[str]:
     told = []
     if found.hold < _LOOSE:
         told.append(
@@ -170,13 +169,22 @@ def _warnings(
             f"the points lie about as well elsewhere, {found.other_rms_mm:.3g} mm RMS off the "
             f"surface, and {found.rms_mm:.3g} mm here: look whether this is the right one"
         )
-    for value, most, words in (
-        (turned_deg, request.start_turn_deg, f"turned by {turned_deg:.3g} degrees"),
-        (shifted_mm, request.start_shift_mm, f"shifted by {shifted_mm:.3g} mm"),
+    return told
+
+
+def _check_near(request: NewSurface, turned_deg: float, shifted_mm: float) -> None:
+    """Refuse what lies further from the start than that may be off; raises HighError.
+
+    The frame is in use from the answer on, and as far off other answers were not looked for.
+    """
+    for name, value, most, unit in (
+        ("start_turn_deg", turned_deg, request.start_turn_deg, "degrees"),
+        ("start_shift_mm", shifted_mm, request.start_shift_mm, "mm"),
     ):
         if most > 0.0 and value > most:
-            told.append(
-                f"the earlier registration was {words}, more than the {most:g} that it may be "
-                "off: one of the two is wrong, or more has to be allowed"
+            raise HighError(
+                f"the points lie on the surface {value:.3g} {unit} from where registration "
+                f'"{request.parent}" puts them, and {name} is {most:g}: one of the two is wrong; '
+                f"look which, or give a larger {name}",
+                **{name: most, "found": value},
             )
-    return told

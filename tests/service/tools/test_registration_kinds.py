@@ -122,9 +122,17 @@ NO_FRAMES: list[tuple[Any, ...]] = [
     ({"measured_sigma_mm": 60.0}, "undetermined-parameters", "too near"),
     ({"measured_sigma_mm": None}, "invalid-parameter", "measured_sigma_mm"),
     ({"measured_mm": None}, "invalid-parameter", "strobe_markers"),
+    (
+        {"measured_covariance_mm2": [[[1, 0, 0], [0, 1, 0], [0, 0, 1]]] * 3},
+        "invalid-parameter",
+        "one of the two",
+    ),
     ({"strobe_markers": [0, 1, 2]}, "invalid-parameter", "not both"),
     (
-        {"measured_covariance_mm2": [[[1, 0, 0], [0, 1, 0], [0, 0, -1]]] * 3},
+        {
+            "measured_sigma_mm": None,
+            "measured_covariance_mm2": [[[1, 0, 0], [0, 1, 0], [0, 0, -1]]] * 3,
+        },
         "invalid-parameter",
         "M1",
     ),
@@ -283,14 +291,22 @@ def test_a_surface_refines_a_registration(client: Any):
     assert client.get(f"{URL}/skin").json() == found
 
 
-def test_what_to_look_at_is_told(sqlite_client: Any):
-    """The earlier registration was further off than was allowed for."""
+def test_what_is_further_off_than_it_may_be_is_refused(sqlite_client: Any):
+    """The frame would be in use at once; 0 judges nothing."""
     roughly(sqlite_client)
-    told = sqlite_client.post(URL, json=by_skin(start_turn_deg=0.5, start_shift_mm=0.0)).json()
-    assert len(told["warnings"]) == 1
-    turned = told["surface"]["turned_deg"]
-    assert f"turned by {turned:.3g} degrees" in told["warnings"][0]
-    assert "more than the 0.5" in told["warnings"][0]
+    points = by_skin()["points_mm"][:40]  # other starts are looked at, too: that takes its time
+    for changes, words in (
+        ({"start_turn_deg": 0.5}, "degrees from where"),
+        ({"start_shift_mm": 0.5}, "mm from where"),
+    ):
+        answer = sqlite_client.post(URL, json=by_skin(points_mm=points, **changes))
+        assert code(answer) == (422, "high-error"), answer.text
+        (name,) = changes
+        told = answer.json()
+        assert told["context"]["found"] > told["context"][name] == 0.5
+        assert words in told["detail"]
+        assert f"{name} is 0.5" in told["detail"]
+    assert sqlite_client.get(URL).json()["total"] == 1
 
 
 def test_a_surface_of_points_with_their_normals(sqlite_client: Any):

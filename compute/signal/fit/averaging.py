@@ -1,7 +1,7 @@
 """Faint lines: their fit is averaged over the widths that their pixels leave open."""
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +88,7 @@ class _Nodes:
     def where(self, chosen: NDArray[np.bool_], other: "_Nodes") -> "_Nodes":
         """Return these where they are chosen, and the others elsewhere."""
 
-        def either(own: NDArray[np.generic], others: NDArray[np.generic]) -> NDArray[np.generic]:
+        def either(own: NDArray[Any], others: NDArray[Any]) -> NDArray[Any]:
             return np.where(chosen.reshape(-1, *[1] * (own.ndim - 1)), own, others)
 
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)

@@ -42,7 +42,9 @@ class Run(Document):
     )
     progress: float = Field(ge=0, le=1, description="Share done.")
     stage: str = Field(description="What is being done, in words.")
-    result_id: str | None = Field(description="The calibration, table or export made, once succeeded.")
+    result_id: str | None = Field(
+        description="The calibration, table or export made, once succeeded."
+    )
     result: str | None = Field(description="Its path.")
     problem: RunProblem | None = Field(description="Why it failed.")
     created_at: Moment

@@ -123,6 +123,7 @@ class HoldStatuses:
 
     def _message(self, session: Session, now: HoldNow) -> Message:
         """Return a hold's STATUS; names that are cut to the same are never OK."""
+        now = now.standing
         name = _short(now.hold_id)
         same = sorted(one for one in self._now if _short(one) == name)
         if len(same) > 1:

@@ -229,8 +229,8 @@ def _check_line(points: Array, side: str, sigma_mm: float) -> None:
     needed = max(LEAST_HEIGHT * along, sigma_mm / (_MOST_TURN_RAD * np.sqrt(len(points))))
     raise CollinearPoints(
         f"the fiducials in the {side} are {round(off, 9):.3g} mm RMS off one line, along which "
-        f"they are spread by {along:.4g} mm RMS: the turn about it is not known; they must be at least "
-        f"{needed:.3g} mm off it",
+        f"they are spread by {along:.4g} mm RMS: the turn about it is not known; they must be "
+        f"at least {needed:.3g} mm off it",
         off_mm=off,
         along_mm=along,
         needed_mm=float(needed),

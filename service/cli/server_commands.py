@@ -66,7 +66,9 @@ def bench(
     name: Annotated[
         str | None, typer.Argument(help="live, load, signal, points, calibration, ...")
     ] = None,
-    seconds: Annotated[float, typer.Option(min=1.0, help="Duration of live, load, openigtlink, navigation, hold.")] = 60.0,
+    seconds: Annotated[
+        float, typer.Option(min=1.0, help="Duration of those of a running server.")
+    ] = 60.0,
     rate: Annotated[float, typer.Option(min=1.0, help="Frames a second of load.")] = 5000.0,
     device: Annotated[
         str | None, typer.Option(help="cpu, cuda:0, ... for signal, reconstruct, rays.")

@@ -25,7 +25,7 @@ class Blinking(Given):
         description="Of marker 0, 1, ..., all equally long: 1 for full light, 0 for little. Any "
         f"two must differ in {LEAST_DISTANCE} bits at least, in whatever phase; "
         "`lumiline blink-codes` makes such words.",
-        examples=[["000000001111", "000000110011"]],
+        examples=[["000000010111", "000000111011"]],
     )
     low: Annotated[float, Field(ge=0.05, le=0.8)] = Field(
         default=0.4,

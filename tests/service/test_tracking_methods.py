@@ -6,6 +6,7 @@ import pytest
 
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.thesis.settings import ThesisSettings
+from service.devices.blinking import Blinking
 from tests.service.recorded_live import RecordedLive
 from tests.service.test_devices import EXTERNAL
 
@@ -73,3 +74,12 @@ def test_two_sensors_are_too_few_for_points_of_tracks(sqlite_client: Any) -> Non
     later = sqlite_client.patch(path, json={"tracking": {"method": "eight-state"}})
     assert later.status_code == 422
     assert sqlite_client.get(path).json()["tracking"]["method"] == "readings"
+
+
+def test_the_example_of_blinking_words_is_taken(sqlite_client: Any) -> None:
+    words = Blinking.model_fields["words"].examples
+    assert words
+    for example in words:
+        answer = sqlite_client.patch(PATH, json={"tracking": {"blinking": {"words": example}}})
+        assert answer.status_code == 200, answer.text
+        assert answer.json()["tracking"]["blinking"]["words"] == example

@@ -138,10 +138,12 @@ def places(states: States) -> Array:
 
 def finite(states: States) -> NDArray[np.bool_]:
     """Return which tracks' states are finite in all that their places depend on, shape (T,)."""
-    mean: NDArray[np.bool_] = np.isfinite(states.mean).all(axis=(1, 2))
-    covariance: NDArray[np.bool_] = np.isfinite(states.covariance).all(axis=(1, 2, 3))
-    probability: NDArray[np.bool_] = np.isfinite(states.probability).all(axis=1)
-    return mean & covariance & probability
+    parts = (
+        np.isfinite(states.mean).all(axis=(1, 2)),
+        np.isfinite(states.covariance).all(axis=(1, 2, 3)),
+        np.isfinite(states.probability).all(axis=1),
+    )
+    return np.asarray(parts[0] & parts[1] & parts[2], dtype=np.bool_)
 
 
 def weighed(states: States, log_likelihood: Array) -> None:

@@ -94,7 +94,7 @@ class ShiftedPoints:
     shift_mm: Point = (5.0, 0.0, 0.0)
     period_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 10.0
     away: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.4
-    moving_s: Annotated[float, Field(gt=0.0, le=1e6)] = 0.1
+    moving_s: Annotated[float, Field(ge=1e-7, le=1e6)] = 0.1
     kind: Literal["shifted-points"] = "shifted-points"
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")

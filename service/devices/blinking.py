@@ -38,10 +38,7 @@ class Blinking(Given):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        try:
-            self.codes()
-        except InvalidParameter as error:
-            raise ValueError(error.detail) from None
+        self.codes()
         return self
 
     def codes(self) -> tuple[BlinkCodes, BlinkModel]:

@@ -4,7 +4,6 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from compute.errors import InvalidParameter
 from compute.tracking.blinking import BlinkModel
 from compute.tracking.blinking_codes import LONGEST, BlinkCodes
 from service.schema import Given

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime
 from math import inf, sqrt
@@ -15,12 +14,12 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from lumiline.client import Client
 from lumiline.client.documents import HoldState
 from lumiline.client.errors import ClientError
 from lumiline.client.messages import BeamHold, Frame, Hello, HoldChange, Message
 from lumiline.client.stream import Stream
-from service.cli.output import console, fail, print_json
+from service.cli.connected import connected
+from service.cli.output import console, print_json
 
 SILENCE_S: Final = 2.0
 """After which a beam counts as held, without a word of the server."""
@@ -29,19 +28,9 @@ RATE_HZ: Final = 5.0
 SILENT: Final = "no word of the server"
 
 
-@contextmanager
-def _server(url: str, key: str | None) -> Iterator[Client]:
-    """Yield a client; what the server refuses ends the command with its reason."""
-    try:
-        with Client(url, key) as client:
-            yield client
-    except ClientError as error:
-        raise fail(str(error)) from None
-
-
 def show_all(url: str, key: str | None, device: str | None, *, as_json: bool) -> None:
     """Print the holds, and whether each is held."""
-    with _server(url, key) as client:
+    with connected(url, key) as client:
         found = [(hold, client.hold_state(hold.id)) for hold in client.holds(device)]
     if as_json:
         both = [
@@ -66,7 +55,7 @@ def show_all(url: str, key: str | None, device: str | None, *, as_json: bool) ->
 
 def show_one(url: str, key: str | None, hold_id: str, *, as_json: bool) -> None:
     """Print a hold and its state; exit code 1 where it is held."""
-    with _server(url, key) as client:
+    with connected(url, key) as client:
         hold, state = client.hold(hold_id), client.hold_state(hold_id)
     if as_json:
         documents = {"hold": hold.model_dump(mode="json"), "state": state.model_dump(mode="json")}
@@ -80,7 +69,7 @@ def show_one(url: str, key: str | None, hold_id: str, *, as_json: bool) -> None:
 
 def acknowledge(url: str, key: str | None, hold_id: str, *, as_json: bool) -> None:
     """Acknowledge a hold, and print how it stands; it ends with the next frames at the earliest."""
-    with _server(url, key) as client:
+    with connected(url, key) as client:
         state = client.acknowledge_hold(hold_id)
     if as_json:
         print_json(state.model_dump(mode="json"))
@@ -103,7 +92,7 @@ def watch(
     """
     held = True
     end_s = inf if seconds is None else monotonic() + seconds
-    with _server(url, key) as client:
+    with connected(url, key) as client:
         device = client.hold(hold_id).device
         with client.stream(device, ["holds"], rate_hz=RATE_HZ) as stream:
             try:

@@ -1,8 +1,7 @@
 """`lumiline tools`: tools of a running server and their poses, through the client."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from math import sqrt
 from typing import Final
 
@@ -12,28 +11,17 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from lumiline.client import Client
 from lumiline.client.documents import Matrix3, Pose, Tool
-from lumiline.client.errors import ClientError
+from service.cli.connected import connected
 from service.cli.output import console, fail, print_json
 
 REFRESHES_PER_S: Final = 5.0
 _STYLES: Final = {"OK": "green", "HIGH_ERROR": "yellow", "OUT_OF_VOLUME": "yellow"}
 
 
-@contextmanager
-def _server(url: str, key: str | None) -> Iterator[Client]:
-    """Yield a client; what the server refuses ends the command with its reason."""
-    try:
-        with Client(url, key) as client:
-            yield client
-    except ClientError as error:
-        raise fail(str(error)) from None
-
-
 def show_all(url: str, key: str | None, device: str | None, *, as_json: bool) -> None:
     """Print the tools."""
-    with _server(url, key) as client:
+    with connected(url, key) as client:
         found = client.tools(device)
     if as_json:
         print_json([tool.model_dump(mode="json") for tool in found])
@@ -51,7 +39,7 @@ def show_all(url: str, key: str | None, device: str | None, *, as_json: bool) ->
 
 def show_one(url: str, key: str | None, tool_id: str, frame: str | None, *, as_json: bool) -> None:
     """Print a tool's newest pose; exit code 1 where it is not OK."""
-    with _server(url, key) as client:
+    with connected(url, key) as client:
         tool, pose = client.tool(tool_id), client.tool_pose(tool_id, frame)
     if as_json:
         documents = {"tool": tool.model_dump(mode="json"), "pose": pose.model_dump(mode="json")}
@@ -75,7 +63,7 @@ def measure(
     as_json: bool,
 ) -> None:
     """Print where a tool's tip is held still; a refusal ends the command with its reason."""
-    with _server(url, key) as client:
+    with connected(url, key) as client:
         if not as_json:
             console.print(f"Hold the tip of {tool_id} still on the point.", highlight=False)
         found = client.measure_point(
@@ -106,7 +94,7 @@ def watch(
 ) -> None:
     """Show the poses of all tools until the time is over."""
     end = None if seconds is None else now() + seconds
-    with _server(url, key) as client:
+    with connected(url, key) as client:
         if device is not None:
             client.device(device)  # to be told that there is none, not that it has no tools
         tools = client.tools(device)

@@ -195,11 +195,12 @@ def exchangeable(motion: MotionModels, tracks: Tracks, rows: NDArray[np.intp]) -
     size = np.sqrt(np.trace(whole.covariance[:, :3, :3], axis1=1, axis2=2))
     limit = chi2_limit(_MOTION, EXCHANGED)
     apart = np.sqrt(((place[:, None] - place[None]) ** 2).sum(axis=2))
-    close = np.triu(apart <= np.sqrt(limit) * (size[:, None] + size[None]), 1)
+    close = apart <= np.sqrt(limit) * (size[:, None] + size[None])
+    np.fill_diagonal(close, val=False)
     if not close.any():
         return np.empty(0, dtype=np.intp)
     found: set[int] = set()
-    for one, two in np.argwhere(close):
+    for one, two in np.argwhere(np.triu(close)):
         # What the calibration's error does to both alike does not part them.
         common = _common(whole.with_bias[one], whole.with_bias[two], tracks.bias[rows[one]])
         total = whole.covariance[one] + whole.covariance[two] - common - common.T

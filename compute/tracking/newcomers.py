@@ -86,6 +86,7 @@ class Newcomers:
         part: NDArray[np.intp],
         seen: Seen,
         peaks: FramePeaks,
+        left: NDArray[np.bool_],
         marker: int | None,
         time_ns: int,
     ) -> tuple[Tracks, Seen]:
@@ -96,18 +97,21 @@ class Newcomers:
             part: rows of those that the exposure may show.
             seen: what they saw so far.
             peaks: of the frame.
+            left: those that no track has seen so far, shape (S, K).
             marker: the one that was lit; None: all were.
             time_ns: of the frame.
         """
+        last = self._searched_ns.get(marker)
+        due = last is None or time_ns - last >= round(self._settings.start_every_s * 1e9)
+        due |= marker is not None and not (tracks.marker == marker).any()
+        if not due and self._all_is_known(tracks, left, marker, time_ns):
+            return tracks, seen
         hits = tracks.hits[part].copy()
         tentative = part[~tracks.confirmed[part]]
         self._follow(tracks, tentative[tracks.hits[tentative] > 0], seen, peaks, marker, time_ns)
         sound = finite(tracks.states)
         hits, part = hits[sound[part]], part[sound[part]]
         tentative = tentative[sound[tentative]]
-        last = self._searched_ns.get(marker)
-        due = last is None or time_ns - last >= round(self._settings.start_every_s * 1e9)
-        due |= marker is not None and not (tracks.marker == marker).any()
         begun = tentative[tracks.hits[tentative] == 0]
         new: tuple[Tracks, Seen] | None = None
         # What a weak track has may be another marker's; it may find it again itself.
@@ -133,6 +137,22 @@ class Newcomers:
         # What is not finite now never will be again, and its place is nowhere.
         keep[: len(sound)] &= sound
         return (tracks, seen) if keep.all() else (tracks.rows(keep), seen.rows(keep))
+
+    def _all_is_known(
+        self, tracks: Tracks, left: NDArray[np.bool_], marker: int | None, time_ns: int
+    ) -> bool:
+        """Return whether nothing is to be done where no search is due: the short way out."""
+        if not tracks.confirmed.all() or (tracks.weak >= WEAK_EXPOSURES).any():
+            return False
+        coast_ns = round(self._settings.coast_s * 1e9)
+        if len(tracks) and time_ns - int(tracks.seen_ns.min()) > coast_ns:
+            return False
+        states = tracks.states
+        # One that is not finite makes the sum so.
+        whole = states.mean.sum() + states.covariance.sum() + states.probability.sum()
+        if not np.isfinite(whole):
+            return False
+        return marker is not None or not self._crowd.needed(left, doubt=False)
 
     def _doubted(self, tracks: Tracks, part: NDArray[np.intp], seen: Seen) -> NDArray[np.bool_]:
         """Return which tracks may be ghosts, or have peaks of those that may be, shape (T,)."""

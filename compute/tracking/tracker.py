@@ -219,9 +219,10 @@ class Tracker:
         self._predict(part, time_ns)
         followed = part[tracks.confirmed[part]]
         self._follow(followed, peaks, seen, marker, time_ns)
+        free = free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_))
         if marker is None:
-            self._note_strangers(followed, peaks, seen, time_ns)
-        self._tracks, seen = self._newcomers.find(tracks, part, seen, peaks, marker, time_ns)
+            self._note_strangers(followed, peaks, seen, free, time_ns)
+        self._tracks, seen = self._newcomers.find(tracks, part, seen, peaks, free, marker, time_ns)
         return batch_of(self.model, self.motion, self._tracks, seen, peaks, time_ns)
 
     def _taking_part(self, marker: int | None) -> NDArray[np.intp]:
@@ -300,11 +301,15 @@ class Tracker:
         return doubted(peaks, reading, hidden[some], self.settings)
 
     def _note_strangers(
-        self, rows: NDArray[np.intp], peaks: FramePeaks, seen: Seen, time_ns: int
+        self,
+        rows: NDArray[np.intp],
+        peaks: FramePeaks,
+        seen: Seen,
+        free: NDArray[np.bool_],
+        time_ns: int,
     ) -> None:
         """Note the peaks that are no track's beside those that are."""
         tracks = self._tracks
-        free = free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_))
         if len(rows) == 0:
             return
         known = tracks.beside[rows, :, 2].any()

@@ -87,8 +87,17 @@ def read_table(data: bytes) -> TableContent:
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             return _read(file)
-    except (OSError, RuntimeError, KeyError, EOFError, ValueError, TypeError) as error:
-        # ValueError and TypeError: what h5py says of datatypes that make none of its own.
+    except (
+        OSError,
+        RuntimeError,
+        KeyError,
+        EOFError,
+        OverflowError,
+        ValueError,
+        TypeError,
+    ) as error:
+        # ValueError and TypeError: what h5py says of datatypes that make none of its own;
+        # OverflowError: of addresses that no file has.
         raise InvalidTableFile(
             f"the file is HDF5 but is cut short or damaged: {_first_line(error)}"
         ) from error

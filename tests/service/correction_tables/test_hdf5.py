@@ -272,6 +272,14 @@ def test_a_file_with_damaged_bytes_is_refused_or_the_same(seed: int):
     assert_same(found, whole)  # padding and the like
 
 
+@pytest.mark.parametrize("place", range(48, 56))
+def test_an_address_beyond_any_file_is_damage(place: int):
+    data = bytearray(write_table(content(HASH)))
+    data[place] = 0x80
+    with pytest.raises(InvalidTableFile, match="damaged"):
+        read_table(bytes(data))
+
+
 def test_nan_and_wrong_shapes_are_named():
     with changed(write_table(content(HASH))) as (file, after):
         file["coefficients_px"][1, 2, 0, 0] = np.nan

@@ -1,6 +1,5 @@
 """A hold's reference from what a running device sees of the patient, set up and at rest."""
 
-from threading import Event
 from typing import Any, Final
 
 import numpy as np
@@ -16,8 +15,8 @@ from service.live.batch import FrameBatch
 from service.live.gather import gather
 from service.live.hold_sight import LitSight, Sight, StrobedSight, ToolSight, lit_places
 from service.live.hold_spec import LitSpec, Spec, StrobedSpec, ToolSpec
-from service.live.in_force import InForce
 from service.live.manager import LiveManager
+from service.live.one_calibration import OneCalibrationTap
 
 Array = NDArray[np.float64]
 
@@ -27,7 +26,7 @@ LEVER_MM: Final = 100.0
 _NO_LIMIT: Final = 1e9
 
 
-class ReferenceTap:
+class ReferenceTap(OneCalibrationTap):
     """Collects what frames show of what is watched, with one calibration in force all the time.
 
     Args:
@@ -36,10 +35,7 @@ class ReferenceTap:
     """
 
     def __init__(self, spec: Spec, frames: int) -> None:
-        self.ended = Event()
-        """Set when there are enough, or another calibration or table came into force."""
-        self.switched = False
-        self.in_force: tuple[str | None, str | None] | None = None
+        super().__init__()
         self.why: str | None = "no frame came"
         """Why the newest frame that showed not all did not."""
         self.poses: list[Transform] = []
@@ -54,17 +50,10 @@ class ReferenceTap:
         elif isinstance(spec, StrobedSpec):
             self._sight = StrobedSight(spec, np.iinfo(np.int64).max)
 
-    def prepare(self, found: InForce) -> None:
-        """Do nothing: the batches say what they were made with."""
-
     def offer(self, batch: FrameBatch) -> None:
         """Take what is wanted of a batch; called in the compute thread."""
-        own = (batch.calibration_id, batch.table_id)
-        if self.in_force is None:
-            self.in_force = own
-        if own != self.in_force:
-            self.switched = True
-            self.ended.set()
+        if not self._goes_on(batch):
+            return
         for index in range(len(batch.frames)):
             if self.ended.is_set():
                 return

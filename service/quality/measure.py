@@ -45,8 +45,8 @@ def measure(live: LiveManager, device_id: str, asked: NewSinglePoint | NewPointT
     wanted = _markers(asked)
     _check_markers(device_id, wanted, session.description.markers)
     tap = PointTap(wanted, 1 if isinstance(asked, NewSinglePoint) else 2)
-    gather(live, session, tap, asked.seconds, tap.switched)
-    if tap.switched.is_set():
+    gather(live, session, tap, asked.seconds, tap.ended)
+    if tap.switched:
         raise CalibrationSwitched(
             f'another calibration or table of device "{device_id}" was activated while it was '
             "measured; check again",

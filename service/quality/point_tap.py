@@ -1,7 +1,6 @@
 """PointTap: takes a running device's points of some seconds, each with its marker and time."""
 
 from dataclasses import dataclass, field
-from threading import Event
 from typing import Final
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from compute.quality.point_to_point import MarkerTrack
 from compute.reconstruction.estimate import PointFlag
 from service.live.batch import FrameBatch
-from service.live.in_force import InForce
+from service.live.one_calibration import OneCalibrationTap
 
 Array = NDArray[np.float64]
 
@@ -35,7 +34,7 @@ class _Rows:
         )
 
 
-class PointTap:
+class PointTap(OneCalibrationTap):
     """Collects points by marker, with one calibration and table in force all the time.
 
     Points of markers that are lit together have no name: frames with as many of them as asked
@@ -47,25 +46,15 @@ class PointTap:
     """
 
     def __init__(self, markers: tuple[int, ...] | None, together: int) -> None:
+        super().__init__()
         self.left_out = 0
-        self.switched = Event()
-        """Set when another calibration or table came into force meanwhile."""
-        self.in_force: tuple[str | None, str | None] | None = None
         self._markers = markers
         self._rows = [_Rows() for _ in range(together)]
         self._taken = 0
 
-    def prepare(self, found: InForce) -> None:
-        """Do nothing: the batches say what they were made with."""
-
     def offer(self, batch: FrameBatch) -> None:
         """Take what is wanted of a batch; called in the compute thread."""
-        own = (batch.calibration_id, batch.table_id)
-        if self.in_force is None:
-            self.in_force = own
-        if own != self.in_force:
-            self.switched.set()
-        if self.switched.is_set() or self._taken >= MOST_POINTS:
+        if not self._goes_on(batch) or self._taken >= MOST_POINTS:
             return
         marker = np.array(
             [-1 if frame.marker is None else frame.marker for frame in batch.frames], dtype=np.int64

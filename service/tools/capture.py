@@ -41,8 +41,8 @@ def captured(live: LiveManager, asked: NewCapturedTool) -> tuple[RigidBody, Orig
     session = live.session(asked.device)
     strobed, together = _wanted(asked, session.description.markers)
     tap = PointTap(strobed, together)
-    gather(live, session, tap, asked.seconds, tap.switched)
-    if tap.switched.is_set():
+    gather(live, session, tap, asked.seconds, tap.ended)
+    if tap.switched:
         raise CalibrationSwitched(
             f'another calibration or table of device "{asked.device}" was activated while the '
             "tool was captured; capture it again",

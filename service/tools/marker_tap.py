@@ -1,7 +1,6 @@
 """MarkerTap: takes where strobed markers of a running device are, beside a reference tool."""
 
 from dataclasses import dataclass
-from threading import Event
 from typing import Final
 
 import numpy as np
@@ -11,7 +10,7 @@ from compute.pose.tool_pose import ToolPose
 from compute.pose.transform import Transform
 from compute.reconstruction.estimate import PointFlag
 from service.live.batch import FrameBatch
-from service.live.in_force import InForce
+from service.live.one_calibration import OneCalibrationTap
 
 Array = NDArray[np.float64]
 
@@ -46,7 +45,7 @@ class Sighting:
         )
 
 
-class MarkerTap:
+class MarkerTap(OneCalibrationTap):
     """Collects exposures of strobed markers, with one calibration and table in force all the time.
 
     Args:
@@ -56,27 +55,18 @@ class MarkerTap:
     """
 
     def __init__(self, markers: tuple[int, ...], reference: str | None) -> None:
+        super().__init__()
         self.sightings: dict[int, list[Sighting]] = {marker: [] for marker in markers}
         self.without_reference = 0
         """Exposures of the markers in which the reference had no pose to use."""
         self.reason: str | None = None
         """Why the newest of those poses was not one to use."""
-        self.switched = Event()
-        self.in_force: tuple[str | None, str | None] | None = None
         self._reference = reference
         self._left = MOST_SIGHTINGS
 
-    def prepare(self, found: InForce) -> None:
-        """Do nothing: the batches say what they were made with."""
-
     def offer(self, batch: FrameBatch) -> None:
         """Take what is wanted of a batch; called in the compute thread."""
-        own = (batch.calibration_id, batch.table_id)
-        if self.in_force is None:
-            self.in_force = own
-        if own != self.in_force:
-            self.switched.set()
-        if self.switched.is_set():
+        if not self._goes_on(batch):
             return
         good = np.isfinite(batch.points.position_mm[:, 0])
         good &= (batch.points.flags & int(PointFlag.AMBIGUOUS)) == 0

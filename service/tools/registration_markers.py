@@ -107,8 +107,8 @@ def _looked_at(
     session = live.session(request.device)
     check_strobed(request.device, numbers, session.description.markers)
     tap = MarkerTap(numbers, request.reference)
-    gather(live, session, tap, request.seconds, tap.switched)
-    if tap.switched.is_set():
+    gather(live, session, tap, request.seconds, tap.ended)
+    if tap.switched:
         raise CalibrationSwitched(
             f'another calibration or table of device "{request.device}" was activated while the '
             "markers were measured; do it again",

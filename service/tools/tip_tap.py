@@ -2,12 +2,11 @@
 
 from collections import deque
 from collections.abc import Iterator
-from threading import Event
 from typing import Final
 
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.live.batch import FrameBatch
-from service.live.in_force import InForce
+from service.live.one_calibration import OneCalibrationTap
 
 MOST_KEPT: Final = 20_000
 """Frames that wait to be drained; the oldest go first."""
@@ -15,7 +14,7 @@ MOST_KEPT: Final = 20_000
 Pair = tuple[ToolPose, ToolPose | None]
 
 
-class TipTap:
+class TipTap(OneCalibrationTap):
     """Keeps the poses of a tool frame by frame, with one calibration in force all the time.
 
     Args:
@@ -24,27 +23,15 @@ class TipTap:
     """
 
     def __init__(self, tool: str, reference: str | None) -> None:
-        self.ended = Event()
-        """Set when another calibration or table came into force."""
-        self.switched = False
-        self.in_force: tuple[str | None, str | None] | None = None
+        super().__init__()
         self._tool = tool
         self._reference = reference
         # Its append and popleft are atomic: one thread puts in, another takes out.
         self._kept: deque[Pair] = deque(maxlen=MOST_KEPT)
 
-    def prepare(self, found: InForce) -> None:
-        """Do nothing: the batches say what they were made with."""
-
     def offer(self, batch: FrameBatch) -> None:
         """Take what is wanted of a batch; called in the compute thread."""
-        own = (batch.calibration_id, batch.table_id)
-        if self.in_force is None:
-            self.in_force = own
-        if own != self.in_force:
-            self.switched = True
-            self.ended.set()
-        if batch.motion is None or self.switched:
+        if not self._goes_on(batch) or batch.motion is None:
             return
         for frame in range(len(batch.frames)):
             poses = {pose.tool: pose for pose in batch.motion.poses_of(frame)}

@@ -134,6 +134,7 @@ class MotionFinding:
         usable: UsablePeaks | None,
         points: PointBatch,
         owner: NDArray[np.intp],
+        follow: Sequence[bool] | None = None,
     ) -> Motion:
         """Return what moved in a batch.
 
@@ -142,6 +143,8 @@ class MotionFinding:
             usable: their peaks; None: there is no calibration, or nothing is read.
             points: of these frames.
             owner: index of the frame of each.
+            follow: of each frame, whether anything is followed in it; None: in all. In others tools
+                are MISSING, as the computer does not keep up, and there are no tracks.
         """
         tracks: list[TrackBatch] = []
         poses: list[tuple[ToolPose, ...]] = []
@@ -153,6 +156,11 @@ class MotionFinding:
                 poses.append(self._unknown(frame))
                 continue
             self._check_clock(frame)
+            if follow is not None and not follow[index]:
+                tracks.append(none)
+                missing = _without(self._tracked.tools, frame, PoseStatus.MISSING, PASSED_OVER)
+                poses.append(tuple(missing))
+                continue
             readings = usable.position_px[index], usable.sigma_px[index], usable.flags[index]
             amplitude = usable.amplitude[index]
             tracks.append(self._follow_markers(frame, *readings, amplitude) or none)
@@ -161,14 +169,6 @@ class MotionFinding:
             )
             poses.append(self._follow_tools(frame, *readings, own))
         return Motion.of(tracks, poses, self._sensors)
-
-    def passed_over(
-        self, frames: Sequence[LineFrame], *_: UsablePeaks | PointBatch | NDArray[np.intp] | None
-    ) -> Motion:
-        """Return the motion of frames that are not followed: what comes next must not wait."""
-        tools, status = self._tracked.tools, PoseStatus.MISSING
-        poses = [_without(tools, frame, status, PASSED_OVER) for frame in frames]
-        return Motion.of([TrackBatch.empty(self._sensors)] * len(frames), poses, self._sensors)
 
     def _begin_markers(self, active: ActiveCalibration) -> None:
         """Follow markers anew; their numbers go on where those before ended."""

@@ -1,5 +1,6 @@
 """Frames of one device to peaks and points, with the calibration in force."""
 
+import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -52,6 +53,7 @@ class DeviceProcessor:
         model = line_model(description) if model is None else model
         self._finding = PeakFinding(description, MAX_FRAMES, model, compute_device)
         self._compute_device = compute_device
+        self._following_s = 0.0
         self._motion = MotionFinding(
             device_id, len(self._names), reads=self._finding.reads, make=make
         )
@@ -125,7 +127,14 @@ class DeviceProcessor:
         """Whether markers or tools are followed."""
         return self._motion.wanted
 
-    def process(self, frames: Sequence[LineFrame], *, follow: bool = True) -> FrameBatch:
+    @property
+    def following_s(self) -> float:
+        """How long markers and tools were followed in the newest batch [s]."""
+        return self._following_s
+
+    def process(
+        self, frames: Sequence[LineFrame], *, follow: Sequence[bool] | None = None
+    ) -> FrameBatch:
         """Find the peaks of up to MAX_FRAMES frames and reconstruct their points.
 
         A device whose lines nothing is known to read gives neither. Without ``follow`` markers and
@@ -138,7 +147,11 @@ class DeviceProcessor:
         return self.process_peaks(frames, self._finding.find(lines), follow=follow)
 
     def process_peaks(
-        self, frames: Sequence[LineFrame], peaks: PeakBatch, *, follow: bool = True
+        self,
+        frames: Sequence[LineFrame],
+        peaks: PeakBatch,
+        *,
+        follow: Sequence[bool] | None = None,
     ) -> FrameBatch:
         """Do the rest for frames whose peaks are found; their lines are not looked at."""
         active = self._active
@@ -149,9 +162,10 @@ class DeviceProcessor:
             usable = usable_peaks(active, frames, peaks, self._finding.use)
             points, owner = points_of(active, frames, usable)
         motion = None
+        begin = time.perf_counter()
         if self._motion.wanted:
-            find = self._motion.find if follow else self._motion.passed_over
-            motion = find(frames, usable, points, owner)
+            motion = self._motion.find(frames, usable, points, owner, follow)
+        self._following_s = time.perf_counter() - begin
         return FrameBatch(
             self._device_id,
             self._names,

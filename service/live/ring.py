@@ -1,7 +1,7 @@
 """A bounded ring of frames between a reader thread and the compute thread."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from threading import Event, Lock
 from typing import Final
 
@@ -67,6 +67,14 @@ class FrameRing:
                 taken = [self._frames.popleft() for _ in range(most)]
         self._taken.set()
         return taken
+
+    def put_back(self, frames: Sequence[LineFrame]) -> None:
+        """Put frames that were taken, and not worked on, back in front of all others."""
+        with self._lock:
+            self._frames.extendleft(reversed(frames))
+            while len(self._frames) > self._capacity:
+                self._frames.popleft()
+                self.dropped += 1
 
     def __len__(self) -> int:
         """Return the number of frames that wait."""

@@ -7,6 +7,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
 from hardware.driver import DeviceDescription
+from hardware.frame import LineFrame
 from hardware.link import LinkState
 from service.live.hold_board import HoldBoard
 from service.live.hub import Hub
@@ -17,6 +18,7 @@ from service.live.pose_board import BoardEntry, PoseBoard
 from service.live.pose_counts import PoseCounts
 from service.live.processor import MAX_FRAMES, DeviceProcessor
 from service.live.ring import FrameRing
+from service.live.thinning import Thinning
 from service.live.tracked import Tracked
 
 if TYPE_CHECKING:
@@ -28,11 +30,6 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 DeviceState = Literal["stopped", "starting", "running", "disconnected", "ended", "failed"]
-
-BEHIND_SECONDS = 0.1
-"""When frames of so much time wait, markers and tools are not followed: a pose would be as old."""
-CAUGHT_UP_SECONDS = 0.02
-"""When no more than that waits, they are again."""
 
 BOARD_SECONDS = 0.001
 """Least time between two entries of the board: of faster devices not every frame is put up."""
@@ -100,7 +97,7 @@ class DeviceSession:
         self.pose_counts = PoseCounts()
         self._board_s = -BOARD_SECONDS
         self.not_followed = 0
-        self._behind = False
+        self.thinning = Thinning(description.frame_rate_hz)
         self.reader: Reader | None = None
         self._taps_lock = Lock()
         self.taps: tuple[Tap, ...] = ()
@@ -123,14 +120,15 @@ class DeviceSession:
             return False
         begin = time.monotonic()
         try:
-            follow = self._keeps_up(len(frames))
+            follow = self._followed(frames)
+            frames = frames[: len(follow)]
             batch = self.processor.process(frames, follow=follow)
             if self.holds is not None:
                 # Before all others: whoever holds a beam waits for nothing else.
                 batch = replace(batch, holds=self.holds.take(batch))
             if batch.motion is not None and batch.motion.poses:
                 # Before the streams: who steers by a pose waits for nothing else.
-                self._put_up(batch, batch.motion)
+                self._put_up(batch, batch.motion, shown=follow[-1] or self.thinning.behind)
             self._offer(batch)
             self.hub.publish_batch(batch)
             self.latency.count((time.time_ns() - frames[0].exposure_host_ns) * 1e-9)
@@ -139,24 +137,25 @@ class DeviceSession:
             return False
         self.processed += len(frames)
         # Other devices wait meanwhile: a device whose frames take long gets short batches.
-        per_frame = (time.monotonic() - begin) / len(frames)
+        whole = time.monotonic() - begin
+        following = self.processor.following_s
+        self.thinning.count(sum(follow), following, whole - following)
+        per_frame = whole / len(frames)
         self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(per_frame, 1e-6))))
         return True
 
-    def _keeps_up(self, taken: int) -> bool:
-        """Return whether markers and tools are followed in the frames that were taken.
+    def _followed(self, frames: list[LineFrame]) -> tuple[bool, ...]:
+        """Return in which of the frames that were taken markers and tools are followed.
 
-        A source that waits for us is never behind.
+        Those without an answer wait for the next batch. A source that waits is never behind.
         """
         if not self.processor.follows or self.reader is None or self.reader.waits:
-            return True
-        later = taken + len(self.ring) - 1
-        rate = self.description.frame_rate_hz
-        limit_s = CAUGHT_UP_SECONDS if self._behind else BEHIND_SECONDS
-        self._behind = later > limit_s * rate
-        if self._behind:
-            self.not_followed += taken
-        return not self._behind
+            return (True,) * len(frames)
+        follow = self.thinning.choose([frame.marker for frame in frames], len(self.ring))
+        if len(follow) < len(frames):
+            self.ring.put_back(frames[len(follow) :])
+        self.not_followed += follow.count(False)
+        return follow
 
     def set_tracked(self, tracked: Tracked) -> None:
         """Follow other things from the next batch on; runs in the compute thread."""
@@ -165,11 +164,11 @@ class DeviceSession:
         if not tracked.tools:
             self.poses.remove(self.device_id)
 
-    def _put_up(self, batch: "FrameBatch", motion: "Motion") -> None:
-        """Count the poses of a batch, and put those of its newest frame up."""
+    def _put_up(self, batch: "FrameBatch", motion: "Motion", *, shown: bool) -> None:
+        """Count the poses of a batch, and put those of its newest frame up, if it is ``shown``."""
         self.pose_counts.count(motion.poses)
         now = time.monotonic()
-        if self.stopped or now - self._board_s < BOARD_SECONDS:
+        if not shown or self.stopped or now - self._board_s < BOARD_SECONDS:
             return
         self._board_s = now
         newest = batch.frames[-1]

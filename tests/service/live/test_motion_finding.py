@@ -10,7 +10,7 @@ from hardware.frame import LineFrame
 from service.database.seed import nominal_calibration
 from service.live.frame_points import ActiveCalibration, no_points
 from service.live.motion import Motion
-from service.live.motion_finding import MotionFinding
+from service.live.motion_finding import PASSED_OVER, MotionFinding
 from service.live.tracked import NOTHING_TRACKED, Tracked
 from service.live.usable_peaks import UsablePeaks
 from tests.service.live.followers import Making, some_tracks
@@ -79,6 +79,36 @@ def test_frames_go_to_the_trackers_one_by_one(active: ActiveCalibration):
     found(finding, frames(2, 3, marker=7))
     assert making.made_markers[0].steps[3:] == [(3000, 7), (4000, 7)]
     assert making.made_tools[0].steps[3:] == [(3000, 3, 7, None), (4000, 4, 7, None)]
+
+
+def test_frames_that_are_not_followed_show_nothing_and_reach_no_tracker(
+    active: ActiveCalibration,
+):
+    making = Making()
+    finding = following(making, active, "a", "b")
+    nothing = np.empty(0, np.intp)
+    given = peaks(4), no_points(SENSORS), nothing
+    motion = finding.find(frames(4), *given, follow=(True, False, False, True))
+    assert [step[0] for step in making.made_markers[0].steps] == [0, 3000]
+    assert [step[1] for step in making.made_tools[0].steps] == [0, 3]
+    assert motion.track_owner.tolist() == [0, 0, 3, 3]
+    for frame, (status, reason) in enumerate(
+        [(PoseStatus.OK, None), *[(PoseStatus.MISSING, PASSED_OVER)] * 2, (PoseStatus.OK, None)]
+    ):
+        assert statuses(motion, frame) == {"a": (status, reason), "b": (status, reason)}
+        assert [pose.sequence for pose in motion.poses_of(frame)] == [frame] * 2
+
+
+def test_a_clock_that_goes_back_in_a_frame_that_is_not_followed_is_noticed(
+    active: ActiveCalibration,
+):
+    making = Making()
+    finding = following(making, active, "a")
+    given = peaks(2), no_points(SENSORS), np.empty(0, np.intp)
+    finding.find(frames(2, start_ns=10**6), *given)
+    finding.find(frames(2), *given, follow=(False, False))
+    finding.find(frames(2, start_ns=10**6), *given)
+    assert making.made_tools[0].resets == making.made_markers[0].resets == 1
 
 
 def test_a_frame_without_tracks_is_none_of_another(active: ActiveCalibration):

@@ -37,6 +37,24 @@ def test_behaves_as_a_bounded_queue(capacity: int, steps: list[int | None]) -> N
     assert (ring.received, ring.dropped, ring.lost) == (put, dropped, 0)
 
 
+def test_frames_that_are_put_back_come_first_as_far_as_there_is_room() -> None:
+    ring = FrameRing(4, lambda: None)
+    for number in range(4):
+        ring.put(frame(number))
+    taken = ring.take(3)
+    ring.put(frame(4))
+    ring.put_back(taken[1:])
+    assert [one.sequence for one in ring.take(2)] == [1, 2]
+    ring.put_back([frame(1), frame(2)])
+    ring.put(frame(5))  # one too many
+    assert [one.sequence for one in ring.take(9)] == [2, 3, 4, 5]
+    assert (ring.received, ring.dropped, ring.lost) == (6, 1, 0)
+    more = [frame(number) for number in range(6, 12)]
+    ring.put_back(more)
+    assert [one.sequence for one in ring.take(9)] == [8, 9, 10, 11]
+    assert ring.dropped == 3
+
+
 @given(st.lists(st.integers(1, 5), max_size=30))
 def test_counts_exposures_lost_before_it(gaps: list[int]) -> None:
     ring = FrameRing(100, lambda: None)

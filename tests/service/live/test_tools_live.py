@@ -19,6 +19,7 @@ from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings
 from service.database.seed import nominal_calibration
+from service.live import session
 from service.live.batch import FrameBatch
 from service.live.hub import Hub
 from service.live.in_force import InForce
@@ -30,6 +31,7 @@ from service.live.processor import DeviceProcessor
 from service.live.reader import Reader
 from service.live.ring import FrameRing
 from service.live.session import DeviceSession
+from service.live.thinning import Thinning
 from service.live.tracked import NOTHING_TRACKED, Tracked
 
 POINTER = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (20.0, 15.0, 40.0))
@@ -245,50 +247,102 @@ def test_a_recording_that_ends_leaves_no_pose_behind(live: LiveManager):
     assert sum(live.pose_counts()["sim"]["pointer"].frames.values()) > 0
 
 
+class Costs(Thinning):
+    """Every frame costs so much to follow, whatever it takes here."""
+
+    following_s = 0.0
+
+    def count(self, followed: int, following_s: float, rest_s: float) -> None:
+        super().count(followed, followed * self.following_s, 0.0)
+
+
+class Bench:
+    """A device at 1 kHz whose frames come as they are asked for, and what is made of them."""
+
+    def __init__(self, seconds: float) -> None:
+        driver = SimulatedDriver("sim", simulation("strobed", seconds))
+        driver.open()
+        processor = DeviceProcessor("sim", driver.description, "cpu")
+        processor.set_tracked(Tracked(True, tools("strobed")))
+        processor.set_calibration("nominal", exact())
+        self.ring = FrameRing(1000, lambda: None)
+        self.session = DeviceSession("sim", driver.description, processor, self.ring, Hub())
+        self.reader = Reader("sim", driver, self.ring, lambda: None, lambda: None)
+        self.session.reader = self.reader
+        self.session.thinning = self.costs = Costs(driver.description.frame_rate_hz)
+        self.session.attach(self)
+        self.frames = list(driver.frames())
+        self.taken: list[FrameBatch] = []
+        self.shown: list[BoardEntry] = []
+
+    def prepare(self, found: InForce) -> None: ...
+
+    def offer(self, batch: FrameBatch) -> None:
+        self.taken.append(batch)
+
+    def work(self, first: int, last: int) -> list[FrameBatch]:
+        """Let frames wait, and return the batches in which they are worked on."""
+        self.taken.clear()
+        for frame in self.frames[first:last]:
+            self.ring.put(frame)
+        while self.session.work():
+            self.shown += self.session.poses.newest().values()
+        worked = [frame.sequence for batch in self.taken for frame in batch.frames]
+        assert worked == list(range(first, last))  # each once, and in order
+        for batch in self.taken:
+            assert len(batch.points) == len(batch.frames)  # followed or not
+        return list(self.taken)
+
+    @property
+    def not_followed(self) -> int:
+        return self.session.status().frames_not_followed
+
+
+def passed_over(batch: FrameBatch) -> list[bool]:
+    """Return of each frame of a batch whether it was; then it has no tracks either."""
+    poses = [motion(batch).poses_of(index)[0] for index in range(len(batch.frames))]
+    over = [pose.reason == PASSED_OVER for pose in poses]
+    assert not any(one and pose.valid for one, pose in zip(over, poses, strict=True))
+    assert not any(over[frame] for frame in motion(batch).track_owner.tolist())
+    return over
+
+
 def test_of_frames_that_waited_too_long_there_are_no_poses():
     """The compute thread was away for 0.2 s at 1 kHz, however many frames it then takes at once."""
-    driver = SimulatedDriver("sim", simulation("strobed", 0.6))
-    driver.open()
-    processor = DeviceProcessor("sim", driver.description, "cpu")
-    processor.set_tracked(Tracked(True, tools("strobed")))
-    processor.set_calibration("nominal", exact())
-    ring = FrameRing(1000, lambda: None)
-    session = DeviceSession("sim", driver.description, processor, ring, Hub())
-    session.reader = Reader("sim", driver, ring, lambda: None, lambda: None)
-    frames = list(driver.frames())
-    taken: list[FrameBatch] = []
-
-    class Took:
-        def prepare(self, found: InForce) -> None: ...
-
-        def offer(self, batch: FrameBatch) -> None:
-            taken.append(batch)
-
-    session.attach(Took())
-
-    def work(first: int, last: int) -> list[FrameBatch]:
-        taken.clear()
-        for frame in frames[first:last]:
-            ring.put(frame)
-        while session.work():
-            pass
-        return list(taken)
-
-    assert motion(work(0, 60)[-1]).poses[-1].valid  # behind by less than it may be
-    assert session.status().frames_not_followed == 0
-    late = work(60, 260)
-    assert not motion(late[0]).poses[0].valid
-    assert motion(late[0]).poses[0].reason == PASSED_OVER
-    assert len(motion(late[0]).tracks) == 0
-    assert len(late[0].points) == len(late[0].frames)  # points are made all the same
-    told = [motion(batch).poses[0].reason == PASSED_OVER for batch in late]
+    bench = Bench(0.6)
+    batches = [one for first in range(0, 60, 20) for one in bench.work(first, first + 20)]
+    assert motion(batches[-1]).poses[-1].valid  # behind by less than it may be
+    assert bench.not_followed == 0
+    late = [passed_over(batch) for batch in bench.work(60, 260)]
+    assert all(late[0])
+    told = [over for batch in late for over in batch]
     assert sorted(told, reverse=True) == told  # from the first to where it has caught up
-    followed = sum(len(batch.frames) for batch, over in zip(late, told, strict=True) if not over)
+    followed = told.count(False)
     assert followed <= 21  # of 0.02 s
-    assert session.status().frames_not_followed == 200 - followed
+    assert bench.not_followed == 200 - followed
     # A few at a time it keeps up: it finds them again, and counts no more.
-    batches = [batch for first in range(260, 400, 10) for batch in work(first, first + 10)]
+    batches = [one for first in range(260, 400, 10) for one in bench.work(first, first + 10)]
     assert motion(batches[-1]).poses[-1].valid
-    assert session.status().frames_not_followed == 200 - followed
-    session.reader.waits = True  # a recording that is replayed as fast as it can be
-    assert PASSED_OVER not in {pose.reason for one in work(400, 600) for pose in motion(one).poses}
+    assert bench.not_followed == 200 - followed
+    bench.reader.waits = True  # a recording that is replayed as fast as it can be
+    assert not any(over for batch in bench.work(400, 600) for over in passed_over(batch))
+
+
+def test_who_is_too_slow_for_all_frames_follows_some_and_keeps_the_tools(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    monkeypatch.setattr(session, "BATCH_SECONDS", 1e6)  # batches as they would be, however slow
+    bench = Bench(0.5)
+    bench.costs.following_s = 1.5e-3
+    bench.work(0, 40)  # more than may wait
+    bench.shown.clear()
+    over = [passed_over(one) for first in range(40, 500, 4) for one in bench.work(first, first + 4)]
+    assert not any(all(batch) or batch[-1] for batch in over)  # the newest is followed
+    share = [one for batch in over for one in batch].count(False) / 460
+    # Two of four fit into a slice; here no time goes by until the next ones are looked at.
+    assert 0.4 <= share <= 0.9
+    assert bench.not_followed >= round(460 * (1.0 - share))
+    # Nothing that was passed over is put up, and the rest is enough to know where all is.
+    late = [entry for entry in bench.shown if entry.sequence > 200]
+    assert late
+    assert all(pose.valid for entry in late for pose in entry.poses.values())

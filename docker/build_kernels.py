@@ -15,11 +15,15 @@ SENSORS = (3, 4, 5, 6)
 
 
 def modules() -> Iterator[tuple[Any, int]]:
-    """Yield every module with the size of the blocks that it is launched with on a GPU."""
+    """Yield every module with the size of the blocks that it is launched with on a GPU; 0: never.
+
+    Tools are followed by the CPU, whatever there is beside it.
+    """
     import warp as wp
 
     from compute.optics.tracing import kernel as tracing
     from compute.optics.tracing.tracer import THREADS_OF_A_BLOCK as RAYS
+    from compute.pose.native.kernel import step_kernel
     from compute.reconstruction.native.kernel import point_kernel
     from compute.reconstruction.native.launch import THREADS_OF_A_BLOCK as POINTS
     from compute.reconstruction.solver import LEAST_ROOM
@@ -37,6 +41,7 @@ def modules() -> Iterator[tuple[Any, int]]:
     for sensors in SENSORS:
         for room in (0, LEAST_ROOM):
             yield point_kernel(sensors, room).module, POINTS
+            yield step_kernel(sensors, room).module, 0
 
 
 def build(number: int, architectures: tuple[int, ...]) -> str:
@@ -45,7 +50,7 @@ def build(number: int, architectures: tuple[int, ...]) -> str:
 
     module, block = tuple(modules())[number]
     wp.init()  # behind the imports, which keep it from greeting
-    if architectures:
+    if architectures and block:
         module.options["block_dim"] = block
         wp.compile_aot_module(module, arch=architectures)
     else:

@@ -8,7 +8,7 @@ left alone: merged lines and false peaks are never guessed at.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from compute.pose.reading_model import ExpectedReadings, ReadingModel
 from compute.pose.regimes import Regimes
 from compute.reconstruction.points import chi2_limit
 from compute.signal.peaks import PeakFlag
+
+if TYPE_CHECKING:
+    from compute.pose.native.strobed_step import Step
 
 Array = NDArray[np.float64]
 
@@ -104,6 +107,7 @@ class Look:
         state: the tool, predicted to the exposure; updated by what is found. Of a tool with
             regimes, under the widest.
         regimes: likewise; None: the tool has a single one.
+        step: what a kernel made of the exposure, for a tool that is the only one it lights.
         peaks: which peak of each sensor is which marker's, -1: none, shape (m, S).
         merged: readings that were not looked for, as their lines may be merged, shape (m, S).
         nis: normalised innovation squared of what was found.
@@ -116,6 +120,7 @@ class Look:
     lit: NDArray[np.intp]
     state: PoseState
     regimes: Regimes | None = None
+    step: "Step | None" = None
     peaks: NDArray[np.intp] = field(init=False)
     merged: NDArray[np.bool_] = field(init=False)
     nis: float = 0.0
@@ -125,6 +130,14 @@ class Look:
 
     def __post_init__(self) -> None:
         self._predicted = self.state, self.regimes
+
+    def go_on(self, step: "Step") -> None:
+        """Take what a kernel found."""
+        assert step.regimes is not None
+        self.peaks, self.readings, self.nis = step.peaks, step.readings, step.nis
+        if step.readings:
+            self.regimes, self.state = step.regimes, step.regimes.widest
+            self.whitened.append(step.whitened)
 
     def reject(self) -> None:
         """Go back to what was predicted: what was found does not fit."""
@@ -205,9 +218,12 @@ def associate(
         look.merged = np.zeros(shape, dtype=np.bool_)
     if not free.any():
         return
+    active = [look for look in looks if len(look.lit)]
+    if len(active) == 1 and active[0].step is not None and active[0].step.regimes is not None:
+        active[0].go_on(active[0].step)
+        return
     gate = chi2_limit(1, gate_probability)
     sigma = float(np.sqrt(seen.variance_px2[free].min()))
-    active = [look for look in looks if len(look.lit)]
     if len(active) == 1 and len(active[0].lit) == 1 and free.shape[1] == 1:
         # A strobed exposure with one peak on each sensor: there is nothing to choose.
         (one,) = _told(model, active, sigma)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from compute.pose.association import LEFT_OUT_MOST, FramePeaks, Look
 from compute.pose.marker_frame import MarkerFrame
+from compute.pose.native.strobed_step import StrobedStep
 from compute.pose.offered import Offered, judged
 from compute.pose.pose_filter import PoseState, predict
 from compute.pose.pose_report import Support
@@ -38,6 +39,7 @@ class Followed:
     Args:
         body: its markers.
         errors: number of common errors of its filter.
+        step: follows it through plain exposures; None: it has no regimes, or there is no kernel.
         state: of its filter at the last frame; None: it is lost.
         regimes: of a strobed tool's motion, at its last exposure; None: it has a single one.
         seen_ns: when readings last updated it.
@@ -54,6 +56,7 @@ class Followed:
 
     body: RigidBody
     errors: int
+    step: StrobedStep | None = None
     state: PoseState | None = None
     regimes: Regimes | None = None
     seen_ns: int = 0
@@ -79,7 +82,12 @@ class Followed:
         return np.array([slots.index(marker)] if marker in slots else [], dtype=np.intp)
 
     def look(
-        self, time_ns: int, marker: int | None, motion: MotionSettings, manoeuvre: float = 1.0
+        self,
+        time_ns: int,
+        marker: int | None,
+        motion: MotionSettings,
+        manoeuvre: float = 1.0,
+        seen: FramePeaks | None = None,
     ) -> Look:
         """Return where it is expected in an exposure; nothing is found there yet.
 
@@ -88,6 +96,7 @@ class Followed:
             marker: strobe slot that is lit; None: all markers.
             motion: of tools.
             manoeuvre: factor on the accelerations.
+            seen: the peaks, which a kernel may then look at at once; None: it is not to.
         """
         assert self.state is not None
         lit = self.lit(marker)
@@ -95,6 +104,9 @@ class Followed:
             return Look(self.frame, lit, predict(self.state, time_ns, motion, manoeuvre))
         if len(lit) == 0:
             return Look(self.frame, lit, self.regimes.ahead(time_ns))
+        if self.step is not None and seen is not None:
+            step = self.step.take(self.regimes, time_ns, int(lit[0]), seen, manoeuvre)
+            return Look(self.frame, lit, step.predicted.widest, step.predicted, step)
         regimes = self.regimes.predict(time_ns, manoeuvre)
         return Look(self.frame, lit, regimes.widest, regimes)
 

@@ -60,12 +60,17 @@ class RegimeModel:
         time.
         """
         count = len(self)
-        if count == 1:
-            return np.ones((1, 1))
-        change = -np.expm1(-count / (count - 1) * step_s / self.mean_s) / count
+        change = self.change(step_s)
         chances = np.full((count, count), change)
         chances.flat[:: count + 1] = 1.0 - (count - 1) * change
         return chances
+
+    def change(self, step_s: float) -> float:
+        """Return the chance to go from one regime to a certain other one over a time."""
+        count = len(self)
+        if count == 1:
+            return 0.0
+        return float(-np.expm1(-count / (count - 1) * step_s / self.mean_s) / count)
 
     def noise(self, step_s: float, chance: Array | None = None) -> Array:
         """Return what a time adds to the covariance of each regime, shape (K, 18, 18).

@@ -72,6 +72,22 @@ class Regimes:
         spread[:, :MOVING] += (self.chance[:, None] * about).T @ about
         return mean, spread
 
+    @cached_property
+    def packed(self) -> Array:
+        """All numbers one after another: the widest's pose, the chances, ``off`` and ``spread``."""
+        pose = self.widest
+        return np.concatenate(
+            [
+                pose.rotation.ravel(),
+                pose.centroid_mm,
+                pose.velocity_mm_s,
+                pose.turn_rate_rad_s,
+                self.chance,
+                self.off.ravel(),
+                self.spread.ravel(),
+            ]
+        )
+
     def ahead(self, time_ns: int) -> PoseState:
         """Return what all regimes together expect at an instant, without readings."""
         step = 1e-9 * (time_ns - self.widest.time_ns)

@@ -16,6 +16,8 @@ from compute.pose.association import LEFT_OUT_MOST, FramePeaks, Look, associate
 from compute.pose.followed import CYCLES, Followed
 from compute.pose.frozen_image import FrozenImage
 from compute.pose.lit_start import find_lit
+from compute.pose.marker_frame import MarkerFrame
+from compute.pose.native.strobed_step import StrobedStep, can_step
 from compute.pose.offered import Offered
 from compute.pose.pose_filter import PoseState
 from compute.pose.pose_report import outside_volume, report, without_pose
@@ -81,8 +83,8 @@ class ToolTracker:
         self.pixels = pixels
         common = self.model.common.shape[2]
         table = 0 if corrections is None else self.model.sensors
-        self._tools = [Followed(body, common + table * len(body)) for body in tools]
         self._regimes = RegimeModel.of(self.settings.motion, self.settings.regimes)
+        self._tools = [self._fresh(body, common + table * len(body)) for body in tools]
         self._time_ns: int | None = None
         self._image = FrozenImage()
         self._cycle = StrobeCycle()
@@ -94,7 +96,7 @@ class ToolTracker:
 
     def reset(self) -> None:
         """Forget where all tools are; needed where time goes back."""
-        self._tools = [Followed(tool.body, tool.errors) for tool in self._tools]
+        self._tools = [Followed(tool.body, tool.errors, tool.step) for tool in self._tools]
         self._time_ns = None
         self._image = FrozenImage()
         self._cycle = StrobeCycle()
@@ -118,6 +120,13 @@ class ToolTracker:
                 tool.status, tool.reason = before.status, before.reason
         self._time_ns = other._time_ns
         self._cycle = other._cycle.copy()
+
+    def _fresh(self, body: RigidBody, errors: int) -> Followed:
+        """Return a tool of which nothing is known."""
+        probability, step = self.settings.gate_probability, None
+        if body.strobe_markers is not None and can_step(self.model, self._regimes):
+            step = StrobedStep(self.model, self._regimes, MarkerFrame.of(body), errors, probability)
+        return Followed(body, errors, step)
 
     def _begun(self, tool: Followed, state: PoseState) -> Regimes | None:
         """Return the regimes of a tool of which a state is known; None: it needs no more than it.
@@ -176,7 +185,7 @@ class ToolTracker:
         for index, tool in enumerate(self._tools):
             if tool.state is None:
                 continue
-            look = tool.look(time_ns, marker, self.settings.motion)
+            look = tool.look(time_ns, marker, self.settings.motion, seen=seen)
             if time_ns - tool.seen_ns > self._coast_ns(tool):
                 # Not a frame came for so long, or none that showed it: it is found anew.
                 self._drop(tool, look.state)

@@ -58,7 +58,11 @@ class DeviceProcessor:
             device_id, len(self._names), reads=self._finding.reads, make=make
         )
         if self._finding.reads:
+            # Here: what follows tools loads only where frames are processed.
+            from compute.pose.native.strobed_step import load_kernels as load_steps
+
             load_kernels(len(self._names), compute_device)
+            load_steps(len(self._names))
 
     @property
     def finding(self) -> PeakFinding:

@@ -1,0 +1,242 @@
+"""StrobedStep: a strobed tool's exposure in one launch: predicted, its readings found and taken."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.stack import CameraStack
+from compute.mapping.table import CorrectionTable
+from compute.pose.marker_frame import MarkerFrame
+from compute.pose.native.packed import PackedPose, PackedRegimes
+from compute.pose.native.record import (
+    FRAME_NUMBERS,
+    FRAME_WORDS,
+    HEAD,
+    POSE,
+    STEP,
+    TAKEN,
+    regimes_size,
+    result_size,
+    scratch_size,
+)
+from compute.pose.pose_filter import STATES
+from compute.pose.reading_model import ReadingModel
+from compute.pose.regime_model import RegimeModel
+from compute.pose.regimes import Regimes
+from compute.reconstruction.native.job import JOB, MAX_POWER, row_length
+from compute.reconstruction.native.launch import address
+from compute.reconstruction.points import chi2_limit
+from compute.reconstruction.solver import (
+    LEAST_ROOM,
+    MAX_SENSORS,
+    camera_fields,
+    filled,
+    term_room,
+)
+
+if TYPE_CHECKING:
+    from compute.pose.association import FramePeaks
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What an exposure did to a tool.
+
+    Args:
+        predicted: its regimes at the exposure, before its readings.
+        regimes: after them; None: what the readings say is not plain, nothing was taken.
+        peaks: which peak of each sensor was taken, -1: none, shape (1, S).
+        readings: how many were taken.
+        nis: their normalised innovation squared.
+        whitened: their innovations and slopes, as of RegimesUpdate, shape (n, 1 + E).
+    """
+
+    predicted: Regimes
+    regimes: Regimes | None
+    peaks: NDArray[np.intp]
+    readings: int
+    nis: float
+    whitened: Array
+
+
+class StrobedStep:
+    """What Regimes and ``associate`` do of one lit marker where all is plain, in one launch.
+
+    Each sensor has one peak at most that the marker may be, the linear model does, and the readings
+    fit one another: then they are taken. Else nothing is, and who asked does it step by step.
+
+    Warp is not thread-safe: the thread that makes it calls it. Making it loads Warp and compiles
+    the kernel for this number of sensors unless an earlier process has (seconds).
+
+    Args:
+        model: the cameras, which ``can_step`` said yes to.
+        regimes: of motion.
+        frame: the tool's markers.
+        errors: number of common errors of its filter.
+        gate_probability: chance that a right reading is not taken for its marker.
+    """
+
+    def __init__(
+        self,
+        model: ReadingModel,
+        regimes: RegimeModel,
+        frame: MarkerFrame,
+        errors: int,
+        gate_probability: float,
+    ) -> None:
+        import warp as wp
+
+        from compute.pose.native.kernel import step_kernel
+
+        self._model = regimes
+        self._errors = errors
+        self._sensors = sensors = model.sensors
+        self._size = regimes_size(len(regimes), errors)
+        self._steps: tuple[int, float] = (0, 0.0)
+        step = np.zeros(1, dtype=STEP)
+        cameras = _cameras(model.cameras, model.corrections)
+        columns = model.common * model.cameras.owned[..., None]
+        limits = [chi2_limit(count, gate_probability) for count in range(sensors + 1)]
+        # Kept: the records have their addresses.
+        self._kept: list[Any] = [step, *cameras]
+        for name, values in (
+            ("cameras", cameras[0]),
+            ("columns", columns),
+            ("states", regimes.states),
+            ("begun", regimes.begun),
+            ("brief", regimes.brief),
+            ("terms", regimes.terms),
+            ("markers", frame.markers_mm),
+            ("limits", np.array(limits)),
+            ("scratch", np.empty(scratch_size(sensors, len(regimes), errors))),
+        ):
+            there = np.ascontiguousarray(values)
+            step[name] = address(there)
+            self._kept.append(there)
+        step["regimes"], step["errors"], step["own_errors"] = len(regimes), errors, columns.shape[2]
+        step["gate"] = chi2_limit(1, gate_probability)
+        step["radius"] = frame.radius_mm
+        step["focal"] = model.cameras.principal_distance_px.min()
+        self._words = step.view(np.uint64)[:FRAME_WORDS]
+        self._numbers = step.view(np.float64)[FRAME_WORDS : FRAME_WORDS + FRAME_NUMBERS]
+        # Loads the kernel, before the first frame waits for it.
+        self._launch = wp.launch(
+            step_kernel(sensors, term_room(model.cameras)),
+            dim=1,
+            inputs=[address(step)],
+            device="cpu",
+            record_cmd=True,
+        )
+
+    def take(
+        self,
+        before: Regimes,
+        time_ns: int,
+        lit: int,
+        seen: "FramePeaks",
+        manoeuvre: float = 1.0,
+    ) -> Step:
+        """Return the step to an exposure.
+
+        Args:
+            before: the tool's regimes at its last exposure.
+            time_ns: of this one, not earlier.
+            lit: index of the marker that it lights.
+            seen: the frame's peaks.
+            manoeuvre: factor on the accelerations of all regimes.
+        """
+        size, sensors, errors = self._size, self._sensors, self._errors
+        block = np.empty(2 * size + result_size(sensors, errors))
+        first = address(block)
+        packed = before.packed
+        position = np.ascontiguousarray(seen.position_px)
+        variance = np.ascontiguousarray(seen.variance_px2)
+        used = np.ascontiguousarray(seen.usable)
+        self._words[:] = (
+            address(packed),
+            first,
+            first + 8 * size,
+            first + 16 * size,
+            address(position),
+            address(variance),
+            address(used),
+            position.shape[1],
+            lit,
+        )
+        between = time_ns - before.widest.time_ns
+        self._numbers[:] = 1e-9 * between, self._change(between), manoeuvre
+        self._launch.launch()
+        after = 2 * size
+        how, count, nis, _ = block[after : after + HEAD].tolist()
+        peak, whole = after + HEAD, after + HEAD + sensors
+        peaks = block[peak:whole].astype(np.intp)[None]
+        readings = int(count)
+        if how != TAKEN:
+            predicted = PackedRegimes.within(self._model, time_ns, block[:size], errors)
+            return Step(predicted, None, np.full_like(peaks, -1), 0, 0.0, _nothing(errors))
+        pose = PackedPose.within(time_ns, block[whole:], POSE, 0, errors)
+        if not readings:
+            predicted = PackedRegimes.within(self._model, time_ns, block[:size], errors, pose)
+            return Step(predicted, predicted, peaks, 0, 0.0, _nothing(errors))
+        predicted = PackedRegimes.within(self._model, time_ns, block[:size], errors)
+        regimes = PackedRegimes.within(self._model, time_ns, block[size:after], errors, pose)
+        white = whole + POSE + STATES * (STATES + errors)
+        whitened = block[white : white + readings * (1 + errors)].reshape(readings, -1)
+        return Step(predicted, regimes, peaks, readings, nis, whitened)
+
+    def _change(self, between_ns: int) -> float:
+        """Return the chance to change to one certain other regime, as ``RegimeModel.switching``."""
+        if self._steps[0] != between_ns:
+            self._steps = between_ns, self._model.change(1e-9 * between_ns)
+        return self._steps[1]
+
+
+def _nothing(errors: int) -> Array:
+    return np.empty((0, 1 + errors))
+
+
+def can_step(model: ReadingModel, regimes: RegimeModel) -> bool:
+    """Return whether a kernel can follow in these regimes, and there is one for these cameras."""
+    cameras = model.cameras
+    powers = max((max(term) for term in cameras.terms), default=0)
+    return len(regimes) > 1 and 1 <= len(cameras) <= MAX_SENSORS and powers <= MAX_POWER
+
+
+def load_kernels(sensors: int) -> None:
+    """Load what steps for so many sensors need, with up to LEAST_ROOM terms of distortion."""
+    from compute.pose.native.kernel import step_kernel
+
+    for room in (0, LEAST_ROOM):
+        step_kernel(sensors, room).module.load("cpu", block_dim=1)
+
+
+def _cameras(stack: CameraStack, corrections: CorrectionTable | None) -> list[NDArray[Any]]:
+    """Return the cameras and the table as a JOB, and the arrays that it has the addresses of."""
+    job = np.zeros(1, dtype=JOB)
+    kept: list[NDArray[Any]] = [job]
+
+    def put(name: str, array: NDArray[Any]) -> None:
+        kept.append(np.ascontiguousarray(array))
+        job[name] = address(kept[-1])
+
+    row = row_length(len(stack), cuda=False)
+    put("cameras", filled(camera_fields(stack), row))
+    put("coefficients", filled(stack.coefficients.T, row))
+    put("powers", np.array(stack.terms, dtype=np.int32).reshape(-1, 2))
+    job["terms"] = len(stack.terms)
+    job["top_power"] = max((max(term) for term in stack.terms), default=0)
+    if corrections is not None:
+        for name, values in (
+            ("values", corrections.coefficients_px),
+            ("variance", corrections.variance_px2),
+            ("valid", corrections.valid.astype(np.uint8)),
+        ):
+            put(name, filled(np.moveaxis(values, 0, -1), row))
+        job["degree"] = corrections.degree
+        job["cells_x"], job["cells_y"], job["cells_z"] = corrections.grid.cells
+        job["origin"], job["pitch"] = corrections.grid.origin_mm, corrections.grid.pitch_mm
+    return kept

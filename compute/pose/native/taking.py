@@ -1,0 +1,176 @@
+"""Native source: readings within the gates are taken by all regimes, as ``Regimes.update``."""
+
+from typing import Final
+
+# Covariance of a reading with the states and the common errors of a regime, (W,), and with
+# another reading.
+CROSSED: Final = """
+    auto cross = [&](const double* spread, int s, double* __restrict__ crossed) {
+        const double* common = by_common + s * E;
+        zero(W, crossed);
+        for (int r = 0; r < 6; ++r) add(W, slopes[s][r], spread + r * W, crossed);
+        if (E == 0) return;
+        for (int i = 0; i < D; ++i) {
+            const double* row = spread + i * W + D;
+            double parts[4] = {0.0, 0.0, 0.0, 0.0};
+            int e = 0;
+            for (; e + 4 <= E; e += 4)
+                for (int k = 0; k < 4; ++k) parts[k] += common[e + k] * row[e + k];
+            for (; e < E; ++e) parts[0] += common[e] * row[e];
+            crossed[i] += (parts[0] + parts[1]) + (parts[2] + parts[3]);
+        }
+        add(E, 1.0, common, crossed + D);
+    };
+    auto meet = [&](const double* crossed, int t) -> double {
+        const double* common = by_common + t * E;
+        double sum = 0.0;
+        for (int r = 0; r < 6; ++r) sum += crossed[r] * slopes[t][r];
+        for (int e = 0; e < E; ++e) sum += crossed[D + e] * common[e];
+        return sum;
+    };
+"""
+
+TAKING: Final = """
+    double* result = step.result;
+    double* peak_of = result + head;
+    double* whole = peak_of + S;
+    double* whitened = whole + pose_size + 144 + 12 * E;
+    double* all_crossed = room(S * W);
+    double* solved = room(K * S * (1 + W));
+    double* nis = room(K);
+    double* chance_log = room(K);
+    const int P = (int)step.peaks;
+    int count = 0, sensor[S];
+    auto end = [&](int how, const double* regimes) {
+        result[0] = how;
+        result[1] = count;
+        if (how == taken) together(regimes, whole);
+    };
+    predict(step.before, step.predicted);
+    const double* predicted = step.predicted;
+    double least = infinity, gain = 0.0;
+    for (int i = 0; i < S * P; ++i)
+        if (step.usable[i]) least = smaller(least, step.variance[i]);
+    for (int s = 0; s < S; ++s) peak_of[s] = -1.0;
+    result[2] = result[3] = 0.0;
+    if (!(least < infinity)) {
+        end(taken, predicted);
+        return;
+    }
+    expect(predicted);
+    // The gates are the widest regime's.
+    const double* widest = spreads(predicted) + (K - 1) * D * W;
+    bool known = true;
+    for (int s = 0; s < S; ++s)
+        for (int axis = 3; axis < 6; ++axis) {
+            const double slope = slopes[s][axis] < 0.0 ? -slopes[s][axis] : slopes[s][axis];
+            known = known && slope == slope;
+            gain = larger(gain, slope);
+        }
+    const double turned = 0.5 * step.radius * (widest[0] + widest[W + 1] + widest[2 * W + 2]);
+    const double shifted = (widest[3 * W + 3] + widest[4 * W + 4] + widest[5 * W + 5]) * gain
+        / step.focal;
+    if (known && (turned + shifted) * gain > bent_share * sqrt(least)) {
+        end(curved, predicted);
+        return;
+    }
+    double reading[S], noise[S];
+    for (int s = 0; s < S; ++s) {
+        double* crossed = all_crossed + s * W;
+        cross(widest, s, crossed);
+        const double own = meet(crossed, s);
+        int fitting = 0;
+        for (int i = s * P; i < (s + 1) * P; ++i) {
+            const double off = step.position[i] - value[s];
+            if (!step.usable[i] || !(off * off <= step.gate * (own + step.variance[i]))) continue;
+            fitting += 1;
+            reading[s] = off;
+            noise[s] = step.variance[i];
+            peak_of[s] = i - s * P;
+        }
+        if (fitting > 1) {
+            end(contested, predicted);
+            return;
+        }
+        if (fitting) sensor[count++] = s;
+    }
+    if (count == 0) {
+        end(taken, predicted);
+        return;
+    }
+    double* after = step.after;
+    const int row = 1 + W;
+    double highest = -infinity;
+    // The widest first: it says whether the readings fit.
+    for (int k = K - 1; k >= 0; --k) {
+        const double *off = offs(predicted) + k * D, *spread = spreads(predicted) + k * D * W;
+        double* own = solved + k * S * row;
+        double root[S][S], inverse[S], log_size = 0.0;
+        nis[k] = 0.0;
+        for (int i = 0; i < count; ++i) {
+            const int s = sensor[i];
+            double* right = own + i * row;
+            if (k == K - 1) copy(W, all_crossed + s * W, right + 1);
+            else cross(spread, s, right + 1);
+            right[0] = reading[s];
+            for (int r = 0; r < 6; ++r) right[0] -= slopes[s][r] * off[r];
+            for (int j = 0; j <= i; ++j) root[i][j] = meet(right + 1, sensor[j]);
+            root[i][i] += noise[s];
+        }
+        for (int i = 0; i < count; ++i) {
+            for (int j = 0; j <= i; ++j) {
+                double rest = root[i][j];
+                for (int t = 0; t < j; ++t) rest -= root[i][t] * root[j][t];
+                if (j < i) root[i][j] = rest * inverse[j];
+                else root[i][i] = rest;
+            }
+            if (!(root[i][i] > 0.0)) {
+                end(misfit, predicted);
+                return;
+            }
+            log_size += 0.5 * log(root[i][i]);
+            inverse[i] = 1.0 / sqrt(root[i][i]);
+            double* right = own + i * row;
+            for (int j = 0; j < i; ++j) add(row, -root[i][j], own + j * row, right);
+            for (int c = 0; c < row; ++c) right[c] *= inverse[i];
+            nis[k] += right[0] * right[0];
+        }
+        if (k == K - 1 && !(nis[k] <= step.limits[count])) {
+            end(misfit, predicted);
+            return;
+        }
+        chance_log[k] = log(chances(predicted)[k]) - 0.5 * nis[k] - log_size;
+        highest = larger(highest, chance_log[k]);
+        double *off_after = offs(after) + k * D, *spread_after = spreads(after) + k * D * W;
+        copy(D, off, off_after);
+        copy(D * W, spread, spread_after);
+        for (int i = 0; i < count; ++i) {
+            const double* right = own + i * row;
+            for (int r = 0; r < D; ++r) {
+                off_after[r] += right[1 + r] * right[0];
+                add(W, -right[1 + r], right + 1, spread_after + r * W);
+            }
+        }
+    }
+    double sum = 0.0;
+    int likeliest = 0;
+    for (int k = 0; k < K; ++k) {
+        sum += chances(after)[k] = exp(chance_log[k] - highest);
+        likeliest = chance_log[k] > chance_log[likeliest] ? k : likeliest;
+    }
+    result[3] = nis[K - 1];
+    for (int k = 0; k < K; ++k) {
+        chances(after)[k] /= sum;
+        result[2] += chances(after)[k] * nis[k];
+    }
+    double last[D];
+    copy(D, offs(after) + (K - 1) * D, last);
+    moved(predicted, last, after);
+    for (int k = 0; k < K; ++k) add(D, -1.0, last, offs(after) + k * D);
+    for (int i = 0; i < count; ++i) {
+        const double* right = solved + (likeliest * S + i) * row;
+        whitened[i * (1 + E)] = right[0];
+        copy(E, right + 1 + D, whitened + i * (1 + E) + 1);
+    }
+    end(taken, after);
+"""

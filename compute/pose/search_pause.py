@@ -2,7 +2,7 @@
 
 from typing import Final
 
-FULL_RATE: Final = 2
+FULL_RATE: Final = 3
 """Searches in vain after which the pauses grow: exposures of a tool that moved oddly soon go by."""
 LONGEST_NS: Final = 250_000_000
 """Pause that is long enough, however often it was looked for in vain."""
@@ -27,6 +27,11 @@ class SearchPause:
         self._left = 0
         self._failed_ns = 0
         self._most_readings = -1
+
+    @property
+    def waits(self) -> bool:
+        """Whether it was looked for in vain, and nothing new was seen since."""
+        return self._failures > 0
 
     def due(self, time_ns: int, readings: int) -> bool:
         """Return whether to look for it now; called once for each exposure of its markers.

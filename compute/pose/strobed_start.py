@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from compute.pose.association import common_slopes, robust_update
 from compute.pose.marker_frame import MarkerFrame
 from compute.pose.observability import missing_readings
-from compute.pose.pose_equations import PoseEquations
+from compute.pose.pose_equations import PoseEquations, Poses
 from compute.pose.pose_filter import (
     STATES,
     PoseState,
@@ -64,6 +64,11 @@ class Exposure:
     readings_px: Array
     sigma_px: Array
 
+    @property
+    def shows(self) -> bool:
+        """Whether any sensor saw the marker."""
+        return bool(np.isfinite(self.readings_px).any())
+
 
 @dataclass(frozen=True, eq=False)
 class StrobedStart:
@@ -75,6 +80,7 @@ class StrobedStart:
         unfit: whether there were readings enough and they did not fit.
         nis: normalised innovation squared of all readings.
         readings: their number.
+        searched: whether it was looked for all over, which takes long.
     """
 
     state: PoseState | None
@@ -82,6 +88,7 @@ class StrobedStart:
     unfit: bool = False
     nis: float = 0.0
     readings: int = 0
+    searched: bool = False
 
 
 def find_strobed(
@@ -114,11 +121,24 @@ def find_strobed(
     smeared = _smeared(model, readings, sigma, age_s, settings.motion.speed_mm_s)
     if smeared is None:
         return StrobedStart(None, "the readings' planes tell no place")
-    equations = PoseEquations(model, frame, readings, smeared)
     starts = starts_from_readings(model, frame, readings, smeared)
     if not len(starts[0]):
-        return StrobedStart(None, _too_few_sensors(exposures) or "the readings tell no turn")
-    found = solutions(equations, *starts)
+        reason = _too_few_sensors(exposures) or "the readings tell no turn"
+        return StrobedStart(None, reason, searched=True)
+    equations = PoseEquations(model, frame, readings, smeared)
+    found = _best(model, frame, exposures, solutions(equations, *starts), errors, settings)
+    return replace(found, searched=True)
+
+
+def _best(
+    model: ReadingModel,
+    frame: MarkerFrame,
+    exposures: Sequence[Exposure],
+    found: Poses,
+    errors: int,
+    settings: ToolTrackerSettings,
+) -> StrobedStart:
+    """Return what the likeliest of the rough poses come to, if it is one."""
     settled: list[StrobedStart] = []
     for candidate in range(min(CANDIDATES, len(found.chi2))):
         one = _settle(
@@ -136,6 +156,7 @@ def find_strobed(
         reason = _too_few_sensors(exposures)
         if reason is not None:
             return StrobedStart(None, reason)
+        count = sum(int(np.isfinite(one.readings_px).sum()) for one in exposures)
         return StrobedStart(
             None, f"{count} readings of {len(exposures)} exposures do not fit the tool", unfit=True
         )
@@ -216,13 +237,27 @@ def _settle(
     begin, end = exposures[0].time_ns, exposures[-1].time_ns
     state = resting_state(begin, rotation, centroid_mm, broad, motion, errors)
     offered = sum(int(np.isfinite(one.readings_px).sum()) for one in exposures)
+    probability = settings.fit.inconsistent_probability
     for turn in range(PASSES):
-        passed = _passed(model, frame, exposures, state, settings, robust=turn > 1)
+        last = turn == PASSES - 1
+        # No more than all that is offered can fit: what is beyond that is not waited for.
+        most_nis = chi2_limit(offered - 6, probability) if last else np.inf
+        most_left_out = (1.0 - AGREEING_SHARE) * offered if last else np.inf
+        passed = _passed(
+            model,
+            frame,
+            exposures,
+            state,
+            settings,
+            robust=turn > 1,
+            most_nis=most_nis,
+            most_left_out=most_left_out,
+        )
         found = None if passed is None else passed.state
         if passed is None or found is None:
             return None
-        if turn == PASSES - 1:
-            limit = chi2_limit(passed.readings - 6, settings.fit.inconsistent_probability)
+        if last:
+            limit = chi2_limit(passed.readings - 6, probability)
             enough = passed.readings >= STATES + settings.fit.least_redundancy
             enough &= passed.readings >= AGREEING_SHARE * offered
             return passed if enough and passed.nis <= limit else None
@@ -245,9 +280,11 @@ def _passed(
     settings: ToolTrackerSettings,
     *,
     robust: bool,
+    most_nis: float,
+    most_left_out: float,
 ) -> StrobedStart | None:
-    """Filter the exposures once; None where one does not fit at all."""
-    nis, count = 0.0, 0
+    """Filter the exposures once; None where one does not fit at all, or all fit too badly."""
+    nis, count, left_out = 0.0, 0, 0
     taken: Update | None
     for one in exposures:
         state = predict(state, one.time_ns, settings.motion)
@@ -260,7 +297,9 @@ def _passed(
         if not np.isfinite(expected.value_px[0, seen]).all():
             return None
         common = common_slopes(expected, lit, state.common.shape[1])
-        told = innovations(state, arms, expected, common).of(seen)
+        told = innovations(state, arms, expected, common)
+        if len(seen) < model.sensors:
+            told = told.of(seen)
         residual = one.readings_px[seen] - told.value_px
         if robust:
             taken = robust_update(
@@ -273,6 +312,9 @@ def _passed(
         state = taken.state
         nis += taken.nis
         count += len(taken.kept)
+        left_out += len(seen) - len(taken.kept)
+        if nis > most_nis or left_out > most_left_out + 0.5:
+            return None
     return StrobedStart(state, None, False, nis, count)
 
 

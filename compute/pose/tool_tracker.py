@@ -25,6 +25,7 @@ from compute.pose.reading_model import ReadingModel
 from compute.pose.regime_model import RegimeModel
 from compute.pose.regimes import Regimes
 from compute.pose.rigid_body import RigidBody
+from compute.pose.search_pause import SearchPause
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.strobe_cycle import StrobeCycle
 from compute.pose.strobed_start import Exposure, find_strobed
@@ -85,6 +86,7 @@ class ToolTracker:
         table = 0 if corrections is None else self.model.sensors
         self._regimes = RegimeModel.of(self.settings.motion, self.settings.regimes)
         self._tools = [self._fresh(body, common + table * len(body)) for body in tools]
+        self._pauses = [SearchPause() for _ in tools]
         self._time_ns: int | None = None
         self._image = FrozenImage()
         self._cycle = StrobeCycle()
@@ -97,6 +99,7 @@ class ToolTracker:
     def reset(self) -> None:
         """Forget where all tools are; needed where time goes back."""
         self._tools = [Followed(tool.body, tool.errors, tool.step) for tool in self._tools]
+        self._pauses = [SearchPause() for _ in self._tools]
         self._time_ns = None
         self._image = FrozenImage()
         self._cycle = StrobeCycle()
@@ -287,13 +290,20 @@ class ToolTracker:
                 together.append(tool)
             elif tool.state is not None and look is not None:
                 taken.append(look)
+                if not tool.to_confirm:
+                    self._pauses[index].forget()
             elif len(lit):
-                self._expose(tool, time_ns, int(lit[0]), seen)
+                self._expose(tool, self._pauses[index], time_ns, int(lit[0]), seen)
         if together:
             self._identify(together, time_ns, seen, taken, points)
 
-    def _expose(self, tool: Followed, time_ns: int, marker: int, seen: FramePeaks) -> None:
+    def _expose(
+        self, tool: Followed, pause: SearchPause, time_ns: int, marker: int, seen: FramePeaks
+    ) -> None:
         """Keep an exposure of a lost strobed tool, and find it when there are enough."""
+        before = list(tool.exposures)[-len(tool.body) :]
+        if len(before) == len(tool.body) and not any(one.shows for one in before):
+            pause.forget()  # all of its markers were hidden
         tool.exposures.append(Exposure(time_ns, marker, *seen.single()))
         most = max(CYCLES * len(tool.body), LEAST_EXPOSURES)
         turns_ns = round(CYCLES * TURNS * self._cycle.of(tool.body.strobe_markers))
@@ -302,11 +312,11 @@ class ToolTracker:
         while tool.exposures[0].time_ns < oldest or len(tool.exposures) > most:
             tool.exposures.popleft()
         tool.fresh += 1
-        shown = [one for one in tool.exposures if np.isfinite(one.readings_px).any()]
+        shown = [one for one in tool.exposures if one.shows]
         markers = len({one.marker for one in shown})
         if not shown and tool.status is PoseStatus.OUT_OF_VIEW:
             return
-        if tool.status is not PoseStatus.INVALID or not shown:
+        if not shown or not (pause.waits or tool.status is PoseStatus.INVALID):
             tool.status = PoseStatus.MISSING
             tool.reason = (
                 f"{markers} of {len(tool.body)} markers were seen in the last "
@@ -315,9 +325,15 @@ class ToolTracker:
         # After a failure a cycle goes by: the same exposures would fail again.
         if tool.fresh < len(tool.body) or not shown or shown[-1].time_ns != time_ns:
             return
+        readings = sum(int(np.isfinite(one.readings_px).sum()) for one in shown)
+        if not pause.due(time_ns, readings):
+            return
         found = find_strobed(self.model, tool.frame, shown, tool.errors, self.settings)
+        if found.searched:
+            # In vain until it is confirmed. Too few readings may be enough with the next exposure.
+            too_few = found.state is None and not found.unfit
+            pause.failed(time_ns, readings, 1 if too_few else len(tool.body))
         if found.state is None:
-            # Too few readings may be enough with the next exposure.
             tool.fresh = 0 if found.unfit else tool.fresh
             tool.status = PoseStatus.INVALID if found.unfit else PoseStatus.MISSING
             tool.reason = str(found.reason)

@@ -73,9 +73,11 @@ class FramePeaks:
         usable = np.isfinite(position) & np.isfinite(sigma) & (sigma > 0.0)
         flags = np.asarray(peak_flags)
         variance = sigma**2
-        if flags.any():
+        if np.count_nonzero(flags):
             usable &= (flags & int(UNUSABLE)) == 0
             variance = np.where(flags & int(DOUBTFUL), DOUBTFUL_FACTOR**2 * variance, variance)
+        if np.count_nonzero(usable) == usable.size:
+            return cls(position, variance, usable, position)
         return cls(
             np.where(usable, position, np.nan), np.where(usable, variance, 1.0), usable, position
         )
@@ -131,8 +133,10 @@ class Look:
     def __post_init__(self) -> None:
         self._predicted = self.state, self.regimes
 
-    def go_on(self, step: "Step") -> None:
-        """Take what a kernel found."""
+    def go_on(self) -> None:
+        """Take what the kernel found."""
+        step = self.step
+        assert step is not None
         assert step.regimes is not None
         self.peaks, self.readings, self.nis = step.peaks, step.readings, step.nis
         if step.readings:
@@ -211,17 +215,19 @@ def associate(
         gate_probability: chance that a right reading is not taken.
         merge_px: lines nearer to one another may be one peak.
     """
-    free = seen.usable.copy()
+    active = [look for look in looks if len(look.lit)]
+    alone = active[0] if len(active) == 1 else None
+    ready = alone is not None and alone.step is not None and alone.step.regimes is not None
     for look in looks:
         shape = (len(look.lit), model.sensors)
-        look.peaks = np.full(shape, -1, dtype=np.intp)
         look.merged = np.zeros(shape, dtype=np.bool_)
-    if not free.any():
+        if ready and look is alone:
+            look.go_on()
+        else:
+            look.peaks = np.full(shape, -1, dtype=np.intp)
+    if ready or not np.count_nonzero(seen.usable):
         return
-    active = [look for look in looks if len(look.lit)]
-    if len(active) == 1 and active[0].step is not None and active[0].step.regimes is not None:
-        active[0].go_on(active[0].step)
-        return
+    free = seen.usable.copy()
     gate = chi2_limit(1, gate_probability)
     sigma = float(np.sqrt(seen.variance_px2[free].min()))
     if len(active) == 1 and len(active[0].lit) == 1 and free.shape[1] == 1:

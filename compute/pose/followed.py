@@ -1,7 +1,9 @@
 """Followed: a tool and what a tracker knows of it from frame to frame."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -50,6 +52,7 @@ class Followed:
         fits: whether its last exposures fitted it.
         to_confirm: exposures that must fit, in a row, before a strobed tool that was just found is
             believed: it may have been found from a false peak.
+        lights: which of its markers an exposure lights, as far as asked.
         status: of a lost tool.
         reason: why it is lost.
     """
@@ -66,6 +69,7 @@ class Followed:
     fresh: int = 0
     fits: deque[bool] = field(default_factory=deque)
     to_confirm: int = 0
+    lights: dict[int | None, NDArray[np.intp]] = field(default_factory=dict)
     status: PoseStatus = PoseStatus.UNKNOWN
     reason: str = "no exposure could have shown it yet"
 
@@ -76,10 +80,13 @@ class Followed:
 
     def lit(self, marker: int | None) -> NDArray[np.intp]:
         """Return which of its markers an exposure lights."""
-        if marker is None:
-            return np.arange(len(self.body))
-        slots = self.body.strobe_markers or ()
-        return np.array([slots.index(marker)] if marker in slots else [], dtype=np.intp)
+        known = self.lights.get(marker)
+        if known is None:
+            slots = self.body.strobe_markers or ()
+            one = [slots.index(marker)] if marker in slots else []
+            every = range(len(self.body))
+            known = self.lights[marker] = np.array(every if marker is None else one, dtype=np.intp)
+        return known
 
     def look(
         self,
@@ -128,6 +135,11 @@ class Followed:
         self.fresh = self.to_confirm = 0
         self.status, self.reason = status, reason
 
+    @cached_property
+    def _none_left(self) -> NDArray[np.intp]:
+        """That of no marker anything was left out, shape (M,); not to be written to."""
+        return np.zeros(len(self.body), dtype=np.intp)
+
     def support(self) -> Support:
         """Return what its last updates rest on."""
         nis, readings, sensors = zip(*self.last, strict=True)
@@ -142,28 +154,39 @@ class Followed:
         marker: int | None,
         seen: FramePeaks,
         model: ReadingModel,
-        free: FramePeaks,
+        free: Callable[[], FramePeaks],
         gate_probability: float,
     ) -> None:
-        """Note whether what an exposure showed is what it must have shown."""
+        """Note whether what an exposure showed is what it must have shown.
+
+        ``free`` tells the peaks that are no tool's, where that is asked.
+        """
         if len(look.lit) == 0:
             return
-        off = look.left_out(model, free, gate_probability)
-        square, left_out = float(off.sum()), (off > 0.0).sum(axis=1)
-        count = int(left_out.sum())
+        square, count = 0.0, 0
+        of_markers = self._none_left
+        if look.readings < look.peaks.size:
+            off = look.left_out(model, free(), gate_probability)
+            count = int(np.count_nonzero(off))
+        if count:
+            square = float(off.sum())
+            of_markers = np.zeros(len(self.body), dtype=np.intp)
+            of_markers[look.lit] = (off > 0.0).sum(axis=1)
         if marker is None:
-            against = look.contradictions(free.usable.sum(axis=1))
+            missed = look.readings < look.peaks.size
+            against = look.contradictions(free().usable.sum(axis=1)) if missed else 0
             if against and against >= look.readings > 0:
                 square, count = LEFT_OUT_MOST * against, against
                 look.reject()
-        elif look.readings < WEAK_SHARE * seen.usable.any(axis=1).sum():
+        elif (
+            look.readings < WEAK_SHARE * len(seen.usable)
+            and look.readings < WEAK_SHARE * seen.usable.any(axis=1).sum()
+        ):
             # The marker alone was lit, and most of what was seen is not where it must be: what
             # little fits does so by chance. That it did not fit is noted, which says enough.
             square, count = 0.0, 0
             look.reject()
         if look.readings + count:
-            of_markers = np.zeros(len(self.body), dtype=np.intp)
-            of_markers[look.lit] = left_out
             whitened = np.concatenate(look.whitened) if look.whitened else None
             one = Offered(look.nis + square, look.readings + count, of_markers, whitened)
             self._offer(one, marker)
@@ -189,10 +212,10 @@ class Followed:
         Args:
             probability: chance that right readings are taken for wrong ones.
         """
-        nothing = np.zeros(len(self.body), dtype=np.intp)
-        exposures = sum(((one.left_out > 0).astype(np.intp) for one in self.offered), nothing)
+        often = [one.left_out > 0 for one in self.offered if one.leaves]
+        exposures = np.sum(often, axis=0) if often else self._none_left
         whole = len(self.offered) <= OFFERED_CYCLES
-        times = sum(bool(one.left_out.any()) for one in self.offered) if whole else exposures.max()
+        times = len(often) if whole else exposures.max()
         if times >= OFTEN:
             return (
                 f"marker {exposures.argmax() + 1} does not fit the tool's geometry, or another "

@@ -33,7 +33,8 @@ class FrozenImage:
 
     def __init__(self) -> None:
         """Begin without any exposure."""
-        self._last: dict[int | None, tuple[bytes, Array, Array]] = {}
+        self._last: dict[int | None, tuple[tuple[int, ...], Array, Array]] = {}
+        """By what was lit: how many each sensor had, the readings and their variances."""
         self._same: dict[int | None, int] = {}
         """Readings that repeated in a row, by what was lit."""
         self._run = 0
@@ -53,16 +54,20 @@ class FrozenImage:
             self._last.clear()
             self._same.clear()
         there = np.isfinite(position_px)
-        positions, sigmas = position_px[there], sigma_px[there]
-        counts = there.sum(axis=1).tobytes()
+        if np.count_nonzero(there) == there.size:
+            counts = (there.shape[1],) * len(there)
+            positions, variances = position_px.flatten(), sigma_px.ravel() ** 2
+        else:
+            counts = tuple(there.sum(axis=1).tolist())
+            positions, variances = position_px[there], sigma_px[there] ** 2
         before = self._last.get(marker)
-        self._last[marker] = counts, positions, sigmas
+        self._last[marker] = counts, positions, variances
         if before is None or before[0] != counts:
             self._same[marker] = self._run = 0
             return
         moved = positions - before[1]
         same = moved == 0.0
-        repeated = int(same.sum())
+        repeated = int(np.count_nonzero(same))
         if repeated == len(same):
             # Of an exposure without any peak this says nothing, and changes nothing.
             self._same[marker] = self._same.get(marker, 0) + repeated
@@ -72,8 +77,9 @@ class FrozenImage:
             # They were equal by chance: it goes on.
             self._learn(self._run, self._run)
         self._same[marker] = self._run = 0
-        rests = moved**2 <= _REST_SIGMAS**2 * (sigmas**2 + before[2] ** 2)
-        self._learn(int((same & rests).sum()), int(rests.sum()))
+        rests = moved**2 <= _REST_SIGMAS**2 * (variances + before[2])
+        both = int(np.count_nonzero(same & rests)) if repeated else 0
+        self._learn(both, int(np.count_nonzero(rests)))
 
     def of(self, slots: tuple[int, ...] | None) -> bool:
         """Return whether the exposures of a tool's markers are frozen; None: lit together."""

@@ -7,6 +7,7 @@ several exposures are compared with what their errors have in common.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
@@ -37,6 +38,11 @@ class Offered:
     left_out: NDArray[np.intp]
     whitened: Array | None = None
 
+    @cached_property
+    def leaves(self) -> bool:
+        """Whether any was left out."""
+        return bool(np.count_nonzero(self.left_out))
+
 
 def judged(offered: Sequence[Offered], probability: float) -> tuple[float, int, float]:
     """Return the sum of the squares of some exposures, how many, and the most that it may be.
@@ -50,11 +56,15 @@ def judged(offered: Sequence[Offered], probability: float) -> tuple[float, int, 
     """
     square = sum(one.square for one in offered)
     count = sum(one.count for one in offered)
-    limit = chi2_limit(count, probability)
-    known = [one.whitened for one in offered if one.whitened is not None]
-    if square > limit and known and known[0].shape[1] > 1:
-        square = min(square, _together(square, known))
+    limit = _limit(count, probability)
+    if square > limit:
+        known = [one.whitened for one in offered if one.whitened is not None]
+        if known and known[0].shape[1] > 1:
+            square = min(square, _together(square, known))
     return square, count, limit
+
+
+_limit: Final = lru_cache(maxsize=1024)(chi2_limit)
 
 
 def _together(square: float, whitened: Sequence[Array]) -> float:

@@ -34,6 +34,29 @@ _PLACE_BY_SPEED = (np.arange(3, 6), np.arange(6, 9))
 
 
 @dataclass(frozen=True, eq=False)
+class PoseFigures:
+    """What is reported of a tool's pose.
+
+    Args:
+        rotation: R_world_tool, shape (3, 3).
+        turn_rate_rad_s: about the world's axes, shape (3,) [rad/s].
+        translation_mm: the tool's origin in the world, shape (3,) [mm].
+        covariance: of turn (left) and translation, shape (6, 6).
+        tip_mm: in the world, shape (3,) [mm].
+        tip_covariance_mm2: shape (3, 3) [mm^2].
+        velocity_mm_s: of the tool's origin, shape (3,) [mm/s].
+    """
+
+    rotation: Array
+    turn_rate_rad_s: Array
+    translation_mm: Array
+    covariance: Array
+    tip_mm: Array
+    tip_covariance_mm2: Array
+    velocity_mm_s: Array
+
+
+@dataclass(frozen=True, eq=False)
 class PoseState:
     """A moving tool at an instant.
 
@@ -60,6 +83,20 @@ class PoseState:
         """Return the markers in the world, shape (M, 3) [mm]."""
         found: Array = frame.markers_mm @ self.rotation.T + self.centroid_mm
         return found
+
+    def figures(self, frame: MarkerFrame) -> PoseFigures:
+        """Return what is reported of a tool with these markers."""
+        here = self.covariance[:6, :6]
+        origin, tip = frame.origin_slopes(self.rotation), frame.tip_slopes(self.rotation)
+        return PoseFigures(
+            self.rotation,
+            self.turn_rate_rad_s,
+            frame.translation(self.rotation, self.centroid_mm),
+            origin @ here @ origin.T,
+            self.centroid_mm + self.rotation @ frame.tip_mm,
+            tip @ here @ tip.T,
+            origin_velocity(self, frame),
+        )
 
 
 def resting_state(

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.pose.marker_frame import MarkerFrame
 from compute.pose.observability import observability
-from compute.pose.pose_filter import PoseState, origin_velocity
+from compute.pose.pose_filter import PoseState
 from compute.pose.reading_model import ReadingModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ToolTrackerSettings
@@ -35,7 +36,7 @@ class Support:
     def residual_sigma(self) -> float | None:
         """Root of the innovations squared per reading; None without any."""
         count = sum(self.readings)
-        return float(np.sqrt(sum(self.nis) / count)) if count else None
+        return sqrt(sum(self.nis) / count) if count else None
 
 
 def without_pose(
@@ -66,21 +67,20 @@ def report(
     frame = MarkerFrame.of(tool)
     here = state.covariance[:6, :6]
     most = (settings.fit.most_sd_share * frame.radius_mm) ** 2
-    diagonal = here.diagonal()
+    a, b, c, x, y, z = here.diagonal().tolist()
     # No motion is less certain than all together: that is checked first, it costs next to nothing.
-    if not frame.radius_mm**2 * diagonal[:3].sum() + diagonal[3:].sum() <= most:
+    if not frame.radius_mm**2 * (a + b + c) + (x + y + z) <= most:
         radius = np.array([frame.radius_mm] * 3 + [1.0] * 3)
         scaled = here * (radius[:, None] * radius)
         if not np.linalg.eigvalsh(scaled)[-1] <= most:
             judged = observability(np.linalg.inv(scaled), frame, support.sensors, settings.fit)
             why = judged.reason or "the pose is not told by what was seen"
             return without_pose(tool, PoseStatus.MISSING, why, state.time_ns, sequence)
-    origin, tip = frame.origin_slopes(state.rotation), frame.tip_slopes(state.rotation)
-    tip_covariance = tip @ here @ tip.T
-    tip_sd = float(np.sqrt(np.trace(tip_covariance)))
+    figures = state.figures(frame)
+    tip_sd = sqrt(figures.tip_covariance_mm2.trace())
     limit = settings.most_tip_sd_mm if tool.most_tip_sd_mm is None else tool.most_tip_sd_mm
-    used = int(support.sensors.sum())
-    markers = int(support.sensors.any(axis=1).sum())
+    used = int(np.count_nonzero(support.sensors))
+    markers = sum(map(any, support.sensors.tolist()))
     status = PoseStatus.OK
     reason: str | None = None
     if tip_sd > limit:
@@ -98,16 +98,16 @@ def report(
         reason,
         state.time_ns,
         sequence,
-        state.rotation,
-        frame.translation(state.rotation, state.centroid_mm),
-        origin @ here @ origin.T,
-        state.centroid_mm + state.rotation @ frame.tip_mm,
-        tip_covariance,
+        figures.rotation,
+        figures.translation_mm,
+        figures.covariance,
+        figures.tip_mm,
+        figures.tip_covariance_mm2,
         support.residual_sigma,
         markers,
         used,
-        origin_velocity(state, frame),
-        state.turn_rate_rad_s,
+        figures.velocity_mm_s,
+        figures.turn_rate_rad_s,
     )
 
 

@@ -88,6 +88,11 @@ class Regimes:
             ]
         )
 
+    @cached_property
+    def packed_at(self) -> int:
+        """Where ``packed`` begins in memory."""
+        return int(self.packed.__array_interface__["data"][0])
+
     def ahead(self, time_ns: int) -> PoseState:
         """Return what all regimes together expect at an instant, without readings."""
         step = 1e-9 * (time_ns - self.widest.time_ns)

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -189,7 +190,8 @@ class ToolTracker:
             if tool.state is None:
                 continue
             look = tool.look(time_ns, marker, self.settings.motion, seen=seen)
-            if time_ns - tool.seen_ns > self._coast_ns(tool):
+            unseen_ns = time_ns - tool.seen_ns
+            if unseen_ns > 1e9 * self.settings.coast_s and unseen_ns > self._coast_ns(tool):
                 # Not a frame came for so long, or none that showed it: it is found anew.
                 self._drop(tool, look.state)
                 continue
@@ -202,7 +204,10 @@ class ToolTracker:
             self.settings.merge_px,
         )
         self._again(looks, time_ns, marker, seen)
-        free = seen.without(list(looks.values()))
+        found = list(looks.values())
+        # Of several before one of them gives back what it has taken; of one where it is asked for.
+        rest = seen.without(found) if len(found) > 1 else None
+        free = partial(seen.without, found) if rest is None else lambda: rest
         for index, look in looks.items():
             tool = self._tools[index]
             tool.judge(look, marker, seen, self.model, free, self.settings.gate_probability)

@@ -75,16 +75,15 @@ def points_of(
 ) -> tuple[PointBatch, NDArray[np.intp]]:
     """Return the points of usable peaks, and the frame that each belongs to."""
     position, spread = usable.position_px, usable.sigma_px
-    doubtful, amplitude = usable.doubtful_px, usable.amplitude
-    sensors = position.shape[1]
+    strobed, strobed_sigma = _brightest(position, spread, usable.amplitude)
+    if all(frame.marker is not None for frame in frames):
+        owners = np.arange(len(frames), dtype=np.intp)
+        points = active.solver.solve(strobed, strobed_sigma)
+        return _doubted(points, strobed, usable, owners, []), owners
     rows: list[Array] = []
     sigmas: list[Array] = []
     owner: list[int] = []
     ambiguous: list[bool] = []
-    # A strobed exposure shows one marker: the brightest peak is it, weaker ones are reflections.
-    brightest = np.where(np.isfinite(position), amplitude, -1.0).argmax(axis=2)[..., None]
-    strobed = np.take_along_axis(position, brightest, axis=2)[..., 0]
-    strobed_sigma = np.take_along_axis(spread, brightest, axis=2)[..., 0]
     few = (np.isfinite(position).sum(axis=2).max(axis=1) <= MOST_TOGETHER).tolist()
     for index, frame in enumerate(frames):
         if frame.marker is not None:
@@ -105,13 +104,40 @@ def points_of(
         owner.extend([index] * len(found.readings_px))
         ambiguous.extend(found.ambiguous.tolist())
     if not rows:
-        return no_points(sensors), np.empty(0, dtype=np.intp)
-    readings, deviations = np.array(rows), np.array(sigmas)
-    points = active.solver.solve(readings, deviations)
-    found_flags = np.where(ambiguous, int(PointFlag.AMBIGUOUS), 0)
-    if np.isfinite(doubtful).any():
+        return no_points(position.shape[1]), np.empty(0, dtype=np.intp)
+    readings, owners = np.array(rows), np.array(owner, dtype=np.intp)
+    points = active.solver.solve(readings, np.array(sigmas))
+    return _doubted(points, readings, usable, owners, ambiguous), owners
+
+
+def _brightest(
+    position: Array, spread: Array, amplitude: NDArray[np.floating]
+) -> tuple[Array, Array]:
+    """Return the brightest peak of each sensor and its deviation, (F, S) each.
+
+    A strobed exposure shows one marker: the brightest peak is it, weaker ones are reflections.
+    """
+    if position.shape[2] == 1:
+        return position[..., 0], spread[..., 0]
+    brightest = np.where(np.isfinite(position), amplitude, -1.0).argmax(axis=2)[..., None]
+    strobed = np.take_along_axis(position, brightest, axis=2)[..., 0]
+    return strobed, np.take_along_axis(spread, brightest, axis=2)[..., 0]
+
+
+def _doubted(
+    points: PointBatch,
+    readings: Array,
+    usable: UsablePeaks,
+    owner: NDArray[np.intp],
+    ambiguous: Sequence[bool],
+) -> PointBatch:
+    """Return the points with their flags: ambiguous ones, and those of doubtful peaks."""
+    flags = points.flags
+    if any(ambiguous):
+        flags = flags | np.where(ambiguous, int(PointFlag.AMBIGUOUS), 0)
+    if np.count_nonzero(np.isfinite(usable.doubtful_px)):
         # Each against its own frame's: what else is in the batch must not matter.
-        from_doubtful = (readings[..., None] == doubtful[owner]).any(axis=(1, 2))
-        found_flags |= np.where(from_doubtful, int(PointFlag.DOUBTFUL_PEAK), 0)
-    points = replace(points, flags=(points.flags | found_flags).astype(np.int32))
-    return points, np.array(owner, dtype=np.intp)
+        doubtful = usable.doubtful_px[owner]
+        from_doubtful = (readings[..., None] == doubtful).any(axis=(1, 2))
+        flags = flags | np.where(from_doubtful, int(PointFlag.DOUBTFUL_PEAK), 0)
+    return points if flags is points.flags else replace(points, flags=flags.astype(np.int32))

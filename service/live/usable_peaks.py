@@ -66,8 +66,10 @@ class UsablePeaks:
         shape = (frames, len(calibration.sensors), -1)
         position = peaks.position_px.reshape(shape).astype(np.float64)
         flags = np.where(np.isfinite(position), peaks.flags.reshape(shape), 0).astype(np.int32)
-        position[(flags & use.unusable) != 0] = np.nan
-        doubtful = np.where((flags & use.doubtful) != 0, position, np.nan)
+        doubtful = np.full(position.shape, np.nan)
+        if np.count_nonzero(flags):
+            position[(flags & int(use.unusable)) != 0] = np.nan
+            np.copyto(doubtful, position, where=(flags & int(use.doubtful)) != 0)
         # By frame, peak and sensor for the calibration's figures, which are by sensor.
         own = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
         spread = reading_sigma(calibration, own, own)

@@ -11,7 +11,7 @@ import warp as wp
 from compute.pose.native.motion import MOTION
 from compute.pose.native.readings import READINGS
 from compute.pose.native.record import STEP_SOURCE
-from compute.pose.native.taking import CROSSED, TAKING
+from compute.pose.native.taking import CROSSED, FIGURES, TAKING
 from compute.reconstruction.native.algebra import ALGEBRA
 from compute.reconstruction.native.cameras import CAMERAS
 from compute.reconstruction.native.job import JOB_SOURCE
@@ -31,6 +31,7 @@ def step_source(sensors: int, room: int) -> str:
         + MOTION
         + READINGS
         + CROSSED
+        + FIGURES
         + TAKING
     )
 

@@ -1,24 +1,39 @@
 """States in the kernel's memory: poses and regimes whose arrays are views, made when asked for."""
 
 from functools import cached_property
-from typing import Any
+from itertools import accumulate
+from math import prod
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.native.record import POSE
-from compute.pose.pose_filter import STATES, PoseState
+from compute.pose.marker_frame import MarkerFrame
+from compute.pose.native.record import FIGURES, FIGURES_SIZE, POSE
+from compute.pose.pose_filter import STATES, PoseFigures, PoseState
 from compute.pose.regime_model import MOVING, RegimeModel
 from compute.pose.regimes import Regimes
 
 Array = NDArray[np.float64]
+
+_ENDS: Final = tuple(accumulate(prod(shape) for shape in FIGURES.values()))
+_PLACES: Final = tuple(zip((0, *_ENDS), _ENDS, FIGURES.values(), strict=False))
+assert _ENDS[-1] == FIGURES_SIZE
 
 
 class PackedPose(PoseState):
     """A PoseState in a block of memory, which nobody writes to any more."""
 
     @classmethod
-    def within(cls, time_ns: int, block: Array, spread: int, row: int, errors: int) -> "PackedPose":
+    def within(
+        cls,
+        time_ns: int,
+        block: Array,
+        spread: int,
+        row: int,
+        errors: int,
+        known: tuple[MarkerFrame, Array] | None = None,
+    ) -> "PackedPose":
         """Return that of an instant [ns].
 
         Args:
@@ -28,10 +43,19 @@ class PackedPose(PoseState):
             row: from one row of the covariance to the next; 0: the one with the errors lies behind
                 it, else beside it, after the accelerations.
             errors: number of common errors.
+            known: what is reported of it as a tool with these markers, one after another, in memory
+                that it has for itself; None: that is not worked out yet.
         """
         made = object.__new__(cls)
-        made.__dict__.update(time_ns=time_ns, _block=block, _at=(spread, row, errors))
+        made.__dict__.update(time_ns=time_ns, _block=block, _at=(spread, row, errors), _known=known)
         return made
+
+    def figures(self, frame: MarkerFrame) -> PoseFigures:
+        """As of PoseState."""
+        known = self.__dict__["_known"]
+        if known is None or known[0] is not frame:
+            return super().figures(frame)
+        return PoseFigures(*(known[1][first:last].reshape(shape) for first, last, shape in _PLACES))
 
     def _view(self, shape: tuple[int, ...], first: int) -> Array:
         return np.ndarray(shape, np.float64, self.__dict__["_block"], 8 * first)

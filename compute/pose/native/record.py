@@ -8,11 +8,13 @@ from compute.pose.curvature import BENT_SHARE
 from compute.pose.regime_model import MOVING
 
 _OF_FRAMES: Final = {
-    # Regimes before, predicted and after, and the results; then (S, P) of the frame's peaks.
+    # Regimes before, predicted and after, the results, and what is reported of the pose; then
+    # (S, P) of the frame's peaks.
     "before": "const double*",
     "predicted": "double*",
     "after": "double*",
     "result": "double*",
+    "figures": "double*",
     "position": "const double*",
     "variance": "const double*",
     "usable": "const unsigned char*",
@@ -35,6 +37,8 @@ _FRAME_COUNTS: Final = ("peaks", "lit")
 _TOOL_COUNTS: Final = ("regimes", "errors", "own_errors")
 _FRAME_NUMBERS: Final = ("time_s", "change", "manoeuvre")
 _TOOL_NUMBERS: Final = ("gate", "radius", "focal")
+_TOOL_PLACES: Final = ("middle", "tip")
+"""The centroid in the tool's coordinates and the tip less it, (3,)."""
 
 STEP: Final = np.dtype(
     [
@@ -44,6 +48,7 @@ STEP: Final = np.dtype(
         *((name, "<u8") for name in _OF_TOOLS),
         *((name, "<i8") for name in _TOOL_COUNTS),
         *((name, "<f8") for name in _TOOL_NUMBERS),
+        *((name, "<f8", (3,)) for name in _TOOL_PLACES),
     ]
 )
 """One step of one tool; 64-bit words only. What changes from frame to frame comes first."""
@@ -54,6 +59,17 @@ FRAME_NUMBERS: Final = len(_FRAME_NUMBERS)
 POSE: Final = 18
 """Rotation, centroid, velocity and turn rate; regimes have their chances behind it, then how far
 each is off the widest, and their spreads."""
+FIGURES: Final = {
+    "rotation": (3, 3),
+    "turn_rate_rad_s": (3,),
+    "translation_mm": (3,),
+    "covariance": (6, 6),
+    "tip_mm": (3,),
+    "tip_covariance_mm2": (3, 3),
+    "velocity_mm_s": (3,),
+}
+"""Of PoseFigures, one after another."""
+FIGURES_SIZE: Final = 66
 HEAD: Final = 4
 """Of a result: what became of it, the number of readings, their NIS, and the widest regime's."""
 
@@ -99,6 +115,7 @@ STEP_SOURCE: Final = f"""
         double {", ".join(_FRAME_NUMBERS)};{_listed(_OF_TOOLS)}
         long long {", ".join(_TOOL_COUNTS)};
         double {", ".join(_TOOL_NUMBERS)};
+        double {", ".join(f"{name}[3]" for name in _TOOL_PLACES)};
     }};
     const Step& step = *(const Step*)step_address;
     const unsigned long long job_address = (unsigned long long)step.cameras;

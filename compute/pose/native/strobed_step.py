@@ -11,6 +11,7 @@ from compute.mapping.table import CorrectionTable
 from compute.pose.marker_frame import MarkerFrame
 from compute.pose.native.packed import PackedPose, PackedRegimes
 from compute.pose.native.record import (
+    FIGURES_SIZE,
     FRAME_NUMBERS,
     FRAME_WORDS,
     HEAD,
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
     from compute.pose.association import FramePeaks
 
 Array = NDArray[np.float64]
+
+
+_Given = tuple[Array, Array, NDArray[np.bool_], tuple[int, int, int]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +96,12 @@ class StrobedStep:
 
         from compute.pose.native.kernel import step_kernel
 
-        self._model = regimes
+        self._model, self._frame = regimes, frame
         self._errors = errors
         self._sensors = sensors = model.sensors
         self._size = regimes_size(len(regimes), errors)
+        self._room = 2 * self._size + result_size(sensors, errors)
+        self._inputs: dict[int, _Given] = {}
         self._steps: tuple[int, float] = (0, 0.0)
         step = np.zeros(1, dtype=STEP)
         cameras = _cameras(model.cameras, model.corrections)
@@ -121,6 +127,7 @@ class StrobedStep:
         step["gate"] = chi2_limit(1, gate_probability)
         step["radius"] = frame.radius_mm
         step["focal"] = model.cameras.principal_distance_px.min()
+        step["middle"], step["tip"] = frame.centroid_mm, frame.tip_mm
         self._words = step.view(np.uint64)[:FRAME_WORDS]
         self._numbers = step.view(np.float64)[FRAME_WORDS : FRAME_WORDS + FRAME_NUMBERS]
         # Loads the kernel, before the first frame waits for it.
@@ -150,21 +157,19 @@ class StrobedStep:
             manoeuvre: factor on the accelerations of all regimes.
         """
         size, sensors, errors = self._size, self._sensors, self._errors
-        block = np.empty(2 * size + result_size(sensors, errors))
+        block, figures = np.empty(self._room), np.empty(FIGURES_SIZE)
         first = address(block)
-        packed = before.packed
-        position = np.ascontiguousarray(seen.position_px)
-        variance = np.ascontiguousarray(seen.variance_px2)
-        used = np.ascontiguousarray(seen.usable)
+        peaks_each = seen.position_px.shape[1]
+        position, variance, usable, at = self._given(peaks_each)
+        position[:], variance[:], usable[:] = seen.position_px, seen.variance_px2, seen.usable
         self._words[:] = (
-            address(packed),
+            before.packed_at,
             first,
             first + 8 * size,
             first + 16 * size,
-            address(position),
-            address(variance),
-            address(used),
-            position.shape[1],
+            address(figures),
+            *at,
+            peaks_each,
             lit,
         )
         between = time_ns - before.widest.time_ns
@@ -178,15 +183,26 @@ class StrobedStep:
         if how != TAKEN:
             predicted = PackedRegimes.within(self._model, time_ns, block[:size], errors)
             return Step(predicted, None, np.full_like(peaks, -1), 0, 0.0, _nothing(errors))
-        pose = PackedPose.within(time_ns, block[whole:], POSE, 0, errors)
+        pose = PackedPose.within(time_ns, block[whole:], POSE, 0, errors, (self._frame, figures))
         if not readings:
             predicted = PackedRegimes.within(self._model, time_ns, block[:size], errors, pose)
             return Step(predicted, predicted, peaks, 0, 0.0, _nothing(errors))
         predicted = PackedRegimes.within(self._model, time_ns, block[:size], errors)
         regimes = PackedRegimes.within(self._model, time_ns, block[size:after], errors, pose)
         white = whole + POSE + STATES * (STATES + errors)
-        whitened = block[white : white + readings * (1 + errors)].reshape(readings, -1)
+        # A copy: it is kept for some exposures, which the rest of the block need not be.
+        whitened = block[white : white + readings * (1 + errors)].reshape(readings, -1).copy()
         return Step(predicted, regimes, peaks, readings, nis, whitened)
+
+    def _given(self, peaks: int) -> _Given:
+        """Return memory for so many peaks of each sensor, and its addresses."""
+        if peaks not in self._inputs:
+            shape = self._sensors, peaks
+            position, variance = np.empty(shape), np.empty(shape)
+            usable = np.empty(shape, dtype=np.bool_)
+            at = address(position), address(variance), address(usable)
+            self._inputs[peaks] = position, variance, usable, at
+        return self._inputs[peaks]
 
     def _change(self, between_ns: int) -> float:
         """Return the chance to change to one certain other regime, as ``RegimeModel.switching``."""

@@ -208,6 +208,26 @@ def test_a_tool_that_is_not_measured_is_no_data(released: Bench, shown: dict[str
     assert released.told[-1]["reason"].count(words) == 1
 
 
+def test_frames_that_are_passed_over_between_others_hold_nothing(released: Bench):
+    """A computer that is too slow follows every third of a thousand frames a second."""
+
+    def thinned(begin: int, end: int, **given: Any) -> list[HoldNow]:
+        over = {"status": PoseStatus.MISSING}
+        return [
+            released.take(tool_frame(at * MS, **(over if at % 3 else given)))
+            for at in range(begin, end)
+        ]
+
+    assert not any(now.held for now in thinned(110, 400))
+    moved = thinned(400, 410, shift_mm=1.5)
+    assert moved[-1].cause is HoldCause.MOVED
+    # Held by the first that was followed, and back after the time that it has to settle.
+    assert [now.held for now in moved[:3]] == [False, False, True]
+    back = thinned(410, 700)
+    assert not back[-1].held
+    assert thinned(700, 760, status=PoseStatus.MISSING)[-1].cause is HoldCause.NO_DATA
+
+
 @pytest.mark.parametrize(
     ("world", "words"),
     [

@@ -154,9 +154,18 @@ def contract_test(operation_id: str) -> Any:
     schema = LONG if operation_id in ("create-calibration", "get-calibration-report") else schema
     schema = DRAWN if operation_id == "draw-peaks" else schema
 
-    @schema.include(operation_id=operation_id).parametrize()
-    def test(case: Any) -> None:
-        check_contract(case)
+    def test(request: pytest.FixtureRequest) -> None:
+        @schema.include(operation_id=operation_id).parametrize()
+        def test_requests(case: Any) -> None:
+            check_contract(case)
+
+        # Schemathesis makes an operation's requests where it collects a test: for all of them half
+        # a minute, in every process that collects these, to run or not. So only now.
+        collector = request.config.hook.pytest_pycollect_makeitem(
+            collector=request.node.parent, name="test_requests", obj=test_requests
+        )
+        [requests] = collector.collect()
+        requests.obj()
 
     return test
 

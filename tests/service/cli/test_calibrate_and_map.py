@@ -52,7 +52,7 @@ def mapping_csv(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_calibrate_writes_what_the_service_would_compute(frame_csv: Path, tmp_path: Path) -> None:
     output, report = tmp_path / "calibration.json", tmp_path / "report.html"
     figures = tmp_path / "figures"
-    shown = lumiline(
+    shown = here(
         "calibrate", frame_csv, "--pixels", "640", "--output", output, "--report", report,
         "--report-figures", figures,
     ).stdout  # fmt: skip

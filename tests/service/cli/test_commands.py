@@ -162,7 +162,7 @@ def nominal_document() -> bytes:
 
 
 def test_demo_runs_and_draws(tmp_path: Path) -> None:
-    run = lumiline("demo", "--output", tmp_path, "--seconds", "2")
+    run = here("demo", "--output", tmp_path, "--seconds", "2")
     for part in ("Test 5.3", "Test 5.4", "frames/s", "p99", "bar length, mean"):
         assert part in run.stdout
     picture = (tmp_path / "demo.png").read_bytes()

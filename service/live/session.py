@@ -128,7 +128,7 @@ class DeviceSession:
                 batch = replace(batch, holds=self.holds.take(batch))
             if batch.motion is not None and batch.motion.poses:
                 # Before the streams: who steers by a pose waits for nothing else.
-                self._put_up(batch, batch.motion, shown=follow[-1] or self.thinning.behind)
+                self._put_up(batch, batch.motion)
             self._offer(batch)
             self.hub.publish_batch(batch)
             self.latency.count((time.time_ns() - frames[0].exposure_host_ns) * 1e-9)
@@ -164,11 +164,11 @@ class DeviceSession:
         if not tracked.tools:
             self.poses.remove(self.device_id)
 
-    def _put_up(self, batch: "FrameBatch", motion: "Motion", *, shown: bool) -> None:
-        """Count the poses of a batch, and put those of its newest frame up, if it is ``shown``."""
+    def _put_up(self, batch: "FrameBatch", motion: "Motion") -> None:
+        """Count the poses of a batch, and put those of its newest frame up."""
         self.pose_counts.count(motion.poses)
         now = time.monotonic()
-        if not shown or self.stopped or now - self._board_s < BOARD_SECONDS:
+        if self.stopped or now - self._board_s < BOARD_SECONDS:
             return
         self._board_s = now
         newest = batch.frames[-1]

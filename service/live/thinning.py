@@ -24,23 +24,18 @@ CAUGHT_UP_S: Final = 0.02
 
 _COSTS: Final = 9
 """Batches of which the median cost counts: a search now and then, or a hiccup, does not."""
-_DUE_SHARE: Final = 0.5
-"""A slot that was followed more recently than this share of the time of the longest waits its turn:
-what is taken together may never hold the one that is due."""
-_GONE: Final = 1000
-"""Frames after which a slot that was not lit is forgotten."""
 
 
 class Thinning:
     """Decides which frames of one device are followed, from how many wait and what they cost.
 
     It has no clock: times are given. All are followed until frames of BEGIN_S wait. Then a batch
-    has SLICE_S, or the time between two frames where that is longer, however many frames it holds:
-    batches grow until that is enough, and the devices of a thread get the same time each. Followed
-    are the frames whose strobe slot was not for the longest time, so that no marker is left out,
-    and of equals the newest. Every n-th frame would show some markers of a strobe never, if n has a
-    divisor in common with their number; whole turns of the strobe with gaps between are followed
-    less well, as the gaps are longer.
+    has SLICE_S, however many frames it holds, or the time of one: batches grow until that is
+    enough, and the devices of a thread get the same time each. Followed are the frames whose strobe
+    slot was not for the longest time, so that no marker is left out, and of equals the newest.
+    Every n-th frame would show some markers of a strobe never, if n has a divisor in common with
+    their number; whole turns of the strobe with gaps between are followed less well, as the gaps
+    are longer.
 
     Args:
         rate_hz: of the device's frames; 0: not known, then all are followed.
@@ -48,14 +43,12 @@ class Thinning:
 
     def __init__(self, rate_hz: float) -> None:
         self._period_s = 1.0 / rate_hz if rate_hz > 0.0 else 0.0
-        self._slice_s = max(SLICE_S, self._period_s)
         self._thins = self._behind = False
         self._following_s: deque[float] = deque(maxlen=_COSTS)  # of a frame
         self._rest_s: deque[float] = deque(maxlen=_COSTS)  # of a batch
         self._enough = 0  # frames in a row for which there was time
         self._count = 0
         self._last: dict[int | None, int] = {}  # frame of each slot that was followed
-        self._lit: dict[int | None, int] = {}  # and that was seen
 
     @property
     def thins(self) -> bool:
@@ -109,7 +102,7 @@ class Thinning:
         """Return how many of so many frames there is time for: one, however long it takes."""
         rest_s = median(self._rest_s) if self._rest_s else 0.0
         frame_s = max(median(self._following_s) if self._following_s else 0.0, 1e-6)
-        most = min(max(1, int((self._slice_s - rest_s) / frame_s)), frames)
+        most = min(max(1, int((SLICE_S - rest_s) / frame_s)), frames)
         self._enough = self._enough + frames if most == frames else 0
         if self._enough * self._period_s > END_S:
             self._thins, self._enough = False, 0
@@ -119,29 +112,21 @@ class Thinning:
         """Choose the frame farthest from all of its slot that are followed, and so on."""
         if most == len(slots):
             return [True] * len(slots)
-        end = self._count + len(slots)
-        longest = max((end - at for at in self._last.values()), default=0)
-        late = end - _DUE_SHARE * longest
-        far: dict[int, float] = {}
-        for index, slot in enumerate(slots):
-            last = self._last.get(slot, -math.inf)
-            if last <= late:
-                far[index] = self._count + index - last
+        far = [
+            self._count + index - self._last.get(slot, -math.inf)
+            for index, slot in enumerate(slots)
+        ]
         chosen = [False] * len(slots)
-        for _ in range(min(most, len(far))):
-            best = max(far, key=lambda index: (far[index], index))
+        for _ in range(most):
+            best = max(range(len(slots)), key=lambda index: (far[index], index))
             chosen[best] = True
-            for index in far:
-                if slots[index] == slots[best]:
+            for index, slot in enumerate(slots):
+                if slot == slots[best]:
                     far[index] = min(far[index], abs(index - best))
         return chosen
 
     def _remember(self, slots: Sequence[int | None], chosen: Sequence[bool]) -> None:
-        for index, (slot, taken) in enumerate(zip(slots, chosen, strict=False), self._count):
-            self._lit[slot] = index
-            # Of one that was never followed the time counts from when it was first seen.
-            self._last[slot] = index if taken else self._last.get(slot, index)
+        for index, taken in enumerate(chosen):
+            if taken:
+                self._last[slots[index]] = self._count + index
         self._count += len(chosen)
-        for slot in [slot for slot, at in self._lit.items() if at < self._count - _GONE]:
-            del self._lit[slot]
-            del self._last[slot]

@@ -142,10 +142,23 @@ def test_no_marker_is_left_out(markers: int, frame_s: float):
         assert max(gaps) <= 2.0 * mean + markers + 1e3 * SLICE_S
 
 
-def test_the_newest_of_a_batch_is_followed_if_any_is():
-    device = Device(1.7e-3)
+def test_frames_that_are_lit_alike_are_followed_evenly():
+    thinning = Thinning(1000.0)
+    thinning.choose([None] * 8, 30)
+    assert thinning.thins
+    thinning.count(8, 8 * SLICE_S / 4.0, 0.0)
+    follow = thinning.choose([None] * 8, 0)
+    frames = [index for index, one in enumerate(follow) if one]
+    assert len(frames) == 4
+    assert frames[-1] == 7
+    assert max(after - before for before, after in pairwise(frames)) <= 3
+
+
+@pytest.mark.parametrize("frame_s", [1.7e-3, 6e-3])
+def test_the_newest_of_a_batch_is_followed(frame_s: float):
+    device = Device(frame_s)
     run(2.0, device)
-    assert all(batch[-1] for batch in device.batches if any(batch))
+    assert all(batch[-1] for batch in device.batches)
     frames = sorted([frame for frame, _, _ in device.followed] + device.passed_over)
     assert frames == list(range(len(frames)))  # each once, and in order
     assert [one for one, _, _ in device.followed] == sorted(one for one, _, _ in device.followed)
@@ -201,7 +214,27 @@ def test_a_device_that_needs_little_is_followed_beside_one_that_needs_much():
     assert latencies(little.since(0.5))[-1] <= 3.0 * SLICE_S
 
 
-def test_a_search_now_and_then_is_no_cost_of_a_frame():
+def affordable(*counted: tuple[int, float, float]) -> int:
+    """Return how many of 16 frames are followed after batches of such costs."""
+    thinning = Thinning(1000.0)
+    for one in counted:
+        thinning.count(*one)
+    follow = thinning.choose([None] * 16, 30)
+    assert thinning.thins
+    assert not thinning.behind
+    return sum(follow)
+
+
+def test_a_batch_holds_what_there_is_time_for():
+    assert affordable((8, 8e-3, 0.0)) == round(1e3 * SLICE_S)
+    assert affordable((8, 8e-3, 0.5 * SLICE_S)) == round(0.5e3 * SLICE_S)
+    assert affordable((1, 1e-3, 2.0 * SLICE_S)) == affordable((1, 2.0 * SLICE_S, 0.0)) == 1
+    # A search, or a hiccup, is no cost of a frame.
+    usual = [(2, 2e-3, 0.1e-3)] * 4
+    assert affordable(*usual, (2, 60e-3, 0.1e-3), (2, 2e-3, 50e-3)) == affordable(*usual)
+
+
+def test_a_search_now_and_then_leaves_time_for_the_rest():
     searched = 0.0
 
     def cost(now_s: float) -> float:
@@ -218,7 +251,7 @@ def test_a_search_now_and_then_is_no_cost_of_a_frame():
 
 
 @pytest.mark.parametrize(("cost_ms", "share"), [(5.0, 1.0), (15.0, 1.0), (33.0, 0.5)])
-def test_a_slow_device_has_the_time_between_two_of_its_frames(cost_ms: float, share: float):
+def test_a_slow_device_has_the_time_that_its_frames_take(cost_ms: float, share: float):
     device = Device(1e-3 * cost_ms, rate_hz=60.0)
     run(20.0, device)
     assert device.share(2.0, 19.0) == pytest.approx(share, abs=0.03)
@@ -249,6 +282,5 @@ def test_whatever_comes_something_is_answered(
     for slots, waiting, following_s, rest_s in steps:
         follow = thinning.choose(slots, waiting)
         assert 1 <= len(follow) <= len(slots)
-        assert follow[-1] or not any(follow)
-        assert follow[-1] or len(follow) == len(slots)
+        assert follow[-1] or (thinning.behind and len(follow) == len(slots))
         thinning.count(sum(follow), following_s, rest_s)

@@ -13,7 +13,7 @@ AVERAGE_WIDTHS: Final = f"""
     // A model at one width, how it leads to others, and the slope of its likelihood along there.
     struct Node {{
         Model m;
-        double lead[most_parameters], score, information, log_deviation;
+        double lead[most_parameters] = {{}}, score = 0.0, information = 0.0, log_deviation = 0.0;
     }};
     // Take one scoring step to the best of a node's model at its width; false: there is no such.
     auto find_node = [&](Node& node, const Window& in) -> bool {{

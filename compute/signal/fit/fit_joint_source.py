@@ -186,8 +186,7 @@ _CHOICE: Final = """
 
 _RESULT: Final = """
     auto write_joint = [&](
-        Model m, const Candidate* c, int candidate_count, const Window& in, Fitted* out) {
-        average_widths(m, in);
+        const Model& m, const Candidate* c, int candidate_count, const Window& in, Fitted* out) {
         int order[joint_peaks];
         for (int k = 0; k < m.peaks; ++k) {
             int place = k;
@@ -226,8 +225,6 @@ _RESULT: Final = """
         Model start;
         start.peaks = count;
         start.level = line_background;
-        start.slope = 0.0;
-        start.log_w = 0.0;
         for (int k = 0; k < count; ++k) start.log_w += log_of(start_width(c[k]));
         start.log_w /= count;
         for (int k = 0; k < count; ++k) {
@@ -239,36 +236,39 @@ _RESULT: Final = """
         Model one = start;
         const bool ended = settle(one, narrow);
         const bool enough = ended && !(plan.further_peaks && one.chi2 > limit_of(one, narrow));
+        // Written in one place: the code of averages is long, and the kernel is half as fast with three.
+        Model chosen = one;
+        Window used = narrow;
         if (count == plan.max_joint || enough) {
             if (!ended) return 0;
-            write_joint(one, c, count, narrow, out);
-            return count;
-        }
-        // More peaks are looked for in more pixels.
-        int wide_first = 0, wide_last = 0;
-        grown_window_of(begin, end, first, last, &wide_first, &wide_last);
-        const Window wide = window_between(wide_first, wide_last);
-        Model base = ended ? one : start, again = base;
-        const bool ended_again = settle(again, wide);
-        if (ended_again) base = again;
-        base.merit = again.merit;
-        const double least_fall = 2.0 * log_of(wide.used) + plan.margin;
-        Model more;
-        while (plan.further_peaks && base.peaks < plan.max_joint && add_peak(base, wide, &more)
-               && base.merit - more.merit > least_fall) {
-            base = more;
-            if (!(base.chi2 > limit_of(base, wide))) break;
-        }
-        if (base.peaks > count) {
-            write_joint(base, c, count, wide, out);
-        } else if (ended) {
-            write_joint(one, c, count, narrow, out);
-        } else if (ended_again) {
-            write_joint(again, c, count, wide, out);
         } else {
-            return 0;
+            // More peaks are looked for in more pixels.
+            int wide_first = 0, wide_last = 0;
+            grown_window_of(begin, end, first, last, &wide_first, &wide_last);
+            const Window wide = window_between(wide_first, wide_last);
+            Model base = ended ? one : start, again = base;
+            const bool ended_again = settle(again, wide);
+            if (ended_again) base = again;
+            base.merit = again.merit;
+            const double least_fall = 2.0 * log_of(wide.used) + plan.margin;
+            Model more;
+            while (plan.further_peaks && base.peaks < plan.max_joint && add_peak(base, wide, &more)
+                   && base.merit - more.merit > least_fall) {
+                base = more;
+                if (!(base.chi2 > limit_of(base, wide))) break;
+            }
+            if (base.peaks > count) {
+                chosen = base;
+                used = wide;
+            } else if (!ended) {
+                if (!ended_again) return 0;
+                chosen = again;
+                used = wide;
+            }
         }
-        return base.peaks;
+        average_widths(chosen, used);
+        write_joint(chosen, c, count, used, out);
+        return chosen.peaks;
     };
 """
 

@@ -4,14 +4,16 @@ from typing import Final
 
 from compute.signal.fit.settings import NARROW_POWER
 
+# All of a model has a value from the start: models are copied before they are fitted, and a copy of
+# what has none is undefined. CUDA's compiler then gave fits the chi-square of an earlier pass.
 MODEL_TYPES: Final = """
     const int most_parameters = 3 + 2 * joint_peaks;
     struct Window { int first, last, used; };
     struct Model {
-        int peaks;
-        double level, slope, light[joint_peaks], x[joint_peaks], log_w;
-        double chi2, merit, covariance[joint_peaks][joint_peaks];
-        bool open_width;
+        int peaks = 0;
+        double level = 0.0, slope = 0.0, light[joint_peaks] = {}, x[joint_peaks] = {}, log_w = 0.0;
+        double chi2 = 0.0, merit = 0.0, covariance[joint_peaks][joint_peaks] = {};
+        bool open_width = false;
     };
     // What a model says about a pixel.
     struct Pixel { double mean, variance, by[most_parameters]; };

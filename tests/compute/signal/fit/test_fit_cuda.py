@@ -6,6 +6,7 @@ import pytest
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.reference import fit_lines
 from compute.signal.fit.settings import FitSettings
+from compute.signal.peaks import PeakFlag
 from tests.compute.signal.fit.fit_agreement import (
     SETTINGS,
     any_noise,
@@ -14,7 +15,7 @@ from tests.compute.signal.fit.fit_agreement import (
     lines_that_differ,
     without_room,
 )
-from tests.compute.signal.signal_lines import NOISE, varied_lines
+from tests.compute.signal.signal_lines import FULL, NOISE, gaussian_counts, measured, varied_lines
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +49,25 @@ def test_gives_what_the_cpu_gives(device, seed):
     expected = FitFinder(200, pixels, options, noise, shape, "cpu").find(lines)
     for name, values in vars(expected).items():
         np.testing.assert_array_equal(getattr(found, name), values, name)
+
+
+@pytest.mark.parametrize("spread", [0.0, 2.0])
+def test_faint_and_overlapping_lines_give_what_the_cpu_gives(device, spread):
+    """To the bit, with models copied before they are fitted; so many that a warp takes several."""
+    rng = np.random.default_rng(31)
+    counts = np.zeros((12_000, 128))
+    for chance in (0.9, 0.5):
+        heights = np.where(rng.random(len(counts)) < chance, 10 ** rng.uniform(1, 4, 12_000), 0.0)
+        places, widths = rng.uniform(-3, 131, 12_000), rng.uniform(0.5, 3.0, 12_000)
+        counts += gaussian_counts(128, places, widths, heights)
+    lines = measured(counts, rng, full=FULL)
+    options = without_room(FitSettings(width_px=1.2, width_spread=spread), 4)
+    found = FitFinder(len(lines), 128, options, NOISE, device=device).find(lines)
+    expected = FitFinder(len(lines), 128, options, NOISE, device="cpu").find(lines)
+    for name, values in vars(expected).items():
+        np.testing.assert_array_equal(getattr(found, name), values, name)
+    fits = expected.flags[np.isfinite(expected.position_px)]
+    assert np.mean((fits & PeakFlag.JOINT) != 0) > 0.1
 
 
 def test_batches_of_any_size_one_after_another(device):

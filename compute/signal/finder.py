@@ -48,11 +48,18 @@ class CentroidFinder(PeakFinder):
 
         from compute.signal.native.centroid import length_of
         from compute.signal.native.centroid_kernel import centroid_kernel
-        from compute.signal.native.cuda_sizes import BLOCK_PIXELS, LINES_PER_BATCH, SHORT_PIXELS
+        from compute.signal.native.cuda_sizes import (
+            BLOCK_PIXELS,
+            LINES_PER_BATCH,
+            LONG_LINES_PER_WARP,
+            SHORT_PIXELS,
+        )
         from compute.signal.native.prelude import line_record
         from compute.signal.native.runner import LineRunner
 
         self.settings = settings
+        short = pixels <= SHORT_PIXELS
+        per_warp = LINES_PER_BATCH // -(-pixels // BLOCK_PIXELS) if short else LONG_LINES_PER_WARP
         on_cuda = warp_device(wp, device).is_cuda
         runner = LineRunner(
             wp,
@@ -71,9 +78,9 @@ class CentroidFinder(PeakFinder):
             line_record(settings.max_peaks),
             device,
             threads,
-            reads_once=pixels <= SHORT_PIXELS,
+            reads_once=short,
             pixels_per_thread=PIXELS_PER_THREAD,
-            lines_per_warp=max(LINES_PER_BATCH // -(-pixels // BLOCK_PIXELS), 1),
+            lines_per_warp=per_warp,
         )
         super().__init__(runner)
         shape = (lines, settings.max_peaks)

@@ -48,6 +48,7 @@ class FitFinder(PeakFinder):
         import warp as wp
 
         from compute.signal.fit.fit_kernel import fit_peaks, fitted_line_record
+        from compute.signal.native.cuda_sizes import FIT_LINES_PER_WARP
         from compute.signal.native.runner import LineRunner
 
         search = settings.search
@@ -78,6 +79,7 @@ class FitFinder(PeakFinder):
             record,
             device,
             threads,
+            lines_per_warp=FIT_LINES_PER_WARP,
         )
         super().__init__(runner)
 

@@ -10,7 +10,7 @@ import warp as wp
 
 from compute.signal.fit.fit_source import FIT_PEAKS
 from compute.signal.native.centroid import FIND_PEAKS
-from compute.signal.native.cuda_sizes import BLOCK_THREADS
+from compute.signal.native.cuda_sizes import FIT_LAUNCH_BOUNDS
 from compute.signal.native.prelude import line_record
 from compute.signal.peaks import JOINT_PEAKS
 
@@ -18,9 +18,6 @@ from compute.signal.peaks import JOINT_PEAKS
 wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
 # Without fused multiply-adds, CUDA rounds as the CPU does.
 wp.set_module_options({"enable_backward": False, "fast_math": False, "fuse_fp": False})
-
-LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 512 // BLOCK_THREADS)
-"""128 registers a thread: the fit of one peak keeps its sums in them."""
 
 FITTED_RECORD: Final = np.dtype(
     [
@@ -90,7 +87,7 @@ def _fit_peaks(
 ) -> None: ...
 
 
-@wp.kernel(launch_bounds=LAUNCH_BOUNDS)  # type: ignore[untyped-decorator]
+@wp.kernel(launch_bounds=FIT_LAUNCH_BOUNDS)  # type: ignore[untyped-decorator]
 def fit_peaks(
     lanes: int,
     lines_address: wp.uint64,

@@ -11,5 +11,13 @@ SHORT_PIXELS: Final = LINES_PER_BATCH * BLOCK_PIXELS
 """Lines up to this length are brought to shared memory whole."""
 LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 6)
 """As many blocks of so many lines as shared memory has room for."""
-CANDIDATE_LINES_PER_BATCH: Final = 3
-"""The same where a fit follows: for its arithmetic, more warps are worth more."""
+LONG_LINES_PER_WARP: Final = 2
+"""Of longer lines: the second one's blocks come while the first one's peaks are measured."""
+CANDIDATE_LINES_PER_BATCH: Final = 2
+"""The same where a fit follows: what shared memory leaves is cache, and that holds the fit's
+arrays."""
+FIT_LINES_PER_WARP: Final = 32
+"""Lines that a warp searches, batch after batch, before it fits: so that most lanes have a group,
+even of lines with one peak."""
+FIT_LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 512 // BLOCK_THREADS)
+"""128 registers a thread: the fit of one peak keeps its sums in them."""

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.signal.native.batches import check_size
-from compute.signal.native.cuda_sizes import BLOCK_THREADS, CANDIDATE_LINES_PER_BATCH
+from compute.signal.native.cuda_sizes import BLOCK_THREADS
 from compute.signal.noise import LineNoise
 from compute.warp_host import check_threads, helpers, host_memory, warp_device
 
 WARP_LANES: Final = 32
-FILLING_WARPS: Final = 8192
-"""So many warps fill a large GPU a few times over; of more lines each takes a batch."""
+FILLING_WARPS: Final = 2048
+"""So many warps fill a large GPU; of more lines each takes several."""
 HEAD_START_PIXELS: Final = 262_144
 """By so many pixels more than the others the caller's own thread takes: until they have woken."""
 PIXELS_PER_THREAD: Final = 786_432
@@ -50,7 +50,7 @@ class LineRunner:
         threads: most CPU threads; None: as many as there are CPUs.
         reads_once: the kernel reads lines only once and no records; those of small batches then
             are not copied.
-        lines_per_warp: lines of a large batch that a warp takes together.
+        lines_per_warp: most lines that a warp takes, where there are enough for all warps.
         pixels_per_thread: a further CPU thread must have so many to be worth it.
 
     Raises:
@@ -69,7 +69,7 @@ class LineRunner:
         device: str | None = None,
         threads: int | None = None,
         reads_once: bool = False,
-        lines_per_warp: int = CANDIDATE_LINES_PER_BATCH,
+        lines_per_warp: int = 1,
         pixels_per_thread: int = PIXELS_PER_THREAD,
     ) -> None:
         check_size(lines, pixels)
@@ -232,7 +232,7 @@ class LineRunner:
 
     def _launch_cuda(self, count: int) -> None:
         launch = self._launches[0]
-        per_warp = self._lines_per_warp if count >= FILLING_WARPS * self._lines_per_warp else 1
+        per_warp = max(min(self._lines_per_warp, count // FILLING_WARPS), 1)
         launch.set_param_at_index(2, count)
         launch.set_param_at_index(4, per_warp)
         launch.set_dim(-(-count // per_warp) * WARP_LANES)

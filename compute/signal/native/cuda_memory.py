@@ -71,10 +71,10 @@ CUDA_MEMORY: Final = f"""
         asm volatile("cp.async.commit_group;" ::: "memory");
 #endif
     }};
-    // Waits for all that was staged, or for all but the last two.
-    auto await_stage = [&](bool but_two) {{
+    // Waits for all that was staged, or for the first of as many blocks as there is room for.
+    auto await_stage = [&](bool for_one) {{
 #if __CUDA_ARCH__ >= 800
-        if (but_two) asm volatile("cp.async.wait_group 2;" ::: "memory");
+        if (for_one) asm volatile("cp.async.wait_group %0;" :: "n"(batch_lines - 1) : "memory");
         else asm volatile("cp.async.wait_group 0;" ::: "memory");
 #endif
         __syncwarp();

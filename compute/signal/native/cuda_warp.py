@@ -167,27 +167,26 @@ _LOOP: Final = """
     };
     auto take_long_lines = [&]() -> int {
         const Bare where;
-        const int background = begin(where, lane_line());
-        // Two blocks are on their way while one is looked at.
+        // All blocks but one that there is room for are on their way while one is looked at.
         int coming_slot = 0, coming_chunk = 0, coming = 0, at = 0;
         auto stage_next = [&]() {
             if (coming_slot < slots)
                 stage(staged + coming * block_chunks, first_v + (long long)coming_slot * pixels,
                     coming_chunk * 8, lesser(block_chunks, chunks - coming_chunk));
             end_of_stage();
-            coming = coming == 2 ? 0 : coming + 1;
+            coming = coming == batch_lines - 1 ? 0 : coming + 1;
             coming_chunk += block_chunks;
             if (coming_chunk >= chunks) { coming_chunk = 0; ++coming_slot; }
         };
-        stage_next();
-        stage_next();
+        for (int k = 1; k < batch_lines; ++k) stage_next();
+        const int background = begin(where, lane_line());
         for (int slot = 0; slot < slots; ++slot)
             for (int first = 0; first < chunks; first += block_chunks) {
                 stage_next();
                 await_stage(true);
                 scan(staged + at * block_chunks, chunks - first, limits[slot], 0);
                 __syncwarp();
-                at = at == 2 ? 0 : at + 1;
+                at = at == batch_lines - 1 ? 0 : at + 1;
                 const bool last = slot + 1 == slots && first + block_chunks >= chunks;
                 const unsigned word = lane < 8 ? ((const unsigned*)words)[lane] : 0u;
                 if (last || __any_sync(every, word != 0u))

@@ -202,3 +202,22 @@ def found_at(seed: int) -> int:
             return frame
         true.move(0.005)
     raise AssertionError("it was not found")
+
+
+def test_why_it_was_not_found_is_told_until_it_is_looked_for_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    number, words = 0, "only sensors 1 and 2 of 4 saw it"
+
+    def too_few(*_: object) -> StrobedStart:
+        nonlocal number
+        number += 1
+        return StrobedStart(None, words, searched=True)
+
+    monkeypatch.setattr(tool_tracker, "find_strobed", too_few)
+    scene = lost()
+    poses = [scene.strobed()[0] for _ in range(300)]
+    assert {(pose.status, pose.reason) for pose in poses[8:]} == {(PoseStatus.MISSING, words)}
+    assert number <= 25
+    (pose,) = [scene.strobed(blind=True)[0] for _ in range(3 * TURN)][-1:]
+    assert pose.reason == "0 of 4 markers were seen in the last 250 ms"

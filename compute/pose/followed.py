@@ -110,6 +110,8 @@ class Followed:
         if self.regimes is None:
             return Look(self.frame, lit, predict(self.state, time_ns, motion, manoeuvre))
         if len(lit) == 0:
+            if self.step is not None and seen is not None:
+                return Look(self.frame, lit, self.step.ahead(self.regimes, time_ns))
             return Look(self.frame, lit, self.regimes.ahead(time_ns))
         if self.step is not None and seen is not None:
             step = self.step.take(self.regimes, time_ns, int(lit[0]), seen, manoeuvre)

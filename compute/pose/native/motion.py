@@ -157,22 +157,54 @@ MOTION: Final = """
     };
     // The state of all regimes together: a pose, its covariance and that with the common errors.
     double* joint = room(D * W);
-    auto together = [&](const double* regimes, double* whole) {
+    auto join = [&](const double* regimes, int rows) {
         const double *chance = chances(regimes), *off = offs(regimes), *spread = spreads(regimes);
         zero(D, mean);
-        zero(12 * W, joint);
+        zero(rows * W, joint);
         for (int i = 0; i < K; ++i) {
             add(D, chance[i], off + i * D, mean);
-            add(12 * W, chance[i], spread + i * D * W, joint);
+            add(rows * W, chance[i], spread + i * D * W, joint);
         }
         for (int i = 0; i < K; ++i) {
-            double about[12];
-            for (int r = 0; r < 12; ++r) about[r] = off[i * D + r] - mean[r];
-            for (int r = 0; r < 12; ++r) add(12, chance[i] * about[r], about, joint + r * W);
+            double about[D];
+            for (int r = 0; r < rows; ++r) about[r] = off[i * D + r] - mean[r];
+            for (int r = 0; r < rows; ++r) add(rows, chance[i] * about[r], about, joint + r * W);
         }
+    };
+    auto together = [&](const double* regimes, double* whole) {
+        join(regimes, 12);
         moved(regimes, mean, whole);
         for (int r = 0; r < 12; ++r) {
             copy(12, joint + r * W, whole + pose_size + 12 * r);
+            copy(E, joint + r * W + D, whole + pose_size + 144 + E * r);
+        }
+    };
+    // That at a later instant, as ``Regimes.ahead``.
+    auto ahead = [&](const double* from, double* whole) {
+        const double h = step.time_s, stay = K > 1 ? 1.0 - (K - 1) * step.change : 1.0;
+        double turned[9], step_of_turn[3], later[18];
+        join(from, D);
+        for (int i = 0; i < 3; ++i) step_of_turn[i] = h * from[15 + i];
+        rotation_of(step_of_turn, turned);
+        advance(1, h, turned, mean);
+        advance(W, h, turned, joint);
+        for (int r = 0; r < D; ++r)
+            for (int c = 0; c < D; ++c) square[c * D + r] = joint[r * W + c];
+        advance(D, h, turned, square);
+        for (int j = 0; j < K; ++j) {
+            double power = 0.0;
+            for (int i = 0; i < K; ++i) power += chances(from)[i] * (i == j ? stay : step.change);
+            for (int term = 0; term < 5; ++term) {
+                power *= h;
+                add(D * D, power, step.terms + (term * K + j) * D * D, square);
+            }
+        }
+        copy(18, from, later);
+        turn(turned, from, later);
+        for (int i = 0; i < 3; ++i) later[9 + i] += h * from[12 + i];
+        moved(later, mean, whole);
+        for (int r = 0; r < 12; ++r) {
+            for (int c = 0; c < 12; ++c) whole[pose_size + 12 * r + c] = square[c * D + r];
             copy(E, joint + r * W + D, whole + pose_size + 144 + E * r);
         }
     };

@@ -34,6 +34,7 @@ _OF_TOOLS: Final = {
     "scratch": "double*",
 }
 _FRAME_COUNTS: Final = ("peaks", "lit")
+"""Peaks of each sensor, and the marker that is lit; -1: none, the tool is only predicted."""
 _TOOL_COUNTS: Final = ("regimes", "errors", "own_errors")
 _FRAME_NUMBERS: Final = ("time_s", "change", "manoeuvre")
 _TOOL_NUMBERS: Final = ("gate", "radius", "focal")

@@ -1,7 +1,7 @@
 """StrobedStep: a strobed tool's exposure in one launch: predicted, its readings found and taken."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from compute.pose.native.record import (
     result_size,
     scratch_size,
 )
-from compute.pose.pose_filter import STATES
+from compute.pose.pose_filter import STATES, PoseState
 from compute.pose.reading_model import ReadingModel
 from compute.pose.regime_model import RegimeModel
 from compute.pose.regimes import Regimes
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+_NONE_LIT: Final = 2**64 - 1
+"""-1, as the unsigned words that a record is written in."""
 _Given = tuple[Array, Array, NDArray[np.bool_], tuple[int, int, int]]
 
 
@@ -172,9 +174,7 @@ class StrobedStep:
             peaks_each,
             lit,
         )
-        between = time_ns - before.widest.time_ns
-        self._numbers[:] = 1e-9 * between, self._change(between), manoeuvre
-        self._launch.launch()
+        self._run(before, time_ns, manoeuvre)
         after = 2 * size
         how, count, nis, _ = block[after : after + HEAD].tolist()
         peak, whole = after + HEAD, after + HEAD + sensors
@@ -193,6 +193,23 @@ class StrobedStep:
         # A copy: it is kept for some exposures, which the rest of the block need not be.
         whitened = block[white : white + readings * (1 + errors)].reshape(readings, -1).copy()
         return Step(predicted, regimes, peaks, readings, nis, whitened)
+
+    def ahead(self, before: Regimes, time_ns: int) -> PoseState:
+        """Return what all regimes together expect at an instant, as ``Regimes.ahead``."""
+        if time_ns == before.widest.time_ns:
+            return before.whole
+        sensors, errors = self._sensors, self._errors
+        block, figures = np.empty(result_size(sensors, errors)), np.empty(FIGURES_SIZE)
+        result = address(block)
+        self._words[:] = before.packed_at, 0, 0, result, address(figures), 0, 0, 0, 0, _NONE_LIT
+        self._run(before, time_ns, 1.0)
+        whole = block[HEAD + sensors :]
+        return PackedPose.within(time_ns, whole, POSE, 0, errors, (self._frame, figures))
+
+    def _run(self, before: Regimes, time_ns: int, manoeuvre: float) -> None:
+        between = time_ns - before.widest.time_ns
+        self._numbers[:] = 1e-9 * between, self._change(between), manoeuvre
+        self._launch.launch()
 
     def _given(self, peaks: int) -> _Given:
         """Return memory for so many peaks of each sensor, and its addresses."""

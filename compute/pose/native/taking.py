@@ -89,6 +89,11 @@ TAKING: Final = """
         together(regimes, whole);
         figures(whole, step.figures);
     };
+    if (step.lit < 0) {
+        ahead(step.before, whole);
+        figures(whole, step.figures);
+        return;
+    }
     predict(step.before, step.predicted);
     const double* predicted = step.predicted;
     double least = infinity, gain = 0.0;

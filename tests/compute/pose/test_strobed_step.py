@@ -45,6 +45,7 @@ KINDS = (
     RegimeSettings((Regime(1.0),)),
     RegimeSettings((Regime(0.1), Regime(0.5, 0.2), Regime(1.0)), 0.1),
 )
+Made = tuple[RegimeSettings, int, bool, Degree | None, int]
 PARTS = ("rotation", "centroid_mm", "velocity_mm_s", "turn_rate_rad_s")
 
 
@@ -127,8 +128,7 @@ def assert_same_regimes(found: Regimes, wanted: Regimes) -> None:
         assert (np.abs(getattr(found, name) - value) <= 1e-8 * size + 1e-12).all()
 
 
-cases = st.builds(
-    Case,
+cases = st.tuples(
     st.sampled_from(KINDS),
     st.sampled_from([3, 4]),
     st.booleans(),
@@ -139,7 +139,8 @@ cases = st.builds(
 
 @settings(deadline=None, max_examples=80)
 @given(cases, st.sampled_from([0, 1_000_000, 12_345_678]), st.sampled_from([0.0, 0.3, 1.0]))
-def test_any_step_is_taken_as_by_numpy(case: Case, after_ns: int, missing: float) -> None:
+def test_any_step_is_taken_as_by_numpy(made: Made, after_ns: int, missing: float) -> None:
+    case = Case(*made)
     lit = int(case.rng.integers(len(case.frame.markers_mm)))
     seen = case.seen(lit, int(case.rng.integers(1, 4)), missing)
     wanted = case.by_hand(case.before, after_ns, lit, seen)
@@ -157,6 +158,19 @@ def test_any_step_is_taken_as_by_numpy(case: Case, after_ns: int, missing: float
     assert_same_regimes(found.regimes, wanted.regimes)
     if found.readings:
         assert found.whitened == pytest.approx(wanted.whitened[0], rel=1e-6, abs=1e-8)
+
+
+@settings(deadline=None, max_examples=40)
+@given(cases, st.sampled_from([0, 1_000_000, 70_000_000]))
+def test_what_is_expected_without_readings_is_as_by_numpy(made: Made, after_ns: int) -> None:
+    case = Case(*made)
+    time_ns = case.before.widest.time_ns + after_ns
+    found, wanted = case.step.ahead(case.before, time_ns), case.before.ahead(time_ns)
+    assert_same_state(found, wanted)
+    known, same = found.figures(case.frame), wanted.figures(case.frame)
+    for name, value in vars(same).items():
+        size = np.abs(value).max()
+        assert getattr(known, name) == pytest.approx(value, rel=1e-9, abs=1e-9 * size)
 
 
 def plain(seed: int = 1) -> Case:

@@ -96,11 +96,17 @@ def contract(accepted: list[str], *, every_value: bool = True) -> Any:
 
 PLAIN = contract(["2xx", "404", "409"])
 WITH_RULES = contract(["2xx", "404", "409", "422"])
-# Its bodies are those of find-peaks, where every value of each setting is tried; a thousand
-# pictures take minutes.
+# What they take is what another operation takes, where every value of each setting is tried; a
+# thousand pictures take minutes.
+LIKE_OTHERS = {
+    "draw-peaks": (contract(["2xx", "422"], every_value=False), "find-peaks"),
+    "get-plan-picture": (contract(["2xx", "404", "409"], every_value=False), "get-plan"),
+    "change-device": (contract(["2xx", "404", "409", "422"], every_value=False), "create-device"),
+}
+OWN = {"draw-peaks": {"line"}, "change-device": {"device_id"}}
+"""What they take beside, of which some values are drawn only."""
 # Calibrations with all settings, and reports, take about a second each.
 LONG = contract(["2xx", "404", "409", "422"], every_value=False)
-DRAWN = contract(["2xx", "422"], every_value=False)
 
 
 def not_connected(_: Any) -> None:
@@ -152,7 +158,7 @@ def check_contract(case: Any) -> None:
 def contract_test(operation_id: str) -> Any:
     schema = WITH_RULES if operation_id in RULES_BEYOND_THE_SCHEMA else PLAIN
     schema = LONG if operation_id in ("create-calibration", "get-calibration-report") else schema
-    schema = DRAWN if operation_id == "draw-peaks" else schema
+    schema, _ = LIKE_OTHERS.get(operation_id, (schema, None))
 
     def test(request: pytest.FixtureRequest) -> None:
         @schema.include(operation_id=operation_id).parametrize()
@@ -168,6 +174,33 @@ def contract_test(operation_id: str) -> Any:
         requests.obj()
 
     return test
+
+
+def test_what_is_tried_elsewhere_is_the_same() -> None:
+    """Operations that leave values to another take no setting that the other does not."""
+    document = relay.app.openapi()
+    described = {
+        operation["operationId"]: operation
+        for path_item in document["paths"].values()
+        for operation in path_item.values()
+    }
+
+    def taken(operation_id: str) -> dict[str, Any]:
+        operation = described[operation_id]
+        found = {one["name"]: one["schema"] for one in operation.get("parameters", ())}
+        for content in operation.get("requestBody", {}).get("content", {}).values():
+            name = content["schema"]["$ref"].rpartition("/")[2]
+            found |= document["components"]["schemas"][name]["properties"]
+        return {name: essence(schema) for name, schema in found.items()}
+
+    def essence(schema: dict[str, Any]) -> dict[str, Any]:
+        words = ("title", "description", "default", "examples")
+        return {key: value for key, value in schema.items() if key not in words}
+
+    for operation_id, (_, other) in LIKE_OTHERS.items():
+        ours, theirs = taken(operation_id), taken(other)
+        own = {name for name in ours if ours[name] != theirs.get(name)}
+        assert own <= OWN.get(operation_id, set()), operation_id
 
 
 # One function for each operation: Schemathesis's own items all have the function's node id, by

@@ -78,6 +78,7 @@ def _begin_run(api: str) -> None:
     end = time.monotonic() + END_S
     while httpx.get(f"{api}/runs/{run}").json()["state"] == "queued":
         assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 def test_a_server_that_is_told_to_stop(tmp_path: Path):

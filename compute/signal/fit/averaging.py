@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.fit.model import Array, Layout, Windows, evaluate
+from compute.signal.fit.model import Array, Layout, Windows
 from compute.signal.fit.settings import (
     LEAST_LOG_WEIGHT,
     LEAST_PIVOT,
@@ -18,7 +18,7 @@ from compute.signal.fit.settings import (
 )
 from compute.signal.fit.shape import LineShape
 from compute.signal.fit.solve import Solution
-from compute.signal.fit.width_prior import width_prior
+from compute.signal.fit.sums import Sums
 
 _LOW, _HIGH = np.log(WIDTH_LIMITS_PX)
 _SIDES: Final = (-1.0, 1.0)
@@ -99,16 +99,8 @@ def _nodes(
     windows: Windows, parameters: Array, layout: Layout, settings: FitSettings, shape: LineShape
 ) -> _Nodes:
     """Take one scoring step, at the widths of ``parameters``, to the best of the others."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        model = evaluate(windows, parameters, layout, settings, shape)
-        weight = windows.used / model.variance
-        residual = np.where(windows.used, windows.values - model.mean, 0.0)
-        weighted = model.jacobian * weight[:, None, :]
-        score = (weighted @ residual[..., None])[..., 0]
-        information = weighted @ model.jacobian.transpose(0, 2, 1)
-    prior = width_prior(parameters[:, -1], settings)
-    score[:, -1] += prior.score
-    information[:, -1, -1] += prior.information
+    sums = Sums.of(windows, parameters, layout, settings, shape)
+    score, information = sums.score, sums.information
     root, regular = _roots(information)
     diagonal = np.einsum("nii->ni", root)
     half = np.linalg.inv(root[:, :-1, :-1])

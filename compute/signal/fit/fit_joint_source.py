@@ -236,7 +236,7 @@ _RESULT: Final = """
         Model one = start;
         const bool ended = settle(one, narrow);
         const bool enough = ended && !(plan.further_peaks && one.chi2 > limit_of(one, narrow));
-        // Written in one place: the code of averages is long, and the kernel is half as fast with three.
+        // Written in one place: the code of averages is long, and three copies were a third slower.
         Model chosen = one;
         Window used = narrow;
         if (count == plan.max_joint || enough) {

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.fit.model import Array, Layout, Windows, evaluate
+from compute.signal.fit.model import Array, Layout, Windows
 from compute.signal.fit.settings import (
     CONVERGED_SIGMA,
     LEAST_PIVOT,
@@ -16,7 +16,7 @@ from compute.signal.fit.settings import (
     FitSettings,
 )
 from compute.signal.fit.shape import LineShape
-from compute.signal.fit.width_prior import width_prior
+from compute.signal.fit.sums import Sums
 
 _BLOCK = 4096  # windows that are worked on at once
 _WIDTH_LIMITS = np.log(WIDTH_LIMITS_PX)
@@ -141,18 +141,8 @@ class _Step:
 def _scoring_step(
     windows: Windows, parameters: Array, layout: Layout, settings: FitSettings, shape: LineShape
 ) -> _Step:
-    with np.errstate(over="ignore", invalid="ignore"):
-        model = evaluate(windows, parameters, layout, settings, shape)
-        weight = windows.used / model.variance
-        residual = np.where(windows.used, windows.values - model.mean, 0.0)
-        weighted = model.jacobian * weight[:, None, :]
-        score = (weighted @ residual[..., None])[..., 0]
-        information = weighted @ model.jacobian.transpose(0, 2, 1)
-        chi2 = (residual**2 * weight).sum(axis=1)
-        log_variance = np.where(windows.used, np.log(model.variance), 0.0).sum(axis=1)
-    prior = width_prior(parameters[:, -1], settings)
-    score[:, -1] += prior.score
-    information[:, -1, -1] += prior.information
+    sums = Sums.of(windows, parameters, layout, settings, shape)
+    score, information = sums.score, sums.information
     held = _held(parameters[:, -1], score[:, -1], known=settings.width_spread == 0.0)
     score[held, -1] = 0.0
     information[held, -1, :] = information[held, :, -1] = 0.0
@@ -161,8 +151,7 @@ def _scoring_step(
     covariance[held, -1, -1] = 0.0
     step = (covariance @ score[..., None])[..., 0]
     length2 = (step * score).sum(axis=1)
-    merit = chi2 + prior.merit + log_variance
-    return _Step(step, length2, regular, covariance, chi2 + prior.chi2, merit)
+    return _Step(step, length2, regular, covariance, sums.chi2, sums.merit)
 
 
 def _held(log_width: Array, score: Array, *, known: bool) -> NDArray[np.bool_]:

@@ -26,6 +26,45 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
 
 
+def test_the_table_of_errors_is_what_the_command_prints() -> None:
+    from validation.cases import CASES, LEFT_OUT, METRIC
+    from validation.published import DLT, PUBLISHED
+
+    result = CASES["test-5.4"].run()
+    rows = {
+        "thesis, DLT": PUBLISHED["test-5.4"][DLT],
+        "Lumiline, fitted points": result.column(METRIC).errors,
+        "Lumiline, points left out of the calibration": result.column(LEFT_OUT).errors,
+    }
+    for label, errors in rows.items():
+        assert errors is not None
+        x, y, z = errors.mean_absolute_mm
+        assert f"| {label} | {x:.2f} | {y:.2f} | {z:.2f} |" in README
+
+
+def test_linked_files_exist() -> None:
+    links = re.findall(r"\]\(([^)#]+)\)", README)
+    assert links
+    for link in links:
+        assert (ROOT / link).exists(), link
+
+
+def test_the_calibration_as_it_is_written(tmp_path: Path) -> None:
+    command = next(line for line in README.splitlines() if "frame-at-1-m.csv" in line)
+    words = [
+        str(ROOT / word) if word.startswith("docs/") else word for word in shlex.split(command)
+    ]
+    assert words[0] == "lumiline"
+    run = subprocess.run(
+        [sys.executable, "-m", "service.cli", *words[1:]],
+        cwd=tmp_path, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert "the reading of point 17 is wrong" in " ".join(run.stdout.split())
+    assert {path.name for path in tmp_path.iterdir()} == {"report.html", "camera.json"}
+
+
+# These are last: the server that they share measures, and takes a processor, until the end.
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with serving(tmp_path_factory.mktemp("readme")) as url:
@@ -83,41 +122,3 @@ def test_a_tool_in_a_minute(address: str) -> None:
         pose = httpx.get(f"http://{address}/api/v1/tools/pointer/pose").json()
     # Somewhere in the middle of the volume: the scene's tool swings there.
     assert np.linalg.norm(np.subtract(pose["tip_mm"], [0.0, 0.0, 1500.0])) < 400.0
-
-
-def test_the_table_of_errors_is_what_the_command_prints() -> None:
-    from validation.cases import CASES, LEFT_OUT, METRIC
-    from validation.published import DLT, PUBLISHED
-
-    result = CASES["test-5.4"].run()
-    rows = {
-        "thesis, DLT": PUBLISHED["test-5.4"][DLT],
-        "Lumiline, fitted points": result.column(METRIC).errors,
-        "Lumiline, points left out of the calibration": result.column(LEFT_OUT).errors,
-    }
-    for label, errors in rows.items():
-        assert errors is not None
-        x, y, z = errors.mean_absolute_mm
-        assert f"| {label} | {x:.2f} | {y:.2f} | {z:.2f} |" in README
-
-
-def test_linked_files_exist() -> None:
-    links = re.findall(r"\]\(([^)#]+)\)", README)
-    assert links
-    for link in links:
-        assert (ROOT / link).exists(), link
-
-
-def test_the_calibration_as_it_is_written(tmp_path: Path) -> None:
-    command = next(line for line in README.splitlines() if "frame-at-1-m.csv" in line)
-    words = [
-        str(ROOT / word) if word.startswith("docs/") else word for word in shlex.split(command)
-    ]
-    assert words[0] == "lumiline"
-    run = subprocess.run(
-        [sys.executable, "-m", "service.cli", *words[1:]],
-        cwd=tmp_path, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    assert "the reading of point 17 is wrong" in " ".join(run.stdout.split())
-    assert {path.name for path in tmp_path.iterdir()} == {"report.html", "camera.json"}

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ class Example:
     body: Any = None
 
 
+@cache
 def document() -> dict[str, Any]:
     return create_app(Settings()).openapi()
 

@@ -1,5 +1,6 @@
 """The table of access: complete, as documented, and in the contract."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +24,21 @@ def test_the_guide_says_what_the_code_does() -> None:
     assert len(rows) == len(ACCESS)
 
 
+@cache
+def contract() -> dict[str, Any]:
+    return create_app(Settings()).openapi()
+
+
 def test_the_guide_names_each_request_as_the_contract_does() -> None:
     asked = {row.operation: f"{row.method} {row.path}" for row in documented()}
-    paths = create_app(Settings()).openapi()["paths"]
+    paths = contract()["paths"]
     for path, item in paths.items():
         for method, operation in item.items():
             assert asked[operation["operationId"]] == f"{method.upper()} {path}"
 
 
 def test_the_contract_shows_the_scope_of_every_operation() -> None:
-    document = create_app(Settings()).openapi()
+    document = contract()
     assert set(document["components"]["securitySchemes"]) == {"key"}
     for scope, meaning in SCOPE_MEANINGS.items():
         assert (

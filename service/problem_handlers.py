@@ -9,11 +9,9 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
-from fastapi.routing import iter_route_contexts
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.routing import Match
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
@@ -178,13 +176,16 @@ async def _http_error(request: Request, error: Exception) -> Response:
 
 
 def allowed_methods(request: Request) -> list[str]:
-    """Return the methods that the request's path has, HEAD with GET."""
-    methods = {
-        method
-        for route in iter_route_contexts(request.app.routes)
-        if route.methods and route.matches(request.scope)[0] != Match.NONE
-        for method in route.methods
-    }
+    """Return the methods that the request's path has: the OpenAPI document's, HEAD with GET."""
+    segments = request.url.path.strip("/").split("/")
+    methods: set[str] = set()
+    for path, item in request.app.openapi()["paths"].items():
+        template = path.strip("/").split("/")
+        if len(template) == len(segments) and all(
+            part.startswith("{") or part == segment
+            for part, segment in zip(template, segments, strict=True)
+        ):
+            methods |= {method.upper() for method in item if method != "parameters"}
     if "GET" in methods or not methods:
         methods |= {"GET", "HEAD"}
     return sorted(methods)

@@ -33,8 +33,12 @@ class SearchPause:
         """Whether it was looked for in vain, and nothing new was seen since."""
         return self._failures > 0
 
+    def passed(self) -> None:
+        """Take in that an exposure of its markers went by."""
+        self._left -= 1
+
     def due(self, time_ns: int, readings: int) -> bool:
-        """Return whether to look for it now; called once for each exposure of its markers.
+        """Return whether to look for it now.
 
         Args:
             time_ns: of the exposure [ns].
@@ -42,7 +46,6 @@ class SearchPause:
         """
         if readings > self._most_readings:
             return True
-        self._left -= 1
         return self._left <= 0 or time_ns - self._failed_ns >= LONGEST_NS
 
     def failed(self, time_ns: int, readings: int, exposures: int) -> None:

@@ -317,6 +317,7 @@ class ToolTracker:
         while tool.exposures[0].time_ns < oldest or len(tool.exposures) > most:
             tool.exposures.popleft()
         tool.fresh += 1
+        pause.passed()
         shown = [one for one in tool.exposures if one.shows]
         markers = len({one.marker for one in shown})
         if not shown and tool.status is PoseStatus.OUT_OF_VIEW:

@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 
 BENT_SHARE: Final = 0.1
 """Of a reading's deviation: a curvature below it is left out."""
-_REACH: Final = np.sqrt(6.0)
+REACH: Final = 6.0**0.5
+"""Of the rule's points, in deviations."""
 
 
 def is_bent(
@@ -66,7 +67,7 @@ def bent(
         told: its readings, as the linear model has them.
     """
     root = np.linalg.cholesky(state.covariance[:6, :6] + 1e-18 * np.eye(6))
-    steps = _REACH * np.concatenate([root.T, -root.T])
+    steps = REACH * np.concatenate([root.T, -root.T])
     rotations = rotation_matrix(steps[:, :3]) @ state.rotation
     places = frame.markers_mm[lit] @ rotations.swapaxes(1, 2)
     places += (state.centroid_mm + steps[:, 3:])[:, None, :]

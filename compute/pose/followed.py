@@ -113,7 +113,7 @@ class Followed:
             if self.step is not None and seen is not None:
                 return Look(self.frame, lit, self.step.ahead(self.regimes, time_ns))
             return Look(self.frame, lit, self.regimes.ahead(time_ns))
-        if self.step is not None and seen is not None:
+        if self.step is not None and seen is not None and len(lit) == 1:
             step = self.step.take(self.regimes, time_ns, int(lit[0]), seen, manoeuvre)
             return Look(self.frame, lit, step.predicted.widest, step.predicted, step)
         regimes = self.regimes.predict(time_ns, manoeuvre)

@@ -60,6 +60,7 @@ class BlinkingTracks:
         self._doubtful: set[int] = set()
         """Tracks that were AMBIGUOUS at the last exposure."""
         self._last: int | None = None
+        self._judged: int | None = None
 
     def name(
         self, sequence: int, batch: TrackBatch, amplitude: NDArray[np.floating], *, lit: bool = True
@@ -93,7 +94,9 @@ class BlinkingTracks:
             known[self._identity == identity] = False
             self._name.pop(identity, None)
         self._doubtful = doubtful
-        if lit and sequence % self._every == 0:
+        # Once in so many exposures, whichever of them is seen.
+        if lit and sequence // self._every != self._judged:
+            self._judged = sequence // self._every
             self._judge(amplitudes, known)
         if not self._name:
             return batch

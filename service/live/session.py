@@ -136,11 +136,12 @@ class DeviceSession:
             self._fail(error)
             return False
         self.processed += len(frames)
-        # Other devices wait meanwhile: a device whose frames take long gets short batches.
+        # Other devices wait meanwhile: a device whose frames take long gets short batches. But
+        # where only some frames are followed, that time is bounded, whatever the batch's length.
         whole = time.monotonic() - begin
         following = self.processor.following_s
         self.thinning.count(sum(follow), following, whole - following)
-        per_frame = whole / len(frames)
+        per_frame = (whole - following if self.thinning.thins else whole) / len(frames)
         self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(per_frame, 1e-6))))
         return True
 

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from compute.pose.curvature import BENT_SHARE
+from compute.pose.curvature import BENT_SHARE, REACH
 from compute.pose.regime_model import MOVING
 
 _OF_FRAMES: Final = {
@@ -77,7 +77,7 @@ HEAD: Final = 4
 TAKEN: Final = 0
 """Readings were taken, or there were none within the gates."""
 CURVED: Final = 1
-"""The linear model may not do: nothing but the prediction is there."""
+"""The curvature matters, and the covariance has no root: nothing but the prediction is there."""
 CONTESTED: Final = 2
 """A sensor has several peaks within the gate: likewise."""
 MISFIT: Final = 3
@@ -122,7 +122,7 @@ STEP_SOURCE: Final = f"""
     const unsigned long long job_address = (unsigned long long)step.cameras;
     const int D = {MOVING}, pose_size = {POSE}, head = {HEAD};
     const int taken = {TAKEN}, curved = {CURVED}, contested = {CONTESTED}, misfit = {MISFIT};
-    const double bent_share = {BENT_SHARE!r};
+    const double bent_share = {BENT_SHARE!r}, reach = {REACH!r};
     const int K = (int)step.regimes, E = (int)step.errors, W = D + E;
 """
 """Above it stand ``S``, the number of sensors, and ``ROOM``, as in compute.reconstruction."""

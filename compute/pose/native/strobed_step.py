@@ -72,7 +72,7 @@ class Step:
 class StrobedStep:
     """What Regimes and ``associate`` do of one lit marker where all is plain, in one launch.
 
-    Each sensor has one peak at most that the marker may be, the linear model does, and the readings
+    Each sensor has one peak at most that the marker may be, and the readings
     fit one another: then they are taken. Else nothing is, and who asked does it step by step.
 
     Warp is not thread-safe: the thread that makes it calls it. Making it loads Warp and compiles

@@ -118,7 +118,7 @@ TAKING: Final = """
     const double turned = 0.5 * step.radius * (widest[0] + widest[W + 1] + widest[2 * W + 2]);
     const double shifted = (widest[3 * W + 3] + widest[4 * W + 4] + widest[5 * W + 5]) * gain
         / step.focal;
-    if (known && (turned + shifted) * gain > bent_share * sqrt(least)) {
+    if (known && (turned + shifted) * gain > bent_share * sqrt(least) && !bend(predicted, widest)) {
         end(curved, predicted);
         return;
     }
@@ -126,7 +126,7 @@ TAKING: Final = """
     for (int s = 0; s < S; ++s) {
         double* crossed = all_crossed + s * W;
         cross(widest, s, crossed);
-        const double own = meet(crossed, s);
+        const double own = meet(crossed, s) + curvature[s][s];
         int fitting = 0;
         for (int i = s * P; i < (s + 1) * P; ++i) {
             const double off = step.position[i] - value[s];
@@ -162,7 +162,10 @@ TAKING: Final = """
             else cross(spread, s, right + 1);
             right[0] = reading[s];
             for (int r = 0; r < 6; ++r) right[0] -= slopes[s][r] * off[r];
-            for (int j = 0; j <= i; ++j) root[i][j] = meet(right + 1, sensor[j]);
+            for (int j = 0; j <= i; ++j) {
+                const int t = sensor[j];
+                root[i][j] = meet(right + 1, t) + curvature[s][t];
+            }
             root[i][i] += noise[s];
         }
         for (int i = 0; i < count; ++i) {

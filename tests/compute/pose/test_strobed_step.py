@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable, Degree
+from compute.pose import association
 from compute.pose.association import FramePeaks, Look, associate
+from compute.pose.curvature import bent
 from compute.pose.marker_frame import MarkerFrame
 from compute.pose.native.kernel import step_kernel
 from compute.pose.native.strobed_step import Step, StrobedStep, load_kernels
@@ -222,9 +224,38 @@ def test_readings_that_do_not_fit_one_another_are_left_to_numpy() -> None:
     assert case.by_kernel(0, lit, FramePeaks.of(told, sigma, flags)).readings == 4
 
 
-def test_where_the_curvature_matters_it_is_left_to_numpy() -> None:
-    case = plain()
-    assert case.by_kernel(1_000_000, 0, case.seen(0)).regimes is not None
+@pytest.mark.parametrize("turn_rad", [0.02, 0.1, 0.3])
+@pytest.mark.parametrize("seed", range(8))
+def test_where_the_curvature_matters_it_is_taken_as_by_numpy(
+    turn_rad: float, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = Case(KINDS[seed % 3], 3 + seed % 3, seed % 2 == 1, (None, 1, 3)[seed % 3], seed)
+    wide = case.before.spread.copy()
+    wide[:, :3, :3] += turn_rad**2 * np.eye(3)
+    case.before = replace(
+        case.before,
+        spread=wide,
+        widest=replace(case.before.widest, covariance=wide[-1, :STATES, :STATES]),
+    )
+    asked = []
+    monkeypatch.setattr(association, "bent", lambda *given: asked.append(1) or bent(*given))
+    seen = case.seen(2)
+    wanted = case.by_hand(case.before, 1_000_000, 2, seen)
+    found = case.by_kernel(1_000_000, 2, seen)
+    if found.regimes is None:
+        assert wanted.misfit or wanted.readings < np.count_nonzero(seen.usable)
+        return
+    assert asked
+    assert wanted.regimes is not None
+    assert (found.peaks == wanted.peaks).all()
+    assert found.nis == pytest.approx(wanted.nis, rel=1e-7, abs=1e-12)
+    assert_same_state(found.regimes.widest, wanted.regimes.widest)
+    assert_same_state(found.regimes.whole, wanted.regimes.whole)
+    assert found.regimes.chance == pytest.approx(wanted.regimes.chance, rel=1e-7, abs=1e-12)
+
+
+def test_the_curvature_widens_the_gates() -> None:
+    case = plain(4)
     wide = case.before.spread.copy()
     wide[:, :3, :3] += 0.1**2 * np.eye(3)
     case.before = replace(
@@ -232,7 +263,65 @@ def test_where_the_curvature_matters_it_is_left_to_numpy() -> None:
         spread=wide,
         widest=replace(case.before.widest, covariance=wide[-1, :STATES, :STATES]),
     )
-    assert case.by_kernel(1_000_000, 0, case.seen(0)).regimes is None
+    told = case.model.expected(case.before.widest.places(case.frame)[0][None])[0].T
+    sigma, flags = np.full((4, 1), 0.05), np.zeros((4, 1), np.int32)
+    sigma[1:] = np.nan  # one reading alone is taken wherever its gate lets it
+    taken = []
+    for off_px in np.linspace(0.0, 400.0, 801):
+        seen = FramePeaks.of(told + off_px, sigma, flags)
+        wanted = case.by_hand(case.before, 0, 0, seen)
+        assert (case.by_kernel(0, 0, seen).peaks == wanted.peaks).all()
+        taken.append(wanted.readings)
+    assert taken[0] == 1
+    assert taken[-1] == 0
+
+
+def test_curvature_behind_a_lens_tells_nothing() -> None:
+    case = plain()
+    wide = case.before.spread.copy()
+    wide[:, 3:6, 3:6] += 5000.0**2 * np.eye(3)
+    case.before = replace(
+        case.before,
+        spread=wide,
+        widest=replace(case.before.widest, covariance=wide[-1, :STATES, :STATES]),
+    )
+    wanted = case.by_hand(case.before, 1_000_000, 0, case.seen(0))
+    found = case.by_kernel(1_000_000, 0, case.seen(0))
+    assert found.regimes is not None
+    assert (found.readings, wanted.readings) == (0, 0)
+
+
+@pytest.mark.parametrize("hidden", [(), ((0, 0),), ((0, None),)], ids=["all", "one", "marker"])
+@pytest.mark.parametrize("bent_mm", [0.0, 10.0], ids=["", "bent"])
+def test_exposures_of_all_markers_between_those_of_one_are_as_by_numpy(
+    hidden: tuple[tuple[int, int | None], ...], bent_mm: float
+) -> None:
+    """A strobe schedule may have slots that light all."""
+
+    def followed(kernel: bool) -> list[ToolPose]:
+        tool = pointer(strobed=True)
+        tracker = ToolTracker(CAMERAS, [tool], None, CALIBRATION)
+        if not kernel:
+            tracker._tools[0].step = None
+        scene = Scene([body(tool, 3)], tracker, seed=3)
+        poses = [pose for _ in range(60) for pose in scene.strobed()]
+        shown = scene.bodies[0]
+        shown.tool = replace(
+            tool, markers_mm=tool.markers_mm + bent_mm * np.eye(4, 3, k=-1) * [0.0, 0.0, 1.0]
+        )
+        for frame in range(80):
+            if frame % 5 == 4:
+                poses += scene._step(scene.readings(hidden)[0].T, None, None)
+            else:
+                poses += scene.strobed()
+        return poses
+
+    found, wanted = followed(True), followed(False)
+    for one, other in zip(found, wanted, strict=True):
+        assert (one.status, one.reason) == (other.status, other.reason)
+        assert (one.readings_used, one.markers_used) == (other.readings_used, other.markers_used)
+        if other.tip_mm is not None:
+            assert one.tip_mm == pytest.approx(other.tip_mm, rel=1e-9)
 
 
 def corrections(seed: int) -> CorrectionTable:

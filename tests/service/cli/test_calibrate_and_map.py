@@ -17,7 +17,7 @@ from service.cli import app
 from service.cli.calibrate import label_in_words
 from service.cli.calibration_file import read_calibration
 from tests.compute.rig import rig
-from tests.service.cli.test_commands import QUICK, frame_csv, here, lumiline
+from tests.service.cli.test_commands import QUICK, frame_csv, here
 from validation.thesis_data import DFW_V500
 
 __all__ = ["frame_csv"]

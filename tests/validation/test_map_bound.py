@@ -38,7 +38,8 @@ def test_the_map_helps_a_camera_without_terms_but_not_all_the_way(found):
     with_map = found.row("7 parameters", with_map=True).errors
     assert without.rms_mm(every) > 20.0 * without.bound_rms_mm(every)
     assert with_map.rms_mm(every) < 0.1 * without.rms_mm(every)
-    assert with_map.rms_mm(every) > 1.2 * with_map.bound_rms_mm(every)
+    # Beyond chance: an RMS over 300 points, mostly depths, is known to 4 %.
+    assert with_map.rms_mm(every) > 1.08 * with_map.bound_rms_mm(every)
 
 
 def test_parts_add_up_to_the_errors(found):

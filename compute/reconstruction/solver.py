@@ -11,7 +11,8 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.estimate import PointBatch
-from compute.reconstruction.native.job import CAMERA_FIELDS, JOB, MAX_POWER, row_length
+from compute.reconstruction.native.camera_record import fill_cameras
+from compute.reconstruction.native.job import JOB, MAX_POWER, row_length
 from compute.reconstruction.native.launch import (
     THREADS_OF_A_BLOCK,
     CpuLaunch,
@@ -87,25 +88,11 @@ class PointSolver:
             self._arrays.append(values)
 
         row = row_length(self.sensors, cuda=bool(place.is_cuda))
-        put("cameras", filled(camera_fields(stack), row))
-        put("coefficients", filled(stack.coefficients.T, row))
-        put("powers", np.array(stack.terms, dtype=np.int32).reshape(-1, 2))
+        fill_cameras(job, put, stack, corrections, row)
         freedoms = range(-3, self.sensors - 2)
         put("limits", np.array([chi2_limit(f, INCONSISTENT_PROBABILITY) for f in freedoms]))
-        job["terms"] = len(stack.terms)
-        job["top_power"] = max((max(term) for term in stack.terms), default=0)
         if parameter_covariance is not None:
             put("parameters", stack.spread_covariance(np.asarray(parameter_covariance)))
-        if corrections is not None:
-            for name, values in (
-                ("values", corrections.coefficients_px),
-                ("variance", corrections.variance_px2),
-                ("valid", corrections.valid.astype(np.uint8)),
-            ):
-                put(name, filled(np.moveaxis(values, 0, -1), row))
-            job["degree"] = corrections.degree
-            job["cells_x"], job["cells_y"], job["cells_z"] = corrections.grid.cells
-            job["origin"], job["pitch"] = corrections.grid.origin_mm, corrections.grid.pitch_mm
         kernel = point_kernel(self.sensors, term_room(stack))
         self.launch: CpuLaunch | CudaLaunch = (
             CudaLaunch(wp, kernel, job, self.sensors, place)
@@ -188,26 +175,3 @@ def _check(cameras: CameraStack, covariance: Array | None) -> None:
             f"the parameters' covariance has the shape {np.shape(covariance)}; the cameras have "
             f"{count} parameters"
         )
-
-
-def filled(values: NDArray[Any], row: int) -> NDArray[Any]:
-    """Return values with the sensors last, filled up with zeros to rows of this length."""
-    filled = np.zeros((*values.shape[:-1], row), dtype=values.dtype)
-    filled[..., : values.shape[-1]] = values
-    return filled
-
-
-def camera_fields(cameras: CameraStack) -> Array:
-    """Return the cameras' parameters with the sensors last, shape (16, S)."""
-    fields = np.concatenate(
-        [
-            cameras.principal_distance_px[None],
-            cameras.principal_point_px[None],
-            cameras.rotation.reshape(-1, 9).T,
-            cameras.offset_mm.T,
-            cameras.cubic_per_px2[None],
-            cameras.row_behind_mm[None],
-        ]
-    )
-    assert len(fields) == CAMERA_FIELDS
-    return fields

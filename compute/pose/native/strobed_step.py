@@ -26,16 +26,11 @@ from compute.pose.pose_filter import STATES, PoseState
 from compute.pose.reading_model import ReadingModel
 from compute.pose.regime_model import RegimeModel
 from compute.pose.regimes import Regimes
+from compute.reconstruction.native.camera_record import fill_cameras
 from compute.reconstruction.native.job import JOB, MAX_POWER, row_length
 from compute.reconstruction.native.launch import address
 from compute.reconstruction.points import chi2_limit
-from compute.reconstruction.solver import (
-    LEAST_ROOM,
-    MAX_SENSORS,
-    camera_fields,
-    filled,
-    term_room,
-)
+from compute.reconstruction.solver import LEAST_ROOM, MAX_SENSORS, term_room
 
 if TYPE_CHECKING:
     from compute.pose.association import FramePeaks
@@ -256,20 +251,5 @@ def _cameras(stack: CameraStack, corrections: CorrectionTable | None) -> list[ND
         kept.append(np.ascontiguousarray(array))
         job[name] = address(kept[-1])
 
-    row = row_length(len(stack), cuda=False)
-    put("cameras", filled(camera_fields(stack), row))
-    put("coefficients", filled(stack.coefficients.T, row))
-    put("powers", np.array(stack.terms, dtype=np.int32).reshape(-1, 2))
-    job["terms"] = len(stack.terms)
-    job["top_power"] = max((max(term) for term in stack.terms), default=0)
-    if corrections is not None:
-        for name, values in (
-            ("values", corrections.coefficients_px),
-            ("variance", corrections.variance_px2),
-            ("valid", corrections.valid.astype(np.uint8)),
-        ):
-            put(name, filled(np.moveaxis(values, 0, -1), row))
-        job["degree"] = corrections.degree
-        job["cells_x"], job["cells_y"], job["cells_z"] = corrections.grid.cells
-        job["origin"], job["pitch"] = corrections.grid.origin_mm, corrections.grid.pitch_mm
+    fill_cameras(job, put, stack, corrections, row_length(len(stack), cuda=False))
     return kept

@@ -5,9 +5,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.reconstruction.native.camera_record import fill_cameras
 from compute.reconstruction.native.job import row_length
 from compute.reconstruction.native.launch import address
-from compute.reconstruction.solver import camera_fields, filled, term_room
+from compute.reconstruction.solver import term_room
 from compute.tracking.association import Associated, associate
 from compute.tracking.frame_peaks import FramePeaks
 from compute.tracking.motion_model import MotionModels
@@ -48,20 +49,10 @@ class Associator:
         # Kept: the job has their addresses.
         self._kept: list[NDArray[Any]] = []
         row = row_length(len(cameras), cuda=False)
-        self._put("cameras", filled(camera_fields(cameras), row))
-        self._put("coefficients", filled(cameras.coefficients.T, row))
-        self._put("powers", np.array(cameras.terms, dtype=np.int32).reshape(-1, 2))
+        fill_cameras(self._job, self._put, cameras, model.corrections, row)
         self._put("first", model.first_px)
         self._put("last", model.last_px)
         job = self._job
-        job["terms"] = len(cameras.terms)
-        job["top_power"] = max((max(term) for term in cameras.terms), default=0)
-        if model.corrections is not None:
-            table = model.corrections
-            self._put("values", filled(np.moveaxis(table.coefficients_px, 0, -1), row))
-            job["degree"] = table.degree
-            job["cells_x"], job["cells_y"], job["cells_z"] = table.grid.cells
-            job["origin"], job["pitch"] = table.grid.origin_mm, table.grid.pitch_mm
         for name in ("detection", "false_per_px", "merge_px", "gate_sigma", "search_px"):
             job[name] = getattr(settings, name)
         job["models"] = len(motion)

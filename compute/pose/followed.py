@@ -18,6 +18,7 @@ from compute.pose.pose_report import Support
 from compute.pose.reading_model import ReadingModel
 from compute.pose.regimes import Regimes
 from compute.pose.rigid_body import RigidBody
+from compute.pose.search_pause import SearchPause
 from compute.pose.settings import MotionSettings
 from compute.pose.strobed_start import Exposure
 from compute.pose.tool_pose import PoseStatus
@@ -49,6 +50,7 @@ class Followed:
         offered: what the readings of its last exposures are off.
         exposures: the last exposures of a strobed tool that is lost.
         fresh: exposures since it was last looked for in vain.
+        pause: when it is looked for again, a strobed one.
         fits: whether its last exposures fitted it.
         to_confirm: exposures that must fit, in a row, before a strobed tool that was just found is
             believed: it may have been found from a false peak.
@@ -67,6 +69,7 @@ class Followed:
     offered: deque[Offered] = field(default_factory=deque)
     exposures: deque[Exposure] = field(default_factory=deque)
     fresh: int = 0
+    pause: SearchPause = field(default_factory=SearchPause)
     fits: deque[bool] = field(default_factory=deque)
     to_confirm: int = 0
     lights: dict[int | None, NDArray[np.intp]] = field(default_factory=dict)
@@ -180,10 +183,7 @@ class Followed:
             if against and against >= look.readings > 0:
                 square, count = LEFT_OUT_MOST * against, against
                 look.reject()
-        elif (
-            look.readings < WEAK_SHARE * len(seen.usable)
-            and look.readings < WEAK_SHARE * seen.usable.any(axis=1).sum()
-        ):
+        elif look.readings < WEAK_SHARE * seen.usable.any(axis=1).sum():
             # The marker alone was lit, and most of what was seen is not where it must be: what
             # little fits does so by chance. That it did not fit is noted, which says enough.
             square, count = 0.0, 0

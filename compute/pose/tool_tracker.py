@@ -26,7 +26,6 @@ from compute.pose.reading_model import ReadingModel
 from compute.pose.regime_model import RegimeModel
 from compute.pose.regimes import Regimes
 from compute.pose.rigid_body import RigidBody
-from compute.pose.search_pause import SearchPause
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.strobe_cycle import StrobeCycle
 from compute.pose.strobed_start import Exposure, find_strobed
@@ -87,7 +86,6 @@ class ToolTracker:
         table = 0 if corrections is None else self.model.sensors
         self._regimes = RegimeModel.of(self.settings.motion, self.settings.regimes)
         self._tools = [self._fresh(body, common + table * len(body)) for body in tools]
-        self._pauses = [SearchPause() for _ in tools]
         self._time_ns: int | None = None
         self._image = FrozenImage()
         self._cycle = StrobeCycle()
@@ -100,7 +98,6 @@ class ToolTracker:
     def reset(self) -> None:
         """Forget where all tools are; needed where time goes back."""
         self._tools = [Followed(tool.body, tool.errors, tool.step) for tool in self._tools]
-        self._pauses = [SearchPause() for _ in self._tools]
         self._time_ns = None
         self._image = FrozenImage()
         self._cycle = StrobeCycle()
@@ -296,16 +293,15 @@ class ToolTracker:
             elif tool.state is not None and look is not None:
                 taken.append(look)
                 if not tool.to_confirm:
-                    self._pauses[index].forget()
+                    tool.pause.forget()
             elif len(lit):
-                self._expose(tool, self._pauses[index], time_ns, int(lit[0]), seen)
+                self._expose(tool, time_ns, int(lit[0]), seen)
         if together:
             self._identify(together, time_ns, seen, taken, points)
 
-    def _expose(
-        self, tool: Followed, pause: SearchPause, time_ns: int, marker: int, seen: FramePeaks
-    ) -> None:
+    def _expose(self, tool: Followed, time_ns: int, marker: int, seen: FramePeaks) -> None:
         """Keep an exposure of a lost strobed tool, and find it when there are enough."""
+        pause = tool.pause
         before = list(tool.exposures)[-len(tool.body) :]
         if len(before) == len(tool.body) and not any(one.shows for one in before):
             pause.forget()  # all of its markers were hidden

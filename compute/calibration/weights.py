@@ -1,11 +1,48 @@
 """How far a reading can be trusted under a calibration: its noise and the model's misfit."""
 
+from dataclasses import dataclass
+from typing import Self
+
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.result import Calibration
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingTrust:
+    """What a calibration says of each sensor's readings; made once where frames come by the second.
+
+    Args:
+        own_px: standard deviation of a reading that came without one, shape (S,).
+        misfit_px: what the residuals exceed the noise by, in squares, shape (S,).
+        least_px: the least deviation that is taken, shape (S,).
+    """
+
+    own_px: Array
+    misfit_px: Array
+    least_px: Array
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Self:
+        """Return that of a calibration of S sensors."""
+        fits = calibration.sensors
+        own = np.array([fit.sigma_px for fit in fits])
+        excess = np.array([max((fit.chi2_per_dof or 1.0) - 1.0, 0.0) for fit in fits])
+        least = [fit.sigma_px if fit.sigma_source == "residuals" else 0.0 for fit in fits]
+        return cls(own, own * np.sqrt(excess), np.array(least))
+
+    def sigma(self, sigma_px: Array) -> Array:
+        """Return the deviations with which readings go into a reconstruction, shape (..., S) [px].
+
+        Args:
+            sigma_px: their own, shape (..., S); where NaN, the calibration's are taken.
+        """
+        given = np.where(np.isnan(sigma_px), self.own_px, sigma_px)
+        trusted: Array = np.maximum(np.hypot(given, self.misfit_px), self.least_px)
+        return trusted
 
 
 def reading_sigma(
@@ -24,12 +61,6 @@ def reading_sigma(
         sigma_px: the readings' own deviations, shape (..., S); where NaN, and for None, the
             calibration's are taken.
     """
-    own = np.array([fit.sigma_px for fit in calibration.sensors])
-    excess = np.array([max((fit.chi2_per_dof or 1.0) - 1.0, 0.0) for fit in calibration.sensors])
-    least = np.array(
-        [fit.sigma_px if fit.sigma_source == "residuals" else 0.0 for fit in calibration.sensors]
-    )
-    sigma = np.broadcast_to(own if sigma_px is None else sigma_px, readings_px.shape)
-    sigma = np.where(np.isnan(sigma), own, sigma)
-    trusted: Array = np.maximum(np.hypot(sigma, own * np.sqrt(excess)), least)
-    return trusted
+    trust = ReadingTrust.of(calibration)
+    given = trust.own_px if sigma_px is None else sigma_px
+    return trust.sigma(np.broadcast_to(given, readings_px.shape))

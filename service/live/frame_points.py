@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.result import Calibration
+from compute.calibration.weights import ReadingTrust
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.correspondence import Predictor, group_peaks
 from compute.reconstruction.estimate import PointBatch, PointFlag
@@ -35,6 +37,11 @@ class ActiveCalibration:
     table: CorrectionTable | None = None
     predictor: Predictor | None = None
     """The cameras forward, for frames with many markers; None: only small ones are grouped."""
+
+    @cached_property
+    def trust(self) -> ReadingTrust:
+        """How far the calibration trusts each sensor's readings."""
+        return ReadingTrust.of(self.calibration)
 
 
 def no_points(sensors: int) -> PointBatch:
@@ -67,7 +74,7 @@ def usable_peaks(
 ) -> UsablePeaks:
     """Return the peaks that points are made of; arguments as of ``frame_points``."""
     corrected = active.table_id is not None
-    return UsablePeaks.of(active.calibration, len(frames), peaks, use, corrected=corrected)
+    return UsablePeaks.of(active.trust, len(frames), peaks, use, corrected=corrected)
 
 
 def points_of(
@@ -119,9 +126,10 @@ def _brightest(
     """
     if position.shape[2] == 1:
         return position[..., 0], spread[..., 0]
-    brightest = np.where(np.isfinite(position), amplitude, -1.0).argmax(axis=2)[..., None]
-    strobed = np.take_along_axis(position, brightest, axis=2)[..., 0]
-    return strobed, np.take_along_axis(spread, brightest, axis=2)[..., 0]
+    brightest = np.where(np.isfinite(position), amplitude, -1.0).argmax(axis=2)
+    frames, sensors, _ = position.shape
+    at = np.arange(frames)[:, None], np.arange(sensors), brightest
+    return position[at], spread[at]
 
 
 def _doubted(

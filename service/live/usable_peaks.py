@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.result import Calibration
-from compute.calibration.weights import reading_sigma
+from compute.calibration.weights import ReadingTrust
 from compute.signal.peaks import PeakBatch, PeakFlag
 
 Array = NDArray[np.float64]
@@ -47,7 +46,7 @@ class UsablePeaks:
     @classmethod
     def of(
         cls,
-        calibration: Calibration,
+        trust: ReadingTrust,
         frames: int,
         peaks: PeakBatch,
         use: PeakUse,
@@ -57,13 +56,13 @@ class UsablePeaks:
         """Return those of so many frames.
 
         Args:
-            calibration: in force, of S sensors.
+            trust: what the calibration in force says of its S sensors' readings.
             frames: their number F.
             peaks: of their F x S lines.
             use: which of them are used, and which doubted.
             corrected: whether a correction table is in force.
         """
-        shape = (frames, len(calibration.sensors), -1)
+        shape = (frames, len(trust.own_px), -1)
         position = peaks.position_px.reshape(shape).astype(np.float64)
         flags = np.where(np.isfinite(position), peaks.flags.reshape(shape), 0).astype(np.int32)
         doubtful = np.full(position.shape, np.nan)
@@ -72,7 +71,7 @@ class UsablePeaks:
             np.copyto(doubtful, position, where=(flags & int(use.doubtful)) != 0)
         # By frame, peak and sensor for the calibration's figures, which are by sensor.
         own = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
-        spread = reading_sigma(calibration, own, own)
+        spread = trust.sigma(own)
         if corrected:
             # The calibration's misfit, which would widen them, is what the table takes away.
             spread = np.where(np.isfinite(own), own, spread)

@@ -67,6 +67,18 @@ def test_names_come_within_two_words_and_stay() -> None:
     assert named(naming, 24, 60, [2, 0, 1]) == [2, 0, 1]
 
 
+def test_names_come_whichever_exposures_are_looked_at() -> None:
+    """A computer that is too slow looks at some only, as it may be never at a round number."""
+    naming = BlinkingTracks(CODES, BlinkModel(low=LOW))
+    rng = np.random.default_rng(5)
+    batch = tracks(3)
+    found = batch
+    for sequence in range(120):
+        if sequence % 6 in (1, 2, 4, 5):  # as a judgement at every sixth would not see
+            found = naming.name(sequence, batch, amplitudes([2, 0, 1], sequence, rng))
+    assert found.marker.tolist() == [2, 0, 1]
+
+
 def test_an_exchange_that_the_tracker_did_not_see_is_named_anew() -> None:
     naming = BlinkingTracks(CODES, BlinkModel(low=LOW))
     assert named(naming, 0, 30, [0, 1]) == [0, 1]

@@ -1,7 +1,7 @@
 """Moving tools through the live path: simulated lines to poses, which agree with the truth."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -15,6 +15,7 @@ from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import MotionSettings, ToolTrackerSettings
 from compute.pose.tool_pose import ToolPose
 from compute.tracking.track_batch import TrackState
+from hardware.frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings
@@ -346,3 +347,66 @@ def test_who_is_too_slow_for_all_frames_follows_some_and_keeps_the_tools(
     late = [entry for entry in bench.shown if entry.sequence > 200]
     assert late
     assert all(pose.valid for entry in late for pose in entry.poses.values())
+
+
+class Clock:
+    """The session's clock: goes on by what frames are said to cost."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def time_ns(self) -> int:
+        return round(1e9 * self.now_s)
+
+
+class Costly(DeviceProcessor):
+    """Frames cost so much each, to follow and for the rest."""
+
+    clock: Clock
+    follow_s = rest_s = 0.0
+    _spent_s = 0.0
+
+    def process(
+        self, frames: Sequence[LineFrame], *, follow: Sequence[bool] | None = None
+    ) -> FrameBatch:
+        self._spent_s = self.follow_s * sum((True,) * len(frames) if follow is None else follow)
+        self.clock.now_s += self._spent_s + self.rest_s * len(frames)
+        return super().process(frames, follow=follow)
+
+    @property
+    def following_s(self) -> float:
+        return self._spent_s
+
+
+@pytest.mark.parametrize(
+    ("waits", "thins", "follow_s", "most"),
+    [
+        (20, False, 3.5e-3, 5),  # the other devices wait for all that frames cost, 4 ms each
+        (60, True, 3.5e-3, 40),  # for 0.5 ms each, as one of them is followed
+        (60, True, 30e-3, 40),  # longer than a batch may take, whatever its length
+    ],
+)
+def test_batches_are_as_long_as_other_devices_can_wait(
+    waits: int, thins: bool, follow_s: float, most: int, monkeypatch: pytest.MonkeyPatch
+):
+    bench = Bench(0.4)
+    clock = Clock()
+    monkeypatch.setattr(session, "time", clock)
+    description = bench.session.description
+    slow = Costly("sim", description, "cpu")
+    slow.set_tracked(Tracked(True, tools("strobed")))
+    slow.set_calibration("nominal", exact())
+    slow.clock, slow.follow_s, slow.rest_s = clock, follow_s, 0.5e-3
+    bench.session.processor = slow
+    bench.session.thinning = thinning = Thinning(description.frame_rate_hz)
+    bench.work(0, waits)  # what frames cost is not known yet
+    lengths = [
+        len(batch.frames)
+        for first in range(waits, 5 * waits, waits)
+        for batch in bench.work(first, first + waits)
+    ]
+    assert thinning.thins == thins
+    assert most // 2 < max(lengths) <= most  # the last ones may be left for the next batch

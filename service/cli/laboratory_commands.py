@@ -50,7 +50,9 @@ def peaks(
     sensor: Annotated[str | None, typer.Option(help="Of a recording: only this one.")] = None,
     method: Annotated[
         str | None,
-        typer.Option(help="centroid, fit, chain or matched; left out: the recording's, or fit."),
+        typer.Option(
+            help="centroid, fit, chain, matched or mask; left out: the recording's, or fit."
+        ),
     ] = None,
     width: Annotated[
         float | None, typer.Option(help="Deviation of the lines \\[px]: fit, matched.")

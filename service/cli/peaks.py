@@ -8,10 +8,11 @@ from pydantic import TypeAdapter, ValidationError
 from rich.markup import escape
 from rich.table import Table
 
-from compute.errors import LumilineError
+from compute.errors import InvalidParameter, LumilineError
 from service.cli.line_files import LineFile, read_lines
 from service.cli.output import console, fail
 from service.line_scans.chain_steps import passive_chain
+from service.line_scans.mask_method import MaskMethod
 from service.line_scans.methods import WIDEST_SPREAD, FitMethod, Method, MethodName
 from service.line_scans.noise import KnownNoise
 from service.line_scans.run import find_peaks
@@ -50,7 +51,7 @@ def run(
         if settings is not None:
             chosen = _from_file(settings)
         elif read.device is not None and width_px is None and further_peaks is None:
-            chosen = recorded_method(method, read.device)
+            chosen = recorded_method(method, read.device, read.sensors)
         else:
             chosen = _named(method or "fit", width_px, further_peaks)
         found = find_peaks(read.lines, chosen, _noise(noise, read.noise), detail=detail)
@@ -91,19 +92,37 @@ def _named(name: str, width_px: float | None = None, further: bool | None = None
         return passive_chain()
     given = {"width_px": width_px, "further_peaks": further}
     known = {option: value for option, value in given.items() if value is not None}
+    if name == "mask":
+        raise fail(
+            "the method mask has to know the shadow: give it by --settings, as "
+            '{"method": "mask", "profile": "coda-mpx30"}'
+        )
     return _valid({"method": name, **known}, "--width")
 
 
-def recorded_method(name: str | None, device: "DeviceDescription") -> Method:
+def recorded_method(
+    name: str | None, device: "DeviceDescription", sensors: tuple[str, ...] | None = None
+) -> Method:
     """Return a method with the settings that the device's lines are measured with live.
 
     Args:
         name: of the method; None: the device's own, and "fit" where it has none for lines.
         device: that the lines were recorded from.
+        sensors: whose lines there are; None: of all sensors.
+
+    Raises:
+        InvalidParameter: the lines have no peaks, or what their shadows are like is not known.
     """
     from service.live.peak_finding import FREE_SHAPE, peak_method
 
     own = peak_method(device)
+    if name is None and own is None:
+        raise InvalidParameter(
+            "the lines are the outputs behind a plate with Gray tracks, which have no peaks; with "
+            "--method they are measured all the same"
+        )
+    if name == "mask" or (name is None and own == "shadow"):
+        return _recorded_mask(device, sensors)
     if name is None:
         name = own if own == "centroid" else "fit"
     if name != "fit":
@@ -116,6 +135,18 @@ def recorded_method(name: str | None, device: "DeviceDescription") -> Method:
         max_joint=FREE_SHAPE.max_joint,
         further_peaks=FREE_SHAPE.further_peaks,
     )
+
+
+def _recorded_mask(device: "DeviceDescription", sensors: tuple[str, ...] | None) -> MaskMethod:
+    """Return the method of shadows as it is live: with the profile's, magnified as they are."""
+    if device.readout != "coded-window" or device.profile is None:
+        why = "names no profile" if device.readout == "coded-window" else "has no coded windows"
+        raise InvalidParameter(
+            f"the recorded device {why}, which the method mask takes the shadow from; give a "
+            "template by --settings"
+        )
+    names = sensors or tuple(sensor.name for sensor in device.sensors)
+    return MaskMethod(profile=device.profile, sensors=list(names), fit_scale=True)
 
 
 def _from_file(path: Path) -> Method:

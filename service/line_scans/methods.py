@@ -1,6 +1,6 @@
 """How peaks are found in posted lines: compute's own settings, told apart by `method`."""
 
-from dataclasses import field
+from dataclasses import field, fields
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
@@ -10,11 +10,14 @@ from pydantic_core import ArgsKwargs
 from compute.signal.detection.detector import DetectionSettings, NoiseSource
 from compute.signal.detection.matched_filter import LENGTH_IN_WIDTHS
 from compute.signal.fit.settings import WIDTH_LIMITS_PX, BackgroundModel, FitSettings
+from compute.signal.fit.shape import LineShape
 from compute.signal.peaks import JOINT_PEAKS
 from compute.signal.settings import MAX_PIXELS, CentroidSettings, Weighting
 from service.line_scans.chain_steps import STRICT, ChainMethod
+from service.line_scans.mask_method import MaskMethod
+from service.line_scans.shape import Shape
 
-MethodName = Literal["centroid", "fit", "chain", "matched"]
+MethodName = Literal["centroid", "fit", "chain", "matched", "mask"]
 
 _SEARCH: Final = FitSettings().search
 _LOW_PX, _HIGH_PX = WIDTH_LIMITS_PX
@@ -53,10 +56,12 @@ class FitSearch(CentroidSettings):
 
 @checked_dataclass(frozen=True, config=STRICT)
 class FitMethod(FitSettings):
-    """Weighted fit of Gaussian lines integrated over the pixels, overlapping ones together.
+    """Weighted fit of lines integrated over the pixels, overlapping ones together.
 
-    A bright line that is no Gaussian is better explained by several: further peaks are looked
-    for only where a width is given, which says that the lines are Gaussian, or where asked for.
+    Lines are Gaussian where no `shape` is given. A bright line that is no Gaussian is better
+    explained by several: further peaks are looked for only where a width is given, which says that
+    the lines are Gaussian, or a shape, or where asked for. A shape has its width: `width_px` is
+    not given with it, and `width_spread`, 0 if left out, says how much it may be stretched.
     """
 
     method: Literal["fit"] = "fit"
@@ -82,21 +87,50 @@ class FitMethod(FitSettings):
         bool,
         Field(
             description="Where a line's shape does not explain the pixels, more peaks are tried. "
-            "Left out: true where `width_px` is given, and else false, as bright lines that are "
-            "not Gaussian would be split."
+            "Left out: true where `width_px` or `shape` is given, and else false, as bright lines "
+            "that are not Gaussian would be split."
         ),
     ] = False
+    shape: Annotated[
+        Shape | None,
+        Field(description="How lines are spread, where that is known; null: Gaussian."),
+    ] = None
 
     @model_validator(mode="before")
     @classmethod
     def _further_peaks(cls, given: Any) -> Any:
         if isinstance(given, ArgsKwargs):
-            return ArgsKwargs(given.args, cls._with_further_peaks(given.kwargs or {}))
-        return cls._with_further_peaks(given) if isinstance(given, dict) else given
+            return ArgsKwargs(given.args, cls._completed(given.kwargs or {}))
+        return cls._completed(given) if isinstance(given, dict) else given
 
     @staticmethod
-    def _with_further_peaks(given: dict[str, Any]) -> dict[str, Any]:
-        return {"further_peaks": "width_px" in given, **given}
+    def _completed(given: dict[str, Any]) -> dict[str, Any]:
+        if given.get("shape") is None:
+            return {"further_peaks": "width_px" in given, **given}
+        if "width_px" in given:
+            raise ValueError("width_px is given with shape, which has a width; leave it out")
+        return {"further_peaks": True, "width_spread": 0.0, **given}
+
+    @property
+    def settings(self) -> FitSettings:
+        """Compute's settings, with the width that a shape has.
+
+        Raises:
+            InvalidParameter: a shape that cannot be used.
+        """
+        plain = {one.name: getattr(self, one.name) for one in fields(FitSettings)}
+        if self.shape is not None:
+            plain["width_px"] = self.shape.width_px
+        return FitSettings(**plain)
+
+    @property
+    def line_shape(self) -> LineShape | None:
+        """Compute's shape; None: a Gaussian.
+
+        Raises:
+            InvalidParameter: a shape that cannot be used.
+        """
+        return None if self.shape is None else self.shape.line_shape
 
 
 @checked_dataclass(frozen=True, config=STRICT)
@@ -123,5 +157,6 @@ class MatchedMethod(DetectionSettings):
 
 
 Method = Annotated[
-    CentroidMethod | FitMethod | ChainMethod | MatchedMethod, Field(discriminator="method")
+    CentroidMethod | FitMethod | ChainMethod | MatchedMethod | MaskMethod,
+    Field(discriminator="method"),
 ]

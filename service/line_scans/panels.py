@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from compute.signal.fit.shape import LineShape
-from service.line_scans.methods import CentroidMethod, Method
+from service.line_scans.methods import CentroidMethod, FitMethod, Method
 from service.line_scans.schema import FittedWindow, LinePeak, LineScan
 
 Array = NDArray[np.float64]
@@ -98,8 +98,8 @@ def draw_panel(
     axes.stairs(shown, edges, baseline=None, color=PIXELS, lw=0.9, label="pixels")
     if panel.window is not None:
         # Above saturated pixels the model goes on, but not for ever.
-        high = max(high, min(_draw_fit(axes, panel.window), low + 3.0 * (high - low)))
-    elif scan.stages and len(scan.stages) > 1:
+        high = max(high, min(_draw_fit(axes, panel.window, method), low + 3.0 * (high - low)))
+    elif scan.limit_sigma is None and scan.stages and len(scan.stages) > 1:
         lowest, highest = _draw_stage(axes, scan, panel)
         low, high = min(low, lowest), max(high, highest)
     for number in panel.numbers:
@@ -161,22 +161,28 @@ def plain_flags(peak: LinePeak) -> list[str]:
     return [flag for flag in peak.flags if flag != "joint"]
 
 
-def _draw_fit(axes: Axes, window: FittedWindow) -> float:
+def _draw_fit(axes: Axes, window: FittedWindow, method: Method) -> float:
     """Draw the model between pixels too, and its lines one by one where there are several.
 
-    Returns the model's largest value.
+    A mask's shadow, which is not made of lines, is drawn pixel by pixel. Returns the model's
+    largest value.
     """
+    if not isinstance(method, FitMethod):
+        edges = window.first_px + np.arange(len(window.model) + 1) - 0.5
+        model = np.array([np.nan if value is None else value for value in window.model])
+        axes.stairs(model, edges, baseline=None, color=MODEL, lw=1.0, label="model")
+        return float(np.nanmax(model, initial=0.0))
     if window.chi2 is None or window.width_px is None or window.background_counts is None:
         return 0.0
     last = window.first_px + len(window.values) - 1
     place = np.linspace(window.first_px, last, 16 * (last - window.first_px) + 1)
     middle = 0.5 * (window.first_px + last)
     ground = window.background_counts + (window.slope_counts_per_px or 0.0) * (place - middle)
-    shape = LineShape.gaussian()
+    shape = method.line_shape or LineShape.gaussian()
     lines = []
     for position, light in zip(window.position_px, window.light_counts, strict=True):
-        above, _ = shape.at((place + 0.5 - position) / window.width_px)
-        below, _ = shape.at((place - 0.5 - position) / window.width_px)
+        above, _ = shape.at((place + 0.5 - position) / window.width_px, place_px=position)
+        below, _ = shape.at((place - 0.5 - position) / window.width_px, place_px=position)
         lines.append((light or 0.0) * (above - below))
     if len(lines) > 1:
         for number, line in enumerate(lines):

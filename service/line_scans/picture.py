@@ -39,6 +39,7 @@ _NAMES: Final = {
     "fit": "fitted",
     "chain": "by the thesis's chain",
     "matched": "by the matched filter",
+    "mask": "by the mask's shadow",
 }
 
 
@@ -72,6 +73,8 @@ def draw_line(values: Counts, found: LineScans, method: Method, title: str) -> b
         if stage is not None:
             _last_stage(whole[1], stage, scan, len(values))
         columns = _COLUMNS if rows > 1 else max(len(panels), 2)
+        if found.method == "mask":
+            columns = 1  # its window is the whole line
         for row, part in enumerate(parts[1:]):
             some = panels[row * columns : (row + 1) * columns]
             _panels(part, values, scan, some, columns, method)
@@ -120,6 +123,8 @@ def _whole_line(axes: Axes, values: Counts, scan: LineScan, found: LineScans) ->
         high = max(high, float(full))
     room = max(high - low, 1.0)
     for number, peak in enumerate(scan.peaks):
+        if not -0.5 <= peak.position_px <= len(values) - 0.5:
+            continue  # the reading of a mask's shadow may lie beyond the line
         _mark(axes, number, peak, float(_top(values, peak)) + 0.03 * room, len(scan.peaks))
     axes.set(xlim=(-0.5, len(values) - 0.5), ylabel="counts", xlabel="pixel")
     axes.set_ylim(low - 0.05 * room, high + _HEADROOM * room)
@@ -150,7 +155,10 @@ def _last_stage(axes: Axes, stage: Stage, scan: LineScan, pixels: int) -> None:
         axes.axhline(scan.limit_sigma, ls="--", color=LEVEL, lw=1.0)
         if max(stage.values) > 5.0 * scan.limit_sigma:
             _logarithmic(axes, stage.values, scan.limit_sigma)
-        text = f"answer of the matched filter; threshold {scan.limit_sigma:.2f} deviations"
+        what = "answer of the matched filter"
+        if stage.name == "correlation":
+            what = "correlation with the shadow"
+        text = f"{what}; threshold {scan.limit_sigma:.2f} deviations"
     else:
         moved = f", moved back by {stage.shift_px:.3g} px" if stage.shift_px else ""
         names = ", ".join(one.name for one in scan.stages or ())

@@ -1,17 +1,24 @@
 """REST resource /api/v1/line-scans: stateless, computed in the request's own thread."""
 
+from dataclasses import replace
+from functools import partial
 from threading import BoundedSemaphore
 from typing import Annotated, Final
 
-from fastapi import APIRouter, Body, Query
+from fastapi import APIRouter, Body, Depends, Query, Request
 from starlette.responses import Response
 
 from compute.errors import InvalidParameter
-from service.errors import Busy
+from service.devices.profiles import find_profile
+from service.errors import Busy, UnknownDeviceProfile
 from service.json_body import FromJson, JsonRoute
 from service.line_scans.examples import NEW_LINE_SCANS
-from service.line_scans.run import Lines, find_peaks, posted_lines, posted_noise
+from service.line_scans.mask_method import MaskMethod
+from service.line_scans.methods import Method
+from service.line_scans.posted import Lines, posted_lines, posted_noise
+from service.line_scans.run import find_peaks
 from service.line_scans.schema import MOST_LINES, LineScans, NewLineScans
+from service.live.line_model import FindProfile
 from service.openapi import problems
 
 router = APIRouter(prefix="/api/v1", tags=["line-scans"], route_class=JsonRoute)
@@ -35,21 +42,32 @@ LineQuery = Annotated[
 ]
 
 
+def _find_profile(request: Request) -> FindProfile:
+    return partial(find_profile, profiles_dir=request.app.state.settings.folders.profiles)
+
+
+ProfileFinder = Annotated[FindProfile, Depends(_find_profile)]
+
+
 @router.post(
     "/line-scans",
     operation_id="find-peaks",
     summary="Find the peaks of lines",
     response_model=LineScans,
-    responses=problems(InvalidParameter, Busy),
+    responses=problems(InvalidParameter, UnknownDeviceProfile, Busy),
 )
-def find_peaks_of_lines(request: NewLineScansBody) -> Response:
+def find_peaks_of_lines(request: NewLineScansBody, profile: ProfileFinder) -> Response:
     """Find the peaks of the lines that you post, by the method that you choose.
 
     Nothing is stored. With `detail`, for each pixel what the method made of it.
     """
     with _Slot():
         found = find_peaks(
-            posted_lines(request), request.method, posted_noise(request), detail=request.detail
+            posted_lines(request),
+            request.method,
+            posted_noise(request),
+            detail=request.detail,
+            find_profile=profile,
         )
         # Here and not by the framework, which would write it in the event loop.
         content = found.model_dump_json()
@@ -61,9 +79,11 @@ def find_peaks_of_lines(request: NewLineScansBody) -> Response:
     operation_id="draw-peaks",
     summary="Draw a line and its peaks",
     response_class=Response,
-    responses=problems(InvalidParameter, Busy) | {200: _PNG},
+    responses=problems(InvalidParameter, UnknownDeviceProfile, Busy) | {200: _PNG},
 )
-def draw_peaks_of_line(request: NewLineScansBody, line: LineQuery = 0) -> Response:
+def draw_peaks_of_line(
+    request: NewLineScansBody, profile: ProfileFinder, line: LineQuery = 0
+) -> Response:
     """One of the lines as a picture (PNG): its peaks, and what was fitted to them."""
     # Matplotlib is loaded by who wants a picture.
     from service.line_scans.picture import draw_line
@@ -71,8 +91,9 @@ def draw_peaks_of_line(request: NewLineScansBody, line: LineQuery = 0) -> Respon
     with _Slot():
         lines = posted_lines(request)
         chosen = chosen_line(lines, line, getattr(request.method, "average", None) or 1)
-        found = find_peaks(chosen, request.method, posted_noise(request), detail=True)
-        picture = draw_line(chosen[0], found, request.method, f"line {line}")
+        method = method_of(request.method, line, profile)
+        found = find_peaks(chosen, method, posted_noise(request), detail=True, find_profile=profile)
+        picture = draw_line(chosen[0], found, method, f"line {line}")
     return Response(picture, media_type="image/png")
 
 
@@ -89,6 +110,14 @@ def chosen_line(lines: Lines, line: int, average: int) -> Lines:
         )
     first = line // average * average
     return lines[first : first + average]
+
+
+def method_of(method: Method, line: int, profile: FindProfile) -> Method:
+    """Return the method for one line alone: behind masks, that of its own sensor."""
+    if not isinstance(method, MaskMethod) or method.profile is None:
+        return method
+    names = method.sensors or [sensor.name for sensor in profile(method.profile).sensors]
+    return replace(method, sensors=[names[line % len(names)]])
 
 
 class _Slot:

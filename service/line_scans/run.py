@@ -23,73 +23,21 @@ from compute.signal.peaks import PeakBatch, PeakFlag
 from compute.signal.reference import find_peaks_reference
 from compute.signal.settings import LEVEL_UNIT, CentroidSettings
 from service.line_scans.chain_steps import ChainMethod
+from service.line_scans.mask_method import MaskMethod
 from service.line_scans.methods import CentroidMethod, FitMethod, MatchedMethod, Method
 from service.line_scans.noise import KnownNoise, guessed_noise, line_noise, noise_at, search_limits
 from service.line_scans.schema import (
-    CHAIN_PIXELS,
-    CHAIN_TOTAL_PIXELS,
-    DETAIL_PIXELS,
-    MOST_PIXELS,
     FittedWindow,
     LinePeak,
     LineScan,
     LineScans,
-    NewLineScans,
     PixelNoise,
     Stage,
 )
+from service.line_scans.shadows import ShadowReading
+from service.live.line_model import FindProfile, built_in_profile
 
 Lines = NDArray[np.uint16]
-
-
-def posted_lines(request: NewLineScans) -> Lines:
-    """Return the lines of a request, shape (L, P).
-
-    Raises:
-        InvalidParameter: lines of different lengths, or more values than one request may have.
-    """
-    length = len(request.lines[0])
-    for number, line in enumerate(request.lines):
-        if len(line) != length:
-            raise InvalidParameter(
-                f"lines.{number} has {len(line)} values and lines.0 has {length}; all lines must "
-                "be of one length",
-                line=number,
-                length=len(line),
-            )
-    values = length * len(request.lines)
-    most, how = (DETAIL_PIXELS, "with detail") if request.detail else (MOST_PIXELS, "at once")
-    if isinstance(request.method, ChainMethod):
-        most, how = CHAIN_TOTAL_PIXELS, "for the method chain"
-    if values > most:
-        raise InvalidParameter(
-            f"the lines have {values} values; {how} they may have {most}: send them in several "
-            "requests",
-            values=values,
-        )
-    if isinstance(request.method, ChainMethod) and length > CHAIN_PIXELS:
-        raise InvalidParameter(
-            f"the lines have {length} values; for the method chain they may have {CHAIN_PIXELS}",
-            length=length,
-        )
-    return np.array(request.lines, dtype=np.uint16)
-
-
-def posted_noise(request: NewLineScans) -> PixelNoise | KnownNoise | None:
-    """Return what a request says about the noise.
-
-    Raises:
-        InvalidParameter: the offset is told twice.
-    """
-    if request.offset_counts is None:
-        return request.noise
-    if request.noise is not None:
-        raise InvalidParameter(
-            f"offset_counts is {request.offset_counts} beside noise, which has an offset_counts "
-            "of its own; give it there",
-            offset_counts=request.offset_counts,
-        )
-    return KnownNoise(offset_counts=request.offset_counts)
 
 
 def find_peaks(
@@ -98,6 +46,7 @@ def find_peaks(
     noise: PixelNoise | KnownNoise | None = None,
     *,
     detail: bool = False,
+    find_profile: FindProfile = built_in_profile,
 ) -> LineScans:
     """Find the peaks of lines of one sensor.
 
@@ -106,9 +55,11 @@ def find_peaks(
         method: how.
         noise: of the sensor; None, or known in part: the rest is guessed from the lines.
         detail: tell also about pixels.
+        find_profile: gives the profiles that a mask's method may name.
 
     Raises:
         InvalidParameter: a value above full scale, or settings that do not fit the lines.
+        UnknownDeviceProfile: the method names a profile that there is not.
     """
     assumed: list[str] = []
     if not isinstance(noise, PixelNoise):
@@ -119,6 +70,8 @@ def find_peaks(
             found = _by_chain(lines, method, noise, detail=detail)
         case MatchedMethod():
             found = _by_filter(lines, method, noise, detail=detail)
+        case MaskMethod():
+            found = _by_mask(lines, method, noise, find_profile, detail=detail)
         case _:
             found = _by_search(lines, method, noise, detail=detail)
     return LineScans(method=method.method, noise=noise, assumed=assumed, lines=found)
@@ -145,7 +98,7 @@ def _by_search(
     seen = batch = find_peaks_reference(lines, search, model)
     further = None
     if isinstance(method, FitMethod):
-        batch = fit_lines(lines, method, model, candidates=seen)
+        batch = fit_lines(lines, method.settings, model, method.line_shape, candidates=seen)
         if method.further_peaks:
             further = np.maximum(batch.count - seen.count, 0).tolist()
     limits = search_limits(lines, search, noise)
@@ -228,6 +181,42 @@ def _by_filter(
     ]
 
 
+def _by_mask(
+    lines: Lines,
+    method: MaskMethod,
+    noise: PixelNoise,
+    find_profile: FindProfile,
+    *,
+    detail: bool,
+) -> list[LineScan]:
+    pixels, model = lines.shape[1], line_noise(noise)
+    readings = [
+        ShadowReading(template, pixels, method, model)
+        for template in method.templates(pixels, find_profile)[: len(lines)]
+    ]
+    found = []
+    for line, values in enumerate(lines):
+        shadow = readings[line % len(readings)].read(values)
+        peaks = [
+            peak.model_copy(update={"response_sigma": _plain(shadow.response_sigma)})
+            for peak in _peaks(shadow.peaks, 0)
+        ]
+        found.append(
+            LineScan(
+                **_levels(values[None], noise),
+                line=line,
+                limit_counts=None,
+                limit_sigma=shadow.limit_sigma,
+                further_peaks=None,
+                peaks=peaks,
+                covariance_px2=None,
+                windows=shadow.windows if detail and method.estimator == "fit" else None,
+                stages=[shadow.stage] if detail else None,
+            )
+        )
+    return found
+
+
 @lru_cache(maxsize=8)
 def _filter(width_px: float, length_px: int | None) -> MatchedFilter:
     return gaussian_filter(width_px, length_px)
@@ -281,7 +270,7 @@ def _windows(
 ) -> list[FittedWindow] | None:
     if not isinstance(method, FitMethod):
         return None
-    return [_window(group) for group in fit_line(line, method, noise)]
+    return [_window(group) for group in fit_line(line, method.settings, noise, method.line_shape)]
 
 
 def _window(group: GroupFit) -> FittedWindow:

@@ -73,24 +73,30 @@ class NewLineScans(Given):
     detail: bool = Field(
         default=False,
         description="Also the fitted model and residuals of each pixel, the lines after each step "
-        "of the chain, or the matched filter's answer.",
+        "of the chain, the matched filter's answer, or the correlation with a mask's shadow.",
     )
 
 
 class LinePeak(Document):
     """One peak; what the method does not give is null."""
 
-    position_px: float = Field(description="0 is the centre of the first pixel.")
+    position_px: float = Field(
+        description="0 is the centre of the first pixel; of a mask the reading, which may lie "
+        "beyond the line."
+    )
     sigma_px: float | None = Field(description="Standard deviation by the noise model.")
     amplitude: float | None = Field(description="Height above the background [counts].")
-    width_px: float | None = Field(description="Full width at the peak's threshold.")
+    width_px: float | None = Field(
+        description="Full width at the peak's threshold; of a mask's shadow, of all that is lit."
+    )
     reduced_chi2: float | None = Field(description="Misfit per degree of freedom; null: no fit.")
     response_sigma: float | None = Field(
-        description="The matched filter's answer in standard deviations."
+        description="The matched filter's answer, or the correlation with a mask's shadow, in "
+        "standard deviations."
     )
     flags: tuple[str, ...] = Field(
         description="`saturated`, `clipped`, `merged`, `truncated`, `joint`, `poor-fit`, "
-        "`unfitted`."
+        "`unfitted`; of masks also `ambiguous`."
     )
 
 
@@ -112,7 +118,9 @@ class FittedWindow(Document):
     width_sigma_px: float | None
     background_counts: float | None = Field(description="In the window's middle.")
     slope_counts_per_px: float | None
-    parameters: list[str] = Field(description="Of the covariance's rows.")
+    parameters: list[str] = Field(
+        description="Of the covariance's rows; of a mask's shadow its position alone."
+    )
     covariance: list[list[float | None]] = Field(
         description="Lights in counts, the width as its logarithm."
     )
@@ -125,9 +133,13 @@ class Stage(Document):
 
     name: str
     unit: str = Field(description="`counts`, or `deviations` of the noise.")
-    shift_px: float = Field(description="By how much filters have moved it to the right so far.")
+    shift_px: float = Field(
+        description="By how much filters have moved it to the right so far: value k is of the "
+        "place k - shift_px, of a mask's correlation of that reading."
+    )
     values: list[float] = Field(
-        description="Longer than the line by what a filter with `delay` delays it."
+        description="Longer than the line by what a filter with `delay` delays it; of a mask's "
+        "correlation one for each reading that it may have."
     )
 
 
@@ -151,7 +163,8 @@ class LineScan(Document):
         "limit."
     )
     limit_sigma: float | None = Field(
-        description="The matched filter's answer is above this; null for other methods."
+        description="The matched filter's answer, or the correlation with a mask's shadow, is "
+        "above this; null for other methods."
     )
     further_peaks: int | None = Field(
         description="How many of the peaks are there only because the fit explains the pixels "

@@ -86,11 +86,24 @@ class ShadowSearch:
         index = np.rint(np.clip(shift_px, first, last) - first).astype(np.int64)
         return np.asarray(self.shares[index])
 
-    def find(self, values: Array) -> Found:
-        """Search lines of shape (L, P) [counts]."""
+    @property
+    def first_shift_px(self) -> int:
+        """The shift of the first of ``heights`` [px]."""
+        return int(self._shifts[0])
+
+    def heights(self, values: Array) -> Array:
+        """Return what ``Found.height`` is at every whole shift, shape (L, M); 0 beyond the seen.
+
+        Args:
+            values: lines, shape (L, P) [counts].
+        """
         even = values - values.mean(axis=1, keepdims=True)
         correlation = irfft(rfft(even, self._size) * self._spectrum, self._size)
-        heights = correlation[:, self._index] * self._per_contrast
+        return np.asarray(correlation[:, self._index] * self._per_contrast)
+
+    def find(self, values: Array) -> Found:
+        """Search lines of shape (L, P) [counts]."""
+        heights = self.heights(values)
         best = heights.argmax(axis=1)
         row = np.arange(len(values))
         inner = np.clip(best, 1, heights.shape[1] - 2)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from compute.errors import InvalidParameter
 from compute.optics.profiles.loader import load_profile
 from compute.signal.fit.reference import fit_lines
 from compute.signal.fit.settings import FitSettings
@@ -24,7 +25,7 @@ from service.cli.peaks import recorded_method
 from service.line_scans.methods import CentroidMethod, FitMethod
 from service.line_scans.noise import line_noise
 from service.line_scans.run import find_peaks
-from service.live.line_model import LineModel
+from service.live.line_model import LineModel, line_model
 from service.live.peak_finding import FREE_SHAPE, PeakFinding
 from tests.service.line_scans.scan_lines import NOISE, WIDTH, scenes
 
@@ -141,6 +142,48 @@ def test_recorded_lines_are_fitted_as_they_are_live(recording: Path) -> None:
     assert machine(recording, "--method", "matched")["method"] == "matched"
 
 
+@pytest.fixture(scope="module")
+def shadows(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of a device behind coded windows."""
+    path: Path = tmp_path_factory.mktemp("shadows") / "coda.h5"
+    settings = ProfileSettings(realtime=False, duration_s=0.02)
+    driver = ProfileDriver("coda", load_profile("coda-mpx30"), settings)
+    driver.open()
+    with RecordingWriter(path, driver.description) as writer:
+        for frame in islice(driver.frames(), 2):
+            writer.append(frame)
+    return path
+
+
+def test_recorded_shadows_are_read_as_they_are_live(shadows: Path) -> None:
+    with RecordingReader(shadows) as reader:
+        device, frame = reader.info.description, reader.chunk(1)[0]
+    live = PeakFinding(device, 1, line_model(device)).find(frame.lines)
+    assert live.count.tolist() == [1, 1, 1]
+    found = machine(shadows, "--frame", 1)
+    assert found["method"] == "mask"
+    assert positions(found) == [[place] for place in live.position_px[:, 0]]
+    # One sensor's line is read with that sensor's shadow.
+    for one in (["--sensor", device.sensors[2].name], ["--line", 2]):
+        assert machine(shadows, "--frame", 1, *one)["lines"] == found["lines"][2:]
+    output = shadows.with_name("shadow.png")
+    assert "1 peak" in run(shadows, "--output", output).output
+    assert output.read_bytes().startswith(b"\x89PNG")
+    assert machine(shadows, "--method", "centroid")["method"] == "centroid"
+
+
+def test_lines_without_a_shadow_that_is_known(array: Path, recording: Path, shadows: Path) -> None:
+    assert "--settings" in refusal(array, "--method", "mask")
+    assert "has no coded windows" in refusal(recording, "--method", "mask")
+    with RecordingReader(shadows) as reader:
+        device = reader.info.description
+    with pytest.raises(InvalidParameter, match="names no profile"):
+        recorded_method(None, replace(device, profile=None))
+    with pytest.raises(InvalidParameter, match="Gray tracks"):
+        recorded_method(None, replace(device, readout="gray-tracks"))
+    assert recorded_method("centroid", replace(device, readout="gray-tracks")) == CentroidMethod()
+
+
 def test_tables(array: Path, recording: Path) -> None:
     text = run(array, "--width", WIDTH).output
     for part in ("line 0: 3 peaks", "joint", "saturated", "guessed: gain", "full scale"):
@@ -188,6 +231,13 @@ def test_settings_as_rest_takes_them(array: Path) -> None:
     method = FitMethod(width_px=1.2, max_joint=1)
     ours = find_peaks(scenes(), method, NOISE, detail=True)
     assert found == json.loads(ours.model_dump_json())
+
+
+def test_the_documents_chain_takes_the_pair_apart() -> None:
+    examples = Path(__file__).parents[3] / "docs" / "examples"
+    found = machine(examples / "lines.csv", "--settings", examples / "chain.json", *GIVEN)
+    (places,) = positions(found)
+    assert places == pytest.approx([31.3, 78.2, 81.9], abs=0.3)
 
 
 def test_floating_counts_are_taken_when_whole(array: Path) -> None:

@@ -37,6 +37,15 @@ def scenes(seed: int = 1) -> NDArray[np.uint16]:
     return measured(counts, np.random.default_rng(seed), full=FULL)
 
 
+def noisy(light_counts: NDArray[np.float64], seed: int) -> NDArray[np.uint16]:
+    """Counts of pixels that get this light [counts], with the noise that NOISE says."""
+    rng = np.random.default_rng(seed)
+    electrons = rng.poisson(light_counts * NOISE.electrons_per_count).astype(np.float64)
+    electrons += rng.normal(0.0, NOISE.read_noise_electrons, electrons.shape)
+    counts = electrons / NOISE.electrons_per_count + NOISE.offset_counts
+    return np.clip(np.rint(counts), 0, 65535).astype(np.uint16)
+
+
 def body(method: dict[str, Any], **changes: Any) -> dict[str, Any]:
     """A request with both lines and their noise."""
     return {

@@ -14,7 +14,7 @@ from compute.errors import InvalidParameter
 from compute.signal.chain.signal_chain import SignalChain
 from compute.signal.detection.matched_filter import gaussian_filter
 from service.line_scans import chain_steps as steps
-from service.line_scans import methods
+from service.line_scans import mask_method, methods
 from service.line_scans.examples import NEW_LINE_SCANS
 from service.line_scans.schema import NewLineScans
 from tests.service.line_scans.scan_lines import scenes
@@ -23,24 +23,31 @@ METHOD: TypeAdapter[methods.Method] = TypeAdapter(methods.Method)
 OURS: tuple[Any, ...] = (
     methods.CentroidMethod, methods.FitMethod, methods.MatchedMethod, steps.ChainMethod,
     steps.Median, steps.Butterworth, steps.Fir, steps.Mask, steps.Polynomial, steps.Bridged,
-    steps.Areas, steps.Valley, steps.Slope,
+    steps.Areas, steps.Valley, steps.Slope, mask_method.MaskMethod,
 )  # fmt: skip
 # What has no default, to make one of each.
 NEEDED: dict[Any, dict[str, Any]] = {
     steps.Median: {"aperture": 3},
     steps.Butterworth: {"order": 4, "cutoff": 0.4},
     steps.Fir: {"taps": 5, "cutoff": 0.4},
+    mask_method.MaskMethod: {"profile": "coda-mpx30"},
 }
 # Narrower than compute's, or compute's own bound lies elsewhere: tested below, or no bound there.
 NARROWER = {
     "cutoff", "average", "width_spread", "false_alarms_per_line", "length_px", "background",
     "separation", "mask", "smoothing", "search", "areas", "line_filter", "filter_after",
-    "repeats", "rounds", "max_peaks", "aperture", "order",
+    "repeats", "rounds", "max_peaks", "aperture", "order", "ambiguous_chance", "misfit_chance",
 }  # fmt: skip
 
 # A part with compute's defaults; what a given width decides; what a request may cost.
 DEFAULTS_OF_THEIR_OWN = {
     (steps.Bridged, "mask"), (methods.FitMethod, "further_peaks"), (steps.ChainMethod, "max_peaks")
+}  # fmt: skip
+
+# What compute is given beside its settings.
+OF_THEIR_OWN = {
+    "method", "kind", "width_px", "length_px", "shape", "estimator", "template", "profile",
+    "sensors",
 }  # fmt: skip
 
 
@@ -62,7 +69,7 @@ def test_fields_and_defaults_are_compute_s(ours: Any) -> None:
             assert vars(found) == vars(default)
         elif (ours, field.name) not in DEFAULTS_OF_THEIR_OWN:
             assert found == default
-    assert set(own) <= {"method", "kind", "width_px", "length_px"}
+    assert set(own) <= OF_THEIR_OWN
 
 
 def bounds(info: FieldInfo) -> list[tuple[float, float]]:

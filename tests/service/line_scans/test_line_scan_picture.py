@@ -10,6 +10,7 @@ from PIL import Image
 
 from service.line_scans import panels, picture
 from service.line_scans.chain_steps import ChainMethod, Median, passive_chain
+from service.line_scans.mask_method import MaskMethod, Template
 from service.line_scans.methods import CentroidMethod, FitMethod, MatchedMethod, Method
 from service.line_scans.panels import panels_of
 from service.line_scans.picture import draw_line
@@ -28,6 +29,7 @@ METHODS: dict[str, Method] = {
     "chain": passive_chain(),
     "delayed": ChainMethod(line_filter=Median(aperture=4)),
     "matched": MatchedMethod(width_px=WIDTH),
+    "mask": MaskMethod(template=Template([0.0, *[1.0] * 8, *[0.0] * 4, *[1.0] * 3], 8.0)),
 }
 
 

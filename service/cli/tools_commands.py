@@ -1,5 +1,6 @@
-"""The commands of tools: list, show, watch, point. Their options only."""
+"""The commands of tools: list, show, watch, create, capture, point. Their options only."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -63,6 +64,49 @@ def watch_tools(
     from service.cli.tools import watch
 
     watch(url, key, device, frame, seconds)
+
+
+@tools.command("create")
+def create_tools(
+    file: Annotated[
+        Path, typer.Argument(help="A tool or a list as JSON, as POST takes it or GET sends it.")
+    ],
+    device: Annotated[
+        str | None, typer.Option(help="Of this device; left out: the file's.")
+    ] = None,
+    tool_id: Annotated[
+        str | None, typer.Option("--id", help="Of the one tool in the file; left out: the file's.")
+    ] = None,
+    url: Url = HERE,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make tools whose markers a file has."""
+    from service.cli.tool_files import create
+
+    create(file, device, tool_id, url, key, as_json=as_json)
+
+
+@tools.command("capture")
+def capture_tool(
+    tool: Annotated[str, typer.Argument(help="The id that it gets.")],
+    device: Annotated[str, typer.Option(help="The running device that sees it.")],
+    markers: Annotated[
+        int | None, typer.Option(help="How many it has, lit together; nothing else is lit.")
+    ] = None,
+    strobe_markers: Annotated[
+        str | None, typer.Option(help="Its slots, lit one by one: 0,1,2,3.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=0.05, max=60.0, help="How long to look.")] = 1.0,
+    title: Annotated[str | None, typer.Option(help="For people.")] = None,
+    url: Url = HERE,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a tool by showing it: hold it still until this answers."""
+    from service.cli.tool_files import capture
+
+    capture(tool, device, markers, strobe_markers, seconds, title, url, key, as_json=as_json)
 
 
 @tools.command("point")

@@ -26,6 +26,20 @@ class AsyncToolMethods(AsyncConnection):
         """Make a tool of known geometry; ``members`` as in the body of POST /api/v1/tools."""
         return await self._one(calls.create_tool(tool_id, device_id, markers_mm, members))
 
+    async def capture_tool(
+        self, tool_id: str, device_id: str, *, seconds: float = 1.0, **members: Any
+    ) -> d.Tool:
+        """Make a tool by showing it, held still, to a running device.
+
+        Args:
+            tool_id: the id that it gets.
+            device_id: the device.
+            seconds: how long it is looked at [s].
+            members: others of the body of POST /api/v1/tool-captures, such as ``markers``, how many
+                are lit together, or ``strobe_markers``, their slots.
+        """
+        return await self._one(calls.capture_tool(tool_id, device_id, seconds, members), seconds)
+
     async def delete_tool(self, tool_id: str) -> None:
         """Delete a tool."""
         await self.request("DELETE", calls.tool(tool_id).path)

@@ -27,6 +27,16 @@ def create_tool(
     return post(d.Tool, "tools", body=body)
 
 
+def capture_tool(
+    tool_id: str, device_id: str, seconds: float, members: Mapping[str, Any]
+) -> Call[d.Tool]:
+    """Make a tool of what a device sees of it."""
+    given = {"title": tool_id, **members}
+    body = {name: value for name, value in given.items() if value is not None}
+    body |= {"id": tool_id, "device": device_id, "seconds": seconds}
+    return post(d.Tool, "tool-captures", body=body)
+
+
 def tool_pose(tool_id: str, frame: str | None) -> Call[d.Pose]:
     """The newest pose of a tool."""
     return get(d.Pose, "tools", tool_id, "pose", frame=frame)

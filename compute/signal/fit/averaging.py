@@ -1,7 +1,7 @@
-"""Faint lines: their fit is averaged over the widths that their pixels leave open."""
+"""Faint lines: their covariance is averaged over the widths that their pixels leave open."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +27,13 @@ _SIDES: Final = (-1.0, 1.0)
 def average_widths(
     windows: Windows, solution: Solution, layout: Layout, settings: FitSettings, shape: LineShape
 ) -> Solution:
-    """Return fits that are averaged over the width where it is open; see ``FitSettings``.
+    """Return fits whose covariances are averages over the width where it is open.
 
     At a given width the other parameters' errors are all but normal, yet their deviations change
     with it: so each of a row of widths has its own best parameters, their covariance, and a
     weight (the nested approximation of H. Rue, S. Martino and N. Chopin,
-    10.1111/j.1467-9868.2008.00700.x).
+    10.1111/j.1467-9868.2008.00700.x). The parameters stay the best ones; see ``FitSettings``,
+    *Unknown width*.
 
     Args:
         windows: N windows.
@@ -47,13 +48,10 @@ def average_widths(
     rows = np.flatnonzero(solution.good & is_open & (settings.width_spread > 0.0))
     if len(rows) == 0:
         return solution
-    mean, spread, regular = _averaged(
-        windows[rows], solution.parameters[rows], layout, settings, shape
-    )
-    parameters, covariance = solution.parameters.copy(), solution.covariance.copy()
-    parameters[rows[regular]] = mean[regular]
+    spread, regular = _averaged(windows[rows], solution.parameters[rows], layout, settings, shape)
+    covariance = solution.covariance.copy()
     covariance[rows[regular]] = spread[regular]
-    return replace(solution, parameters=parameters, covariance=covariance)
+    return replace(solution, covariance=covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,15 +82,6 @@ class _Nodes:
         parameters[:, :-1] += self.lead * apart[:, None]
         parameters[:, -1] += apart
         return parameters
-
-    def where(self, chosen: NDArray[np.bool_], other: "_Nodes") -> "_Nodes":
-        """Return these where they are chosen, and the others elsewhere."""
-
-        def either(own: NDArray[Any], others: NDArray[Any]) -> NDArray[Any]:
-            return np.where(chosen.reshape(-1, *[1] * (own.ndim - 1)), own, others)
-
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return _Nodes(*(either(own, others) for own, others in pairs))
 
 
 def _nodes(
@@ -142,8 +131,8 @@ def _roots(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 def _averaged(
     windows: Windows, best: Array, layout: Layout, settings: FitSettings, shape: LineShape
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the parameters at mean widths, their covariances, and where there are such.
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the covariances of averages over the width, and where there are such.
 
     Args:
         windows: N windows.
@@ -154,7 +143,7 @@ def _averaged(
     """
     middle = _nodes(windows, best, layout, settings, shape)
     step = np.minimum(middle.information**-0.5, STEP_LOG_WIDTH)
-    total, widths = np.ones(len(best)), np.ones(len(best))
+    total = np.ones(len(best))
     # Moments of the distances from the middle.
     first = np.zeros_like(best)
     second = np.zeros((*best.shape, best.shape[1]))
@@ -174,18 +163,10 @@ def _averaged(
             away = np.where(going[:, None], node.parameters - middle.parameters, 0.0)
             given = np.where(going[:, None, None], node.covariance, 0.0)
             total += part
-            widths += part * np.exp(away[:, -1])
             first += part[:, None] * away
             second += part[:, None, None] * away[:, :, None] * away[:, None, :]
             second[:, :-1, :-1] += part[:, None, None] * given
             before = node
     first /= total[:, None]
     covariance = second / total[:, None, None] - first[:, :, None] * first[:, None, :]
-    # To the mean width, by steps as long as those at most.
-    way = np.log(widths / total)
-    steps = np.maximum(np.ceil(np.abs(way) / step), 1.0)
-    mean = middle
-    for number in range(int(steps.max())):
-        node = _nodes(windows, mean.moved(way / steps), layout, settings, shape)
-        mean = node.where(number < steps, mean)
-    return mean.parameters, covariance, middle.regular & mean.regular
+    return covariance, middle.regular

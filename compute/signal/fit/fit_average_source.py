@@ -1,4 +1,4 @@
-"""The native source of fits of faint lines: their mean over the widths that are open, in float64.
+"""The native source of faint lines' covariances: means over the widths that are open, in float64.
 
 It takes the same steps as ``compute.signal.fit.averaging``.
 """
@@ -49,8 +49,8 @@ AVERAGE_WIDTHS: Final = f"""
         node.m.log_w += apart;
         return find_node(node, in);
     }};
-    // Where the width is open, the model becomes that at the mean width, and its covariance the
-    // mean one of all widths and what the positions move between them.
+    // Where the width is open, the covariance becomes the mean one of all widths and what the
+    // positions move between them. The model stays the best one.
     auto average_widths = [&](Model& m, const Window& in) {{
         if (!m.open_width) return;
         const int peaks = m.peaks;
@@ -59,7 +59,7 @@ AVERAGE_WIDTHS: Final = f"""
         if (!find_node(middle, in)) return;
         double step = 1.0 / sqrt(middle.information);
         if (step > step_log_width) step = step_log_width;
-        double total = 1.0, widths = 1.0, first[joint_peaks], second[joint_peaks][joint_peaks];
+        double total = 1.0, first[joint_peaks], second[joint_peaks][joint_peaks];
         for (int a = 0; a < peaks; ++a) {{
             first[a] = 0.0;
             for (int b = 0; b <= a; ++b) second[a][b] = middle.m.covariance[a][b];
@@ -76,7 +76,6 @@ AVERAGE_WIDTHS: Final = f"""
                 if (!(weight > least_log_weight)) break;
                 const double part = exp_of(weight);
                 total += part;
-                widths += part * exp_of(node.m.log_w - middle.m.log_w);
                 for (int a = 0; a < peaks; ++a) {{
                     const double away = node.m.x[a] - middle.m.x[a];
                     first[a] += part * away;
@@ -86,20 +85,9 @@ AVERAGE_WIDTHS: Final = f"""
                 }}
             }}
         }}
-        const double way = log_of(widths / total);
-        const int steps = fabs(way) > step ? (int)ceil(fabs(way) / step) : 1;
-        Node mean = middle;
-        for (int k = 0; k < steps; ++k)
-            if (!lead_on(mean, in, way / steps)) return;
-        m.level = mean.m.level;
-        m.slope = mean.m.slope;
-        m.log_w = mean.m.log_w;
-        for (int a = 0; a < peaks; ++a) {{
-            m.light[a] = mean.m.light[a];
-            m.x[a] = mean.m.x[a];
+        for (int a = 0; a < peaks; ++a)
             for (int b = 0; b <= a; ++b)
                 m.covariance[a][b] = m.covariance[b][a] =
                     second[a][b] / total - first[a] / total * (first[b] / total);
-        }}
     }};
 """

@@ -45,8 +45,8 @@ third at 0.333 px, 91 % at 0.6 px. So narrow a line lies in one or two pixels wh
 peaks of noise would else be fitted by lines without width."""
 
 OPEN_LOG_WIDTH: Final = 0.03
-"""A fit is averaged over widths whose logarithm is known no better. Deviations grow by about three
-times its square: 0.3 % at this."""
+"""A covariance is averaged over widths whose logarithm is known no better. Deviations grow by about
+three times its square: 0.3 % at this."""
 
 LEAST_LOG_WEIGHT: Final = -7.0
 """Widths of less weight than this one's exponential, beside the best one's, end a side."""
@@ -104,16 +104,16 @@ class FitSettings:
       first window's fit does, or else the grown one's. Without ``further_peaks`` none is tried,
       and only a failed fit is repeated in the grown window.
     - *Unknown width.* Where the deviation of the width's logarithm is more than OPEN_LOG_WIDTH, or
-      it is held at a limit, the fit is averaged over widths: from the best one to either side, by
-      that deviation or STEP_LOG_WIDTH, whichever is less, as far as there are any in
+      it is held at a limit, the covariance is averaged over widths: from the best one to either
+      side, by that deviation or STEP_LOG_WIDTH, whichever is less, as far as there are any in
       WIDTH_LIMITS_PX, they weigh more than LEAST_LOG_WEIGHT, and to MOST_NODES. Each has its own
       best parameters and covariance, from the one before by one scoring step. Its weight is the
       likelihood with the prior, by the trapezoidal rule from its slopes, times the (geometric
       mean of the) positions' deviations at that width: so all shifts and scales are equally
       probable, for which Bayes's deviations are those of repeated experiments (right Haar
       measure; J. O. Berger, 10.1007/978-1-4757-4286-2, chapter 6). The covariance is that of
-      the average; the parameters are the best ones at the mean width, which err less within a
-      pixel than the mean of the parameters.
+      the average. The parameters stay the best ones: those at a mean width, or their mean, are
+      biased more within a pixel, as widths are less certain to the narrow side.
     - *Result.* Positions, standard deviations and covariances; ``amplitude`` is the fitted light
       in a pixel about the line's middle; ``width_px`` the full width at ``search``'s
       threshold of a Gaussian with the fitted width; the reduced chi-square of the group, of

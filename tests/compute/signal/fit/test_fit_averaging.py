@@ -1,4 +1,4 @@
-"""Fits averaged over an unknown width: honest where light is scarce, and nothing elsewhere."""
+"""Deviations averaged over unknown widths: honest where light is scarce, and nothing elsewhere."""
 
 import numpy as np
 import pytest
@@ -107,10 +107,9 @@ def test_the_average_is_the_posterior(width, read):
     sigma = np.sqrt(averaged.covariance[:, at, at])
     assert sigma == pytest.approx(expected, rel=0.1)
     assert np.abs(sigma / expected - 1.0).mean() < 0.02
-    # At the mean width the position is not that of the average, but near it.
-    assert (np.abs(averaged.parameters[:, at] - mean) < 0.15 * expected).all()
-    log_mean = np.log((part * np.exp(log_widths)[:, None]).sum(axis=0))
-    assert averaged.parameters[:, -1] == pytest.approx(log_mean, abs=0.1)
+    # The parameters are the best ones all the same: the average's place is biased more.
+    assert (averaged.parameters == fits.parameters).all()
+    assert np.abs(averaged.parameters[:, at] - mean).max() > 1e-3
     eigenvalues = np.linalg.eigvalsh(averaged.covariance)
     assert (eigenvalues > 0.0).all()
 

@@ -1,5 +1,6 @@
 """MaskMethod: how clients say which coded window's shadow is in their lines."""
 
+from dataclasses import replace
 from typing import Annotated, Final, Literal, Self
 
 import numpy as np
@@ -7,11 +8,13 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from compute.errors import InvalidParameter
+from compute.optics.profiles.profile import DeviceProfile
 from compute.optics.profiles.shadows import window_shadows
 from compute.signal.masks.settings import ShadowSettings
 from compute.signal.masks.template import ShadowTemplate
 from compute.signal.settings import MAX_PIXELS
 from service.devices.schema import PROFILE_PATTERN
+from service.errors import UnknownDeviceProfile
 from service.line_scans.chain_steps import STRICT
 from service.live.line_model import FindProfile
 
@@ -100,22 +103,25 @@ class MaskMethod(ShadowSettings):
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         if (self.template is None) == (self.profile is None):
-            raise ValueError("give template or profile, and not both")
+            both = "neither" if self.profile is None else "both"
+            raise InvalidParameter(
+                f"method has {both} of template and profile; give one of them, and not both"
+            )
         if self.sensors is not None and self.profile is None:
-            raise ValueError("sensors are those of a profile; give profile, or leave them out")
+            raise InvalidParameter(
+                "method.sensors are those of a profile; give profile, or leave them out"
+            )
         return self
 
     def templates(self, pixels: int, find_profile: FindProfile) -> tuple[ShadowTemplate, ...]:
         """Return the templates of lines of so many pixels: line l's is the (l mod their number)-th.
 
         Raises:
-            InvalidParameter: a template or profile that is not for these lines.
-            UnknownDeviceProfile: there is no such profile.
+            InvalidParameter: a template or profile that is not for these lines, or no such profile.
         """
         if self.template is not None:
             return (self.template.shadow,)
-        assert self.profile is not None
-        profile = find_profile(self.profile)
+        profile = self._found(find_profile)
         if profile.pixels.count != pixels:
             raise InvalidParameter(
                 f"the lines have {pixels} pixels; those of profile {profile.name} have "
@@ -136,3 +142,26 @@ class MaskMethod(ShadowSettings):
                 profile=profile.name,
             )
         return tuple(shadows[names.index(name)] for name in self.sensors or names)
+
+    def of_line(self, line: int, find_profile: FindProfile) -> "MaskMethod":
+        """Return the method for this line alone, which is of one sensor.
+
+        Raises:
+            InvalidParameter: there is no such profile.
+        """
+        if self.profile is None:
+            return self
+        names = self.sensors
+        if names is None:
+            names = [sensor.name for sensor in self._found(find_profile).sensors]
+        return replace(self, sensors=[names[line % len(names)]])
+
+    def _found(self, find_profile: FindProfile) -> DeviceProfile:
+        assert self.profile is not None
+        try:
+            return find_profile(self.profile)
+        except UnknownDeviceProfile as error:
+            # A setting among others, and not what the request is about.
+            raise InvalidParameter(
+                f"method.profile: {error.detail}", profile=self.profile
+            ) from error

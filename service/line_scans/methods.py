@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as checked_dataclass
 from pydantic_core import ArgsKwargs
 
+from compute.errors import InvalidParameter
 from compute.signal.detection.detector import DetectionSettings, NoiseSource
 from compute.signal.detection.matched_filter import LENGTH_IN_WIDTHS
 from compute.signal.fit.settings import WIDTH_LIMITS_PX, BackgroundModel, FitSettings
@@ -108,7 +109,9 @@ class FitMethod(FitSettings):
         if given.get("shape") is None:
             return {"further_peaks": "width_px" in given, **given}
         if "width_px" in given:
-            raise ValueError("width_px is given with shape, which has a width; leave it out")
+            raise InvalidParameter(
+                "method.width_px is given with shape, which has a width; leave it out"
+            )
         return {"further_peaks": True, "width_spread": 0.0, **given}
 
     @property

@@ -1,6 +1,5 @@
 """REST resource /api/v1/line-scans: stateless, computed in the request's own thread."""
 
-from dataclasses import replace
 from functools import partial
 from threading import BoundedSemaphore
 from typing import Annotated, Final
@@ -10,11 +9,10 @@ from starlette.responses import Response
 
 from compute.errors import InvalidParameter
 from service.devices.profiles import find_profile
-from service.errors import Busy, UnknownDeviceProfile
+from service.errors import Busy
 from service.json_body import FromJson, JsonRoute
 from service.line_scans.examples import NEW_LINE_SCANS
 from service.line_scans.mask_method import MaskMethod
-from service.line_scans.methods import Method
 from service.line_scans.posted import Lines, posted_lines, posted_noise
 from service.line_scans.run import find_peaks
 from service.line_scans.schema import MOST_LINES, LineScans, NewLineScans
@@ -54,7 +52,7 @@ ProfileFinder = Annotated[FindProfile, Depends(_find_profile)]
     operation_id="find-peaks",
     summary="Find the peaks of lines",
     response_model=LineScans,
-    responses=problems(InvalidParameter, UnknownDeviceProfile, Busy),
+    responses=problems(InvalidParameter, Busy),
 )
 def find_peaks_of_lines(request: NewLineScansBody, profile: ProfileFinder) -> Response:
     """Find the peaks of the lines that you post, by the method that you choose.
@@ -79,7 +77,7 @@ def find_peaks_of_lines(request: NewLineScansBody, profile: ProfileFinder) -> Re
     operation_id="draw-peaks",
     summary="Draw a line and its peaks",
     response_class=Response,
-    responses=problems(InvalidParameter, UnknownDeviceProfile, Busy) | {200: _PNG},
+    responses=problems(InvalidParameter, Busy) | {200: _PNG},
 )
 def draw_peaks_of_line(
     request: NewLineScansBody, profile: ProfileFinder, line: LineQuery = 0
@@ -91,7 +89,9 @@ def draw_peaks_of_line(
     with _Slot():
         lines = posted_lines(request)
         chosen = chosen_line(lines, line, getattr(request.method, "average", None) or 1)
-        method = method_of(request.method, line, profile)
+        method = request.method
+        if isinstance(method, MaskMethod):
+            method = method.of_line(line, profile)
         found = find_peaks(chosen, method, posted_noise(request), detail=True, find_profile=profile)
         picture = draw_line(chosen[0], found, method, f"line {line}")
     return Response(picture, media_type="image/png")
@@ -110,14 +110,6 @@ def chosen_line(lines: Lines, line: int, average: int) -> Lines:
         )
     first = line // average * average
     return lines[first : first + average]
-
-
-def method_of(method: Method, line: int, profile: FindProfile) -> Method:
-    """Return the method for one line alone: behind masks, that of its own sensor."""
-    if not isinstance(method, MaskMethod) or method.profile is None:
-        return method
-    names = method.sensors or [sensor.name for sensor in profile(method.profile).sensors]
-    return replace(method, sensors=[names[line % len(names)]])
 
 
 class _Slot:

@@ -59,7 +59,6 @@ def find_peaks(
 
     Raises:
         InvalidParameter: a value above full scale, or settings that do not fit the lines.
-        UnknownDeviceProfile: the method names a profile that there is not.
     """
     assumed: list[str] = []
     if not isinstance(noise, PixelNoise):

@@ -20,7 +20,6 @@ from service.line_scans.examples import NEW_LINE_SCANS
 from service.line_scans.mask_method import MaskMethod, Template
 from service.line_scans.noise import line_noise
 from service.line_scans.picture import draw_line
-from service.line_scans.router import method_of
 from service.line_scans.run import find_peaks
 from service.line_scans.schema import NewLineScans
 from service.live.line_model import built_in_profile
@@ -134,17 +133,28 @@ def test_a_profile_s_shadows_sensor_by_sensor(sqlite_client: Any) -> None:
     assert read(None, [0, 1, 2]) == pytest.approx(list(true.values()), abs=0.1)
     last = [names[2], names[0]]
     assert read(last, [2, 0]) == pytest.approx([true[name] for name in last], abs=0.1)
-    picked = method_of(MaskMethod(profile="coda-mpx30"), 4, built_in_profile)
-    assert isinstance(picked, MaskMethod)
-    assert picked.sensors == [names[1]]
+    # A line's picture is that of its own sensor, whichever lines there are.
+    method = MaskMethod(profile="coda-mpx30")
+    assert method.of_line(4, built_in_profile).sensors == [names[1]]
+    by_name = MaskMethod(profile="coda-mpx30", sensors=last)
+    assert by_name.of_line(3, built_in_profile).sensors == [names[0]]
+    pictures = [
+        sqlite_client.post(f"{PATH}.png?line=1", json=body(chosen, lines=counts[order].tolist()))
+        for chosen, order in (
+            ({"profile": "coda-mpx30"}, [0, 1, 2]),
+            ({"profile": "coda-mpx30", "sensors": [names[2], names[1]]}, [2, 1]),
+        )
+    ]
+    assert pictures[0].status_code == 200
+    assert pictures[0].content == pictures[1].content
 
 
 @pytest.mark.parametrize(
     ("method", "words"),
     [
-        ({}, ["body.method", "give template or profile"]),
+        ({}, ["method has neither of template and profile"]),
         ({"template": {"cells": [0.0] * 4 + [1.0] * 4, "reading_px": 1.0}, "profile": "bar"},
-         ["give template or profile, and not both"]),
+         ["method has both of template and profile"]),
         ({"template": {"cells": [1.0] * 64, "reading_px": 1.0}}, ["must have contrast"]),
         ({"template": {"cells": [0.0] * 9, "per_px": 4, "reading_px": 1.0}}, ["8 pixels or more"]),
         ({"template": {"cells": [1.0] * 7, "reading_px": 1.0}}, ["cells", "at least 8 items"]),
@@ -166,14 +176,15 @@ def test_what_is_refused(sqlite_client: Any, method: dict[str, Any], words: list
 
 def test_profiles_that_are_of_no_use(sqlite_client: Any) -> None:
     wide = [[100] * 2048]
-    for chosen, code, words in (
-        ({"profile": "none"}, 404, "no device profile"),
-        ({"profile": "bar"}, 422, "bar has no coded windows"),
-        ({"profile": "coda-mpx30", "sensors": ["nose"]}, 422, 'no sensor "nose"; it has left'),
+    for chosen, words in (
+        ({"profile": "none"}, 'method.profile: there is no device profile "none"'),
+        ({"profile": "bar"}, "bar has no coded windows"),
+        ({"profile": "coda-mpx30", "sensors": ["nose"]}, 'no sensor "nose"; it has left'),
     ):
-        answer = sqlite_client.post(PATH, json=body(chosen, lines=wide))
-        assert answer.status_code == code
-        assert words in answer.json()["detail"]
+        for path in (PATH, f"{PATH}.png"):
+            answer = sqlite_client.post(path, json=body(chosen, lines=wide))
+            assert answer.status_code == 422
+            assert words in answer.json()["detail"]
 
 
 def test_pictures(sqlite_client: Any) -> None:

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from compute.errors import InvalidParameter
 from compute.signal.fit.reference import fit_lines
@@ -143,7 +142,7 @@ def test_what_is_refused(sqlite_client: Any, changes: dict[str, Any], words: str
 
 
 def test_a_shape_has_its_width() -> None:
-    with pytest.raises(ValidationError, match="width_px is given with shape"):
+    with pytest.raises(InvalidParameter, match="width_px is given with shape"):
         FitMethod(shape=Shape(**shape(2.0)), width_px=1.0)
     free = FitMethod(shape=Shape(**shape(2.0)), width_spread=0.1, further_peaks=False)
     assert (free.width_spread, free.further_peaks) == (0.1, False)

@@ -2,19 +2,21 @@
 
 from typing import Final
 
-FULL_RATE: Final = 3
-"""Searches in vain after which the pauses grow: exposures of a tool that moved oddly soon go by."""
+PAUSE_SHARE: Final = 0.1
+"""Of the time for which it was looked for in vain: so much later it is found, at most."""
 LONGEST_NS: Final = 250_000_000
-"""Pause that is long enough, however often it was looked for in vain."""
+"""Pause that is long enough, however long it was looked for in vain."""
 
 
 class SearchPause:
     """Rations the searches of one strobed tool.
 
-    A search costs as much as following twenty exposures or more. A tool that is there is found by
-    the first, or soon; one whose readings never fit, because of a wrong calibration or another
-    tool's markers, is looked for more and more rarely: after each search in vain twice as many
-    exposures go by, or LONGEST_NS. All begins anew when there is something new to see.
+    A search costs as much as following twenty exposures or more. A tool that is seen well is found
+    by the first, or soon; one whose readings are few and often false takes thirty; one whose
+    readings never fit, because of a wrong calibration or another tool's markers, is looked for more
+    and more rarely. The pauses grow in proportion to the time for which nothing was found, so that
+    waiting adds no more than that share to it, up to LONGEST_NS. All begins anew when there is
+    something new to see.
     """
 
     def __init__(self) -> None:
@@ -23,15 +25,15 @@ class SearchPause:
 
     def forget(self) -> None:
         """Begin anew: it was found, or what is seen of it is of a new kind."""
-        self._failures = 0
-        self._left = 0
+        self._first_ns: int | None = None  # of the searches in vain
         self._failed_ns = 0
+        self._left = 0
         self._most_readings = -1
 
     @property
     def waits(self) -> bool:
         """Whether it was looked for in vain, and nothing new was seen since."""
-        return self._failures > 0
+        return self._first_ns is not None
 
     def passed(self) -> None:
         """Take in that an exposure of its markers went by."""
@@ -44,9 +46,11 @@ class SearchPause:
             time_ns: of the exposure [ns].
             readings: that a search would have; more than any before had are worth one.
         """
-        if readings > self._most_readings:
+        if self._first_ns is None or readings > self._most_readings:
             return True
-        return self._left <= 0 or time_ns - self._failed_ns >= LONGEST_NS
+        pause_ns = time_ns - self._failed_ns
+        enough_ns = PAUSE_SHARE * (self._failed_ns - self._first_ns)
+        return pause_ns >= LONGEST_NS or (self._left <= 0 and pause_ns >= enough_ns)
 
     def failed(self, time_ns: int, readings: int, exposures: int) -> None:
         """Take in that it was looked for in vain.
@@ -56,8 +60,6 @@ class SearchPause:
             readings: that the search had.
             exposures: that go by at least until there is something to find it by again.
         """
-        if readings > self._most_readings:
-            self._failures, self._most_readings = 0, readings
-        self._failures += 1
-        self._left = exposures << min(max(0, self._failures - FULL_RATE), 16)
-        self._failed_ns = time_ns
+        if self._first_ns is None or readings > self._most_readings:
+            self._first_ns, self._most_readings = time_ns, readings
+        self._failed_ns, self._left = time_ns, exposures

@@ -1,6 +1,8 @@
 """The application keeps its OpenAPI contract under generated requests, with all checks on."""
 
 import itertools
+import json
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
@@ -8,6 +10,7 @@ import pytest
 import schemathesis
 from schemathesis.config import SchemathesisConfig
 from schemathesis.core.parameters import ParameterLocation
+from schemathesis.generation.meta import TestPhase
 
 from hardware.errors import DeviceNotConnected
 from hardware.genicam.driver import GenicamDriver
@@ -21,7 +24,8 @@ from service.settings import Settings
 from tests.service.recorded_live import RecordedLive, TestClient
 
 SEED = 20031
-EXAMPLES = 15
+# The same in every run, beside the cases made of every value: more find little more.
+EXAMPLES = 8
 
 # What a JSON schema cannot say, and so is answered with 422 although the body fits it: that points
 # are enough and span space, that names differ, that a sensor exists and a reading lies on its
@@ -81,6 +85,27 @@ class Relay:
 relay = Relay()
 
 
+def shorter(schema: Any) -> Any:
+    """The same schema, with tuples of one kind as lists of that length.
+
+    Of a tuple every item is tried with every wrong value, of a list one: in a covariance of 6 by 6
+    that is the same said 36 times, at as many requests each.
+    """
+    if isinstance(schema, list):
+        return [shorter(one) for one in schema]
+    if not isinstance(schema, dict):
+        return schema
+    schema = {key: shorter(value) for key, value in schema.items()}
+    items = schema.get("prefixItems")
+    length = {schema.get("minItems"), schema.get("maxItems")}
+    if isinstance(items, list) and length == {len(items)} and items == items[:1] * len(items):
+        schema["items"] = schema.pop("prefixItems")[0]
+    return schema
+
+
+DOCUMENT = shorter(json.loads(json.dumps(relay.app.openapi())))
+
+
 def contract(accepted: list[str], *, every_value: bool = True) -> Any:
     """The schema, with the statuses that a request which fits it may be answered with."""
     config = {
@@ -89,9 +114,9 @@ def contract(accepted: list[str], *, every_value: bool = True) -> Any:
         "checks": {"positive_data_acceptance": {"expected-statuses": accepted}},
         "phases": {"coverage": {"enabled": every_value}},
     }
-    return schemathesis.openapi.from_asgi(
-        "/openapi.json", relay, config=SchemathesisConfig.from_dict(config)
-    )
+    schema = schemathesis.openapi.from_dict(DOCUMENT, config=SchemathesisConfig.from_dict(config))
+    schema.app = relay
+    return schema
 
 
 PLAIN = contract(["2xx", "404", "409"])
@@ -137,9 +162,33 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 fresh = itertools.count()
+wrong_values: Counter[tuple[str, str]] = Counter()
+"""How many came at each place of each operation's body."""
+
+
+def tried_in_turn(case: Any) -> bool:
+    """Whether this is a value of a wrong type that is left to other places of the body.
+
+    Five such values come at each of a thousand places, which are read as one of a few types: two
+    are sent, and at the next place the next two.
+    """
+    phase, data = case.meta.phase.name, case.meta.phase.data
+    if phase is not TestPhase.COVERAGE or case.meta.generation.mode.is_positive:
+        return False
+    place = data.location or ""
+    if data.parameter_location is not ParameterLocation.BODY or not place.endswith("/type"):
+        return False
+    operation_id = case.operation.definition.raw["operationId"]
+    at = (operation_id, place)
+    if at not in wrong_values:
+        wrong_values[at] = 2 * sum(1 for one, _ in wrong_values if one == operation_id)
+    wrong_values[at] += 1
+    return wrong_values[at] % 5 >= 2
 
 
 def check_contract(case: Any) -> None:
+    if tried_in_turn(case):
+        return
     fits = case.meta.generation.mode.is_positive
     operation_id = case.operation.definition.raw["operationId"]
     if fits and operation_id.startswith("create-") and operation_id != "create-key":
@@ -153,6 +202,13 @@ def check_contract(case: Any) -> None:
     if fits and answer.status_code == 422:
         # A rule beyond the schema has a type of its own.
         assert answer.json()["type"] != "/problems/invalid-request", answer.text
+    body = case.meta.components.get(ParameterLocation.BODY)
+    if case.meta.phase.name is TestPhase.COVERAGE and body is not None and body.mode.is_negative:
+        # That an id is taken or a device is none (409, 404) would say nothing of the body. What a
+        # set holds twice it may be sent twice.
+        place = case.meta.phase.data.location or ""
+        refused = answer.status_code in (400, 401, 413, 415, 422)
+        assert refused or place.endswith("/uniqueItems"), answer.text
 
 
 def contract_test(operation_id: str) -> Any:

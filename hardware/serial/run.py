@@ -207,6 +207,7 @@ class Run:
             read_noise_electrons=said.read_noise_electrons,
             offset_counts=said.offset_counts,
             markers=markers,
+            peaks=told.peaks,
             line_sigma_px=said.line_sigma_px or None,
         )
 

@@ -2,11 +2,12 @@
 
 import re
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, ClassVar, Final, get_args
 
 from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
+from hardware.driver import PeakMethod
 from hardware.simulated.bounds import check_bounds
 from hardware.strobe import StrobeSchedule
 
@@ -33,6 +34,7 @@ class SerialSettings:
         frame_rate_hz: exposures per second that it is told to make; None: its own.
         exposure_us: their duration [us]; None: its own.
         strobe: the strobe schedule that it is told; None: its own.
+        peaks: how the lines' peaks are measured.
 
     Raises:
         InvalidParameter: a value is outside of its bounds, or the URL is none.
@@ -44,6 +46,7 @@ class SerialSettings:
     frame_rate_hz: Annotated[float, Field(gt=0.0, le=100_000.0)] | None = None
     exposure_us: Annotated[float, Field(gt=0.0, le=1e7)] | None = None
     strobe: StrobeSchedule | None = None
+    peaks: PeakMethod = "fit"
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
@@ -54,4 +57,8 @@ class SerialSettings:
                 f"url is {self.url!r:.100}; it must be a serial port as /dev/ttyACM0 or COM3, "
                 "socket://HOST:PORT or rfc2217://HOST:PORT",
                 url=self.url,
+            )
+        if self.peaks not in get_args(PeakMethod):
+            raise InvalidParameter(
+                f"peaks is {self.peaks!r}; it must be 'fit' or 'centroid'", peaks=self.peaks
             )

@@ -27,6 +27,7 @@ from hardware.serial.simulated_device import SimulatedSerialDevice
 from hardware.simulated.renderer import FrameRenderer
 from hardware.simulated.settings import SimulationSettings
 from hardware.strobe import StrobeSchedule
+from service.live.peak_finding import peak_method
 from tests.hardware.serial.bench_device import (
     BenchDevice,
     bench_device,
@@ -104,6 +105,17 @@ def test_it_is_what_the_device_says_it_is(bar: BenchDevice) -> None:
     assert description.line_sigma_px == pytest.approx(said.line_sigma_px)
     driver.close()
     driver.close()
+
+
+def test_how_peaks_are_measured_is_told_and_not_said_by_the_device(bar: BenchDevice) -> None:
+    for told, expected in ((bar.told(), "fit"), (bar.told(peaks="centroid"), "centroid")):
+        driver = SerialDriver("bar", told)
+        driver.open()
+        assert driver.description.peaks == expected
+        assert peak_method(driver.description) == expected
+        driver.close()
+    with pytest.raises(InvalidParameter, match="peaks is 'best'"):
+        bar.told(peaks="best")
 
 
 def test_frames_are_the_devices_own(bar: BenchDevice, watched: Watched, tmp_path: Path) -> None:

@@ -82,6 +82,7 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
         "frames_lost": sum(
             after[name] - before[name] for name in ("frames_lost_device", "frames_dropped_ring")
         ),
+        "frames_not_followed": after["frames_not_followed"] - before["frames_not_followed"],
         "tip_error_mm": {
             "rms": float(np.sqrt(np.mean(np.square(errors)))),
             "p95": float(np.percentile(errors, 95.0)),
@@ -141,6 +142,9 @@ def _show(figures: dict[str, Any]) -> None:
     table.add_row("transforms", f"{ours['transforms']}", f"{bare['transforms']}")
     table.add_row("out of order", f"{ours['out_of_order']}", f"{bare['out_of_order']}")
     table.add_row("frames lost", f"{figures['frames_lost']}")
+    table.add_row(
+        "frames without a pose, the computer being slow", f"{figures['frames_not_followed']}"
+    )
     for what in ("latency_ms", "jitter_ms"):
         for label, value in ours[what].items():
             peer = bare[what][label]

@@ -1,5 +1,7 @@
 """What a batch of lines may be."""
 
+from typing import Final
+
 from compute.errors import InvalidParameter
 from compute.signal.settings import MAX_PIXELS, MIN_PIXELS
 
@@ -16,4 +18,29 @@ def check_size(lines: int, pixels: int) -> None:
         raise InvalidParameter(
             f"a line has {pixels} pixels; it must have {MIN_PIXELS} to {MAX_PIXELS}",
             pixels=pixels,
+        )
+
+
+MOST_VALUES: Final = 2**31 - 1
+"""Values of one of Warp's arrays."""
+
+
+def check_room(lines: int, pixels: int, record_words: int, *, copied: bool) -> None:
+    """Refuse batches whose records, or pixels where these are copied, no array has room for.
+
+    Args:
+        lines: most lines of one call.
+        pixels: of each.
+        record_words: 64-bit words of a line's record.
+        copied: the lines are brought to the device.
+
+    Raises:
+        InvalidParameter: there are more.
+    """
+    each = max(record_words, pixels if copied else 0)
+    if lines * each > MOST_VALUES:
+        raise InvalidParameter(
+            f"lines is {lines}, of {pixels} pixels each; this device takes {MOST_VALUES // each} "
+            "such lines at once: find their peaks in several batches",
+            lines=lines,
         )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.signal.native.batches import check_size
+from compute.signal.native.batches import check_room, check_size
 from compute.signal.native.cuda_sizes import BLOCK_THREADS
 from compute.signal.noise import LineNoise
 from compute.warp_host import check_threads, helpers, host_memory, warp_device
@@ -86,6 +86,7 @@ class LineRunner:
         self._lines_per_warp = lines_per_warp
         self._pixels_per_thread = pixels_per_thread
 
+        check_room(lines, pixels, record.itemsize // 8, copied=self.cuda)
         words = record.itemsize // 8 * lines
         # Records as 64-bit words, which also aligns them.
         self._records = wp.zeros(words, dtype=wp.uint64, device=self._device)

@@ -10,6 +10,7 @@ from compute.errors import InvalidParameter
 from compute.signal import finder
 from compute.signal.finder import CentroidFinder
 from compute.signal.native import runner
+from compute.signal.native.batches import check_room
 from compute.signal.noise import LineNoise
 from compute.signal.reference import find_peaks_reference
 from compute.signal.settings import CentroidSettings
@@ -160,6 +161,20 @@ def test_no_more_lines_are_read_than_were_given(count):
 def test_a_finder_that_cannot_be_is_refused_with_the_reason(lines, pixels, device, words):
     with pytest.raises(InvalidParameter, match=words):
         CentroidFinder(lines, pixels, CentroidSettings(), NOISE, device)
+
+
+def test_more_than_an_array_holds_is_refused_with_what_it_would_hold():
+    """In Warp's words it would be a ValueError that says nothing of lines."""
+    with pytest.raises(InvalidParameter, match="lines is 2147483647, of 128 pixels each"):
+        CentroidFinder(2**31 - 1, 128, CentroidSettings(), NOISE, "cpu")
+    for pixels, words, copied, most in (
+        (2048, 40, True, 2**20 - 1),
+        (2048, 40, False, 53_687_091),
+        (64, 130, True, 16_519_104),
+    ):
+        check_room(most, pixels, words, copied=copied)
+        with pytest.raises(InvalidParameter, match=f"takes {most} such lines"):
+            check_room(most + 1, pixels, words, copied=copied)
 
 
 @pytest.mark.parametrize("sensors", [1, 3, 4])

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fastapi.routing import APIRoute, iter_route_contexts
 
 from hardware.recording import RecordingWriter
 from hardware.simulated.driver import SimulatedDriver
@@ -137,13 +138,24 @@ def test_every_example_works_on_a_new_server(
             assert answer.is_success, (one.operation, one.path, answer.text)
 
 
+def test_every_operation_has_a_summary_of_its_own():
+    """Where a route has none, the document has one all the same: its function's name."""
+    routes = {
+        context.route.operation_id: context.route.summary
+        for context in iter_route_contexts(create_app(Settings()).routes)
+        if isinstance(context.route, APIRoute) and context.route.include_in_schema
+    }
+    assert set(routes) == {found["operationId"] for *_, found in operations(document())}
+    assert [name for name, summary in routes.items() if not (summary or "").strip()] == []
+
+
 def test_every_operation_is_described():
     found = document()
     tags = {tag["name"] for tag in found["tags"]}
     ids = [operation["operationId"] for _, _, operation in operations(found)]
     assert len(ids) == len(set(ids))
     for path, method, operation in operations(found):
-        assert operation["summary"], path
+        assert operation["summary"].strip(), path
         assert operation["description"], path
         assert set(operation["tags"]) <= tags
         for parameter in operation.get("parameters", []):

@@ -136,13 +136,16 @@ def efficiency(setting: Setting, count: int, seed: int = 1) -> Efficiency:
         ** 0.5
         for only in (True, False)
     )  # fmt: skip
-    first_order = first_order_errors(setting, place, lines)
+    first_order, of_free = (
+        first_order_errors(setting, place, lines, width_known=known) for known in (True, False)
+    )
     amplitude = float(electrons.max(axis=1).mean()) / GAIN
     errors = {}
     start = nearest(find(lines, known.search, read), place, width, amplitude, rng)
     for name in (KNOWN, FITTED, PRIOR, DEFAULT):
         fitted = fit_lines(lines, fit_settings(name, width), noise, candidates=start.peaks)
-        errors[name] = errors_of(own_peaks(fitted, place), fitted, place, first_order)
+        given = first_order if name == KNOWN else of_free
+        errors[name] = errors_of(own_peaks(fitted, place), fitted, place, given)
     for name, weighting in _WEIGHTINGS.items():
         settings = CentroidSettings(weighting=weighting, min_width_px=1)
         centre = nearest(find(lines, settings, read), place, width, amplitude, rng)
@@ -150,18 +153,15 @@ def efficiency(setting: Setting, count: int, seed: int = 1) -> Efficiency:
     return Efficiency(setting, float(strict), float(nuisance), float(start.found.mean()), errors)
 
 
-def first_order_errors(setting: Setting, place: Array, lines: NDArray[np.uint16]) -> Array:
+def first_order_errors(
+    setting: Setting, place: Array, lines: NDArray[np.uint16], *, width_known: bool
+) -> Array:
     """Return what noise does to the best estimate to first order; its mean is zero.
 
     Subtracted from an estimator's errors it takes most of the chance out of their mean, and
     leaves the bias: a control variate.
     """
-    layout = Layout(1, slope=False)
-    parameters = np.zeros((len(place), layout.size))
-    parameters[:, 0] = OFFSET + AMBIENT / GAIN
-    parameters[:, layout.light] = setting.light / GAIN
-    parameters[:, layout.position] = place[:, None]
-    parameters[:, -1] = np.log(setting.width_px)
+    layout, parameters = true_parameters(setting, place)
     half = int(np.ceil(_REACH_WIDTHS * setting.width_px)) + 2
     each = np.ones(len(place), dtype=np.int64)
     windows = Windows.cut(
@@ -173,11 +173,22 @@ def first_order_errors(setting: Setting, place: Array, lines: NDArray[np.uint16]
     )
     known = fit_settings(KNOWN, setting.width_px)
     model = evaluate(windows, parameters, layout, known, LineShape.gaussian())
-    jacobian = model.jacobian[:, :-1]
+    jacobian = model.jacobian[:, :-1] if width_known else model.jacobian
     weighted = jacobian / model.variance[:, None]
     score = (weighted @ (windows.values - model.mean)[..., None])[..., 0]
     step = np.linalg.solve(weighted @ jacobian.transpose(0, 2, 1), score[..., None])
     return np.asarray(step[:, layout.position.start, 0])
+
+
+def true_parameters(setting: Setting, place: Array) -> tuple[Layout, Array]:
+    """Return the parameters of lines at these places, shape (N, Q), and their order."""
+    layout = Layout(1, slope=False)
+    parameters = np.zeros((len(place), layout.size))
+    parameters[:, 0] = OFFSET + AMBIENT / GAIN
+    parameters[:, layout.light] = setting.light / GAIN
+    parameters[:, layout.position] = place[:, None]
+    parameters[:, -1] = np.log(setting.width_px)
+    return layout, parameters
 
 
 def own_peaks(found: PeakBatch, place: Array) -> NDArray[np.int64]:

@@ -45,7 +45,7 @@ def fitted(lines, options, noise=NOISE, shape=None, threads=None):
 @pytest.mark.parametrize("pixels", [64, 300, 2048, 16384])
 @pytest.mark.parametrize("options", SETTINGS.values(), ids=SETTINGS.keys())
 def test_kernel_matches_the_reference(pixels, options):
-    lines = varied_lines(96 if pixels < 4096 else 24, pixels, np.random.default_rng(pixels))
+    lines = varied_lines(48 if pixels < 4096 else 24, pixels, np.random.default_rng(pixels))
     expected = fit_lines(lines, options, NOISE)
     assert not lines_that_differ(fitted(lines, options), expected).any()
     fits = expected.flags[np.isfinite(expected.position_px)]
@@ -56,14 +56,14 @@ def test_kernel_matches_the_reference(pixels, options):
 
 
 def test_kernel_matches_the_reference_with_any_settings_noise_and_shape():
-    """Of lines of every kind; eight in a thousand may differ: of 9,600 with other seeds 32 did, and
-    19 of these 2,400 would be four deviations more.
+    """Of lines of every kind; ten in a thousand may differ: of 9,600 with other seeds 32 did, and
+    10 of these 960 would be four deviations more. (Windows wider by a thousandth: 19.)
 
     Where saturated pixels are left out or the content is random, a fit may need all of its steps:
     then the last digit says whether it ends within them.
     """
     differ = []
-    for seed in range(60):
+    for seed in range(24):
         rng = np.random.default_rng(seed)
         pixels = int(rng.integers(64, 1000))
         lines = varied_lines(40, pixels, rng)
@@ -74,7 +74,7 @@ def test_kernel_matches_the_reference_with_any_settings_noise_and_shape():
         shape = any_shape(rng) if seed % 2 else None
         expected = fit_lines(lines, options, noise, shape)
         differ.append(lines_that_differ(fitted(lines, options, noise, shape), expected))
-    assert np.mean(differ) <= 8e-3
+    assert np.sum(differ) <= 10
 
 
 def bright_lines(count, width_px, electrons, gain, rng):

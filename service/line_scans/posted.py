@@ -5,10 +5,12 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from service.line_scans.chain_steps import ChainMethod
+from service.line_scans.mask_method import MaskMethod
 from service.line_scans.noise import KnownNoise
 from service.line_scans.schema import (
     CHAIN_PIXELS,
     CHAIN_TOTAL_PIXELS,
+    CORRELATION_VALUES,
     DETAIL_PIXELS,
     MOST_PIXELS,
     NewLineScans,
@@ -48,7 +50,23 @@ def posted_lines(request: NewLineScans) -> Lines:
             f"the lines have {length} values; for the method chain they may have {CHAIN_PIXELS}",
             length=length,
         )
+    _check_correlations(request, length)
     return np.array(request.lines, dtype=np.uint16)
+
+
+def _check_correlations(request: NewLineScans, length: int) -> None:
+    """Raise InvalidParameter where the correlations that detail has would fill the memory."""
+    method = request.method
+    if not (request.detail and isinstance(method, MaskMethod) and method.template):
+        return
+    readings = length + len(method.template.cells) // method.template.per_px
+    values = readings * len(request.lines)
+    if values > CORRELATION_VALUES:
+        raise InvalidParameter(
+            f"the correlations of {len(request.lines)} lines with this template have {values} "
+            f"values; with detail they may have {CORRELATION_VALUES}: send fewer lines at once",
+            values=values,
+        )
 
 
 def posted_noise(request: NewLineScans) -> PixelNoise | KnownNoise | None:

@@ -15,6 +15,9 @@ MOST_PIXELS: Final = 512 * 1024
 DETAIL_PIXELS: Final = 65536
 """Pixels of all lines of a request in detail, whose answer has every pixel several times."""
 
+CORRELATION_VALUES: Final = 4 * DETAIL_PIXELS
+"""Values of all correlations of a request in detail, one for each reading that a line may have."""
+
 CHAIN_PIXELS: Final = 8192
 """Pixels of a line for the chain, which keeps a line of values for each peak of a line."""
 

@@ -174,6 +174,17 @@ def test_what_is_refused(sqlite_client: Any, method: dict[str, Any], words: list
         assert word in answer.json()["detail"]
 
 
+def test_detail_has_no_more_correlations_than_memory(sqlite_client: Any) -> None:
+    long = {"cells": [0.0, 1.0] * 20_000, "reading_px": 0.0}
+    request = body({"template": long}, lines=[[100] * 64] * 7, detail=True)
+    answer = sqlite_client.post(PATH, json=request)
+    assert answer.status_code == 422
+    assert "280448 values" in answer.json()["detail"]
+    assert "262144" in answer.json()["detail"]
+    post(sqlite_client, request | {"detail": False})
+    post(sqlite_client, request | {"lines": request["lines"][:6]})
+
+
 def test_profiles_that_are_of_no_use(sqlite_client: Any) -> None:
     wide = [[100] * 2048]
     for chosen, words in (

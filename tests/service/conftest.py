@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import create_engine, text
 from sqlalchemy.engine import make_url
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DBAPIError, OperationalError
 
 from service.app import create_app
 from service.database.engine import Database
@@ -34,14 +34,46 @@ def new_sqlite(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return settings.data_dir / "lumiline.sqlite3"
 
 
+@pytest.fixture(scope="session")
+def new_postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str | None]:
+    """The same of PostgreSQL: a database's name; None where databases may not be made."""
+    name = f"lumiline_{secrets.token_hex(6)}"
+    server = make_url(POSTGRES).update_query_dict({"connect_timeout": "3"})
+    engine = create_engine(server, isolation_level="AUTOCOMMIT")
+    try:
+        with engine.connect() as connection:
+            connection.execute(text(f"CREATE DATABASE {name} TEMPLATE template0"))
+    except DBAPIError:  # or no server is there: who needs a schema is told so
+        engine.dispose()
+        yield None
+        return
+    try:
+        url = make_url(POSTGRES).set(database=name).render_as_string(hide_password=False)
+        settings = Settings(data_dir=tmp_path_factory.mktemp("new"), database_url=url)
+        database = Database(url)
+        try:
+            prepare(settings, database)
+        finally:
+            database.close()
+        yield name
+    finally:
+        with engine.connect() as connection:
+            connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
+        engine.dispose()
+
+
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)])
 def database_url(request: pytest.FixtureRequest, tmp_path: Path, new_sqlite: Path) -> Iterator[str]:
     """The URL of a new database, which is removed afterwards."""
     if request.param == "sqlite":
         shutil.copy(new_sqlite, tmp_path)
         yield f"sqlite:///{tmp_path / new_sqlite.name}"
-    else:
+        return
+    template = request.getfixturevalue("new_postgres")
+    if template is None or "empty_database_url" in request.fixturenames:
         yield from postgres_schema()
+    else:
+        yield from postgres_copy(template)
 
 
 @pytest.fixture
@@ -50,6 +82,20 @@ def empty_database_url(database_url: str) -> str:
     if database_url.startswith("sqlite"):
         Path(database_url.removeprefix("sqlite:///")).unlink()
     return database_url
+
+
+def postgres_copy(template: str) -> Iterator[str]:
+    """Yield the URL of a copy of a database in the PostgreSQL server for tests."""
+    name = f"lumiline_{secrets.token_hex(6)}"
+    engine = create_engine(make_url(POSTGRES), isolation_level="AUTOCOMMIT")
+    try:
+        with engine.connect() as connection:
+            connection.execute(text(f"CREATE DATABASE {name} TEMPLATE {template}"))
+        yield make_url(POSTGRES).set(database=name).render_as_string(hide_password=False)
+        with engine.connect() as connection:
+            connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
+    finally:
+        engine.dispose()
 
 
 def postgres_schema() -> Iterator[str]:

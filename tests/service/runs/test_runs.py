@@ -292,7 +292,7 @@ def test_a_result_id_taken_meanwhile_fails_the_run(
 def running(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):  # the latter: it ended while this was read
         return False
 
 

@@ -4,13 +4,10 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from compute.errors import LumilineError
-from compute.optics.masks.fine_shadow import fine_shadow
-from compute.optics.profiles.build import light_source, mask_optics
 from compute.optics.profiles.loader import load_profile, profile_names
 from compute.optics.profiles.profile import DeviceProfile
+from compute.optics.profiles.shadows import window_shadows
 from compute.planning.volume_lines import VolumeLines, volume_lines
 from compute.signal.masks.template import ShadowTemplate
 from hardware.driver import DeviceDescription
@@ -64,7 +61,7 @@ def line_model(
                          description.name, profile.name)  # fmt: skip
             return LineModel()
         if description.readout == "coded-window":
-            return LineModel(templates=_templates(profile))
+            return LineModel(templates=window_shadows(profile))
         return LineModel(volume_lines(profile))
     except LumilineError as error:
         _log.warning("device %s: its profile tells nothing of its lines: %s",
@@ -76,19 +73,3 @@ def _is_of(profile: DeviceProfile, description: DeviceDescription) -> bool:
     pixels = {sensor.pixels for sensor in description.sensors}
     names = [sensor.name for sensor in description.sensors]
     return names == [sensor.name for sensor in profile.sensors] and pixels == {profile.pixels.count}
-
-
-def _templates(profile: DeviceProfile) -> tuple[ShadowTemplate, ...]:
-    """Return the shadow of a marker in the middle of the volume on each sensor."""
-    optics = mask_optics(profile, light_source(profile))
-    if optics is None:
-        return ()
-    return tuple(
-        fine_shadow(
-            optics,
-            np.array(profile.volume.centre_mm),
-            sensor=number,
-            direction=sensor.measured_direction,
-        )
-        for number, sensor in enumerate(profile.sensors)
-    )

@@ -4,11 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint serve clean help
+.PHONY: demo test test-thorough lint serve clean help
 
 help:
 	@echo "make demo   the main job, end to end: real service, simulated device, measured frames"
-	@echo "make test   the test suite"
+	@echo "make test   the test suite, without the few dearest tests: make test-thorough"
 	@echo "make lint   ruff, mypy --strict, import contracts"
 	@echo "make serve  the service on port 8000"
 
@@ -23,8 +23,14 @@ demo: $(STAMP)
 	$(BIN)/lumiline demo
 
 # Compiled modules are kept, also where the environment says not to: tests start many processes.
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+
 test: $(STAMP)
-	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+	$(PYTEST) --dist loadfile -m "not thorough"
+
+# By the test, not by the file: the few files that there are would leave a core idle.
+test-thorough: $(STAMP)
+	$(PYTEST) --dist worksteal -m thorough
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -87,6 +87,7 @@ def test_the_bare_websocket_is_a_stream_like_ours() -> None:
     assert figures.frames > 10
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("degree", [1, 3])
 def test_reconstruct_methods_solve_the_same_problem(degree: Degree) -> None:
     task = reconstruct.task_of(degree)

@@ -36,6 +36,7 @@ def test_detectors(scene):
     assert counts.dtype == np.uint16
 
 
+@pytest.mark.thorough
 def test_every_method_is_measured():
     rows = simulation.run(seconds=0.0)
     assert len(rows) == 8

@@ -23,6 +23,8 @@ from service.security.store import add_key
 from service.settings import Settings
 from tests.service.recorded_live import RecordedLive, TestClient
 
+pytestmark = pytest.mark.thorough
+
 SEED = 20031
 # The same in every run, beside the cases made of every value: more find little more.
 EXAMPLES = 8

@@ -5,6 +5,8 @@ from validation.map_bound import MODELS, Comparison, _by_sensors, _whole, compar
 from validation.map_bound_optotrak import ACROSS_MM, DEPTH_MM, optotrak_table
 from validation.map_bound_scene import HIGH_MM, LOW_MM, bar_scene, spread_points
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(scope="module")
 def found() -> Comparison:

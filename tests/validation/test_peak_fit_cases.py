@@ -80,6 +80,7 @@ def test_the_fit_is_at_the_bound(setting):
         assert found.errors[name].rms_px > 0.98 * known.rms_px
 
 
+@pytest.mark.thorough
 def test_the_worst_corner_by_more_lines():
     """Narrow, faint and noisy: 20 000 lines make the chance small."""
     count = 20_000

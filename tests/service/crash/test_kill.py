@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 
 from hardware.recording_reader import RecordingReader
 from tests.service.crash.clients import Clients
@@ -21,6 +22,7 @@ KILLS = int(os.environ.get("LUMILINE_TEST_KILLS", "2"))
 ENDED = {"succeeded", "failed", "cancelled", "interrupted"}
 
 
+@pytest.mark.thorough
 def test_what_was_acknowledged_is_there_after_a_kill(tmp_path: Path) -> None:
     service = ServiceProcess(tmp_path)
     chance = random.Random()  # any moment will do, and each run tries others

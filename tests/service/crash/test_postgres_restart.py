@@ -70,6 +70,7 @@ def cluster() -> Iterator[Cluster]:
         shutil.rmtree(folder)
 
 
+@pytest.mark.thorough
 @pytest.mark.postgres
 def test_requests_fail_cleanly_and_recover(cluster: Cluster, tmp_path: Path) -> None:
     service = ServiceProcess(tmp_path, cluster.url)

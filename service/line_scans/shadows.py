@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from compute.optics.masks.correlation import decode_mask
 from compute.signal.masks.fit import CLIPPED_SHARE, ShadowFitter
-from compute.signal.masks.search import ShadowSearch
+from compute.signal.masks.search import Found
 from compute.signal.masks.template import ShadowTemplate
 from compute.signal.noise import LineNoise
 from compute.signal.peaks import PeakBatch, PeakFlag
@@ -55,22 +55,22 @@ class ShadowReading:
     ) -> None:
         self._method, self._noise = method, noise
         self._fitter = ShadowFitter(template, pixels, noise, method)
-        self._search = ShadowSearch(template, pixels)
 
     def read(self, line: Lines) -> Shadow:
         """Read the shadow in one line, shape (P,)."""
-        fitter, search, noise = self._fitter, self._search, self._noise
+        fitter, search, noise = self._fitter, self._fitter.search, self._noise
         counts = line[None].astype(np.float64)
         level = max(float(counts.mean()) - noise.offset_counts[0], 0.0)
         sigma = float(np.sqrt(noise.dark_variance[0] + noise.photon_variance[0] * level))
-        heights = search.heights(counts)[0] / sigma
+        contrasts = search.heights(counts)
+        heights = contrasts[0] / sigma
         top = float(heights.max())
         peaks = PeakBatch.empty(1, 1)
         windows = []
         if self._method.estimator == "fit":
             windows = _fitted(line, fitter, noise, peaks)
         elif top > fitter.threshold_sigma:
-            _correlated(counts, fitter.template, self._method, search, sigma, peaks)
+            _correlated(counts, fitter, self._method, search.highest(contrasts), sigma, peaks)
             if (line >= noise.full_scale_counts[0]).any():
                 peaks.flags[0, 0] |= int(PeakFlag.SATURATED)
         first_px = fitter.template.reading_px + search.first_shift_px
@@ -128,21 +128,21 @@ def _fitted(
 
 def _correlated(
     counts: Array,
-    template: ShadowTemplate,
+    fitter: ShadowFitter,
     method: MaskMethod,
-    search: ShadowSearch,
+    best: Found,
     sigma: float,
     peaks: PeakBatch,
 ) -> None:
+    template = fitter.template
     found = decode_mask(counts, template.pixel_values)
-    best = search.find(counts)
     shift = float(found.shift_px[0]) - template.first_px
     flags = PeakFlag.NONE
     # As of the fit: another place is not so much less likely.
     lead = float(best.height[0] ** 2 - best.second[0] ** 2) / (2.0 * sigma**2)
     if lead < -np.log(method.ambiguous_chance):
         flags |= PeakFlag.AMBIGUOUS
-    if float(search.share(np.array([shift]))[0]) < CLIPPED_SHARE:
+    if float(fitter.search.share(np.array([shift]))[0]) < CLIPPED_SHARE:
         flags |= PeakFlag.CLIPPED
     peaks.count[0] = 1
     peaks.position_px[0, 0] = template.reading_px + shift

@@ -103,10 +103,11 @@ class ShadowFitter:
         self.pixels = pixels
         self.settings = settings or ShadowSettings()
         self._noise = noise
-        self._search = ShadowSearch(template, pixels)
+        self.search = ShadowSearch(template, pixels)
+        """Where the shadow is to the pixel."""
         self._model = Model(template, pixels, self.settings.fit_scale)
         rate = self.settings.false_alarms_per_line
-        self.threshold_sigma = float(norm.isf(rate / self._search.count))
+        self.threshold_sigma = float(norm.isf(rate / self.search.count))
         """Least correlation of a shadow, in standard deviations of that of noise."""
 
     def fit(self, lines: NDArray[np.uint16]) -> ShadowFit:
@@ -143,7 +144,7 @@ class ShadowFitter:
         """Fit a few lines and write what comes out from the place ``start`` on."""
         counts = lines.astype(np.float64)
         noise = Noise.of(self._noise, sensor)
-        first = self._search.find(counts)
+        first = self.search.find(counts)
         mean_variance = noise.variance(counts.mean(axis=1, keepdims=True))[:, 0]
         kept = np.flatnonzero(first.height > self.threshold_sigma * np.sqrt(mean_variance))
         if not len(kept):
@@ -152,7 +153,7 @@ class ShadowFitter:
         solution = solve(self._model, counts[kept], ~full, noise.rows(kept), first.shift_px[kept])
         lead = (first.height[kept] ** 2 - first.second[kept] ** 2) / (2.0 * mean_variance[kept])
         # A fit that leaves the main lobe has not refined what was found. NaN is not near either.
-        near = np.abs(solution.shift_px - first.shift_px[kept]) <= max(self._search.lobe_px, 1)
+        near = np.abs(solution.shift_px - first.shift_px[kept]) <= max(self.search.lobe_px, 1)
         good = np.flatnonzero(near & (solution.amplitude > 0.0))
         solution, place = solution.rows(good), start + kept[good]
         found[place] = True
@@ -173,7 +174,7 @@ class ShadowFitter:
     ) -> NDArray[np.int32]:
         flags = np.zeros(len(lead), dtype=np.int32)
         flags[saturated.any(axis=1)] |= int(PeakFlag.SATURATED)
-        share = self._search.share(solution.shift_px)
+        share = self.search.share(solution.shift_px)
         flags[share < CLIPPED_SHARE] |= int(PeakFlag.CLIPPED)
         flags[lead < -np.log(self.settings.ambiguous_chance)] |= int(PeakFlag.AMBIGUOUS)
         chance = chdtrc(solution.degrees, solution.chi2)

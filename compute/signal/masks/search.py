@@ -103,9 +103,13 @@ class ShadowSearch:
 
     def find(self, values: Array) -> Found:
         """Search lines of shape (L, P) [counts]."""
-        heights = self.heights(values)
+        return self.highest(self.heights(values))
+
+    def highest(self, heights: Array) -> Found:
+        """Return where ``heights`` are highest, shape (L, M)."""
+        heights = heights.copy()
         best = heights.argmax(axis=1)
-        row = np.arange(len(values))
+        row = np.arange(len(heights))
         inner = np.clip(best, 1, heights.shape[1] - 2)
         before, at, after = (heights[row, inner + step] for step in (-1, 0, 1))
         bend = before - 2.0 * at + after

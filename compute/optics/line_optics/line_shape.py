@@ -22,7 +22,7 @@ _MARGIN_PX: Final = 24  # room for the blur on both sides of a line
 # The tails of sinc^2 fall with the square of the distance and have no centre of gravity: they
 # fade out here; beyond lie 0.2 to 0.8 % of the light, more of it the narrower the stop.
 _TAIL_PX: Final = (12.0, 20.0)
-_BESIDE_PX: Final = 64.0  # light farther beside the row than this is left out
+_BESIDE_PX: Final = 64.0  # a line that lies farther beside the row than this is dark
 _LEAST_CELLS: Final = 0.5  # least width of a tube
 _BLOCK: Final = 4_000_000  # grid cells worked on at once
 
@@ -31,7 +31,8 @@ _BLOCK: Final = 4_000_000  # grid cells worked on at once
 class LineShapes:
     """N light lines on the fine grid, in readings.
 
-    Light that falls more than 64 px beside the row is not in them. Cell k of line n covers
+    A line of which any light falls within 64 px of the row is whole, but for what falls farther
+    beside the row than the row is long; any other line is dark. Cell k of line n covers
     ``first_px[n] - 1/2 + [k, k + 1] / CELLS``.
 
     Args:
@@ -108,8 +109,7 @@ def line_shapes(
     Returns:
         Lines of one grid length for all; dark ones where no ray arrives.
     """
-    tubes = _tubes(rays, height_weights_mm, row)
-    tubes.light[(tubes.low < -_BESIDE_PX) | (tubes.high > row.count + _BESIDE_PX)] = 0.0
+    tubes = _near_row(_tubes(rays, height_weights_mm, row), row.count)
     lit = tubes.light > 0.0
     dark = ~lit.any(axis=1)
     low = np.where(dark, row.middle_px, np.where(lit, tubes.low, np.inf).min(axis=1))
@@ -192,6 +192,22 @@ def _tubes(rays: RowRays, weights: Array, row: PixelRow) -> _Tubes:
         np.maximum(one, other).reshape(points, -1),
         light.reshape(points, -1),
     )
+
+
+def _near_row(tubes: _Tubes, count: int) -> _Tubes:
+    """Darken lines beside a row of ``count`` pixels; cut off what is a row's length beside it.
+
+    A line is not cut where it leaves the row: its light would jump by a whole tube's. The far cut
+    bounds the grid's length; it shares the light of the tubes that it meets.
+    """
+    near = (tubes.high >= -_BESIDE_PX) & (tubes.low <= count + _BESIDE_PX) & (tubes.light > 0.0)
+    reach = _BESIDE_PX + count
+    low = np.clip(tubes.low, -reach, count + reach)
+    high = np.clip(tubes.high, -reach, count + reach)
+    width = tubes.high - tubes.low
+    inside = (tubes.high >= -reach) & (tubes.low <= count + reach)
+    share = np.where(width > 0.0, (high - low) / np.where(width > 0.0, width, 1.0), inside)
+    return _Tubes(low, high, tubes.light * share * near.any(axis=1, keepdims=True))
 
 
 def _between(places: Array, values: Array, wanted: Array, good: NDArray[np.bool_]) -> Array:

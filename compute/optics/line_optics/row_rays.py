@@ -33,6 +33,7 @@ _FEW_TERMS: Final = 4  # of a guide where rays are lost
 _NODES: Final = np.cos(np.pi * (np.arange(_GUIDES) + 0.5) / _GUIDES)
 _AIM_TURNS: Final = 8
 _AIMED_MM: Final = 1e-9
+_HIT_MM: Final = 1e-4  # a ray that passes its height on the row by more was not aimed
 _BISECTIONS: Final = 22  # of a 33rd of the pupil: to 1e-8 of its width
 _STEEPEST: Final = 1.0  # tangent of the most slanting light along x
 _CORNERS: Final = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
@@ -121,7 +122,7 @@ class RowAim:
         # Where a ray would end is known behind the edge of a lens as well; whether it does is not.
         rays = self._through(aim, y, self._open)
         status = self._through(aim, y, self._stack).status
-        arrived = np.asarray(status == RayStatus.ARRIVED).reshape(shape)
+        arrived = ((status == RayStatus.ARRIVED) & _hit(rays, aim)).reshape(shape)
         # The ends lie on an edge, and the rounding decides to which side.
         arrived[..., 0], arrived[..., -1] = arrived[..., 1], arrived[..., -2]
         light = self._density(aim, y, slope) * rays.transmittance.mean(axis=1)
@@ -154,7 +155,7 @@ class RowAim:
         )
         aim = _Aim.of(source_mm, height_mm, pupil)
         y, slope = self._aimed(aim)
-        found = np.isfinite(self._through(aim, y, self._open).position_mm[:, 0])
+        found = _hit(self._through(aim, y, self._open), aim)
         found &= np.isfinite(y) & np.isfinite(slope) & (slope != 0.0)
         by_fan = found.reshape(pupil.shape)
         return _Guide(
@@ -176,8 +177,12 @@ class RowAim:
             if guide.rough.any():
                 rough = np.repeat(guide.rough, pupil.shape[1])
                 y[rough], _ = self._aimed(aim.part(rough), y[rough], slope[rough])
-            status = self._through(aim, y, self._stack).status
-            return np.asarray(status == RayStatus.ARRIVED).reshape(pupil.shape)
+            rays = self._through(aim, y, self._stack)
+            good = rays.status == RayStatus.ARRIVED
+            if guide.rough.any():
+                # The search may end beside a fold of the optics, where no ray meets the row.
+                good &= ~rough | _hit(rays, aim)
+            return np.asarray(good).reshape(pupil.shape)
 
         count = self._coarse
         coarse = self._centre_mm + self._reach_mm * np.linspace(-1.0, 1.0, count)
@@ -268,6 +273,11 @@ class RowAim:
         )  # fmt: skip
 
 
+def _hit(rays: TracedRays, aim: "_Aim") -> NDArray[np.bool_]:
+    """Whether rays meet the row at their heights: the search for one may end elsewhere."""
+    return np.asarray(np.abs(rays.position_mm[:, 1] - aim.height_mm) <= _HIT_MM)
+
+
 def _reach(assembly: Assembly) -> float:
     """Return how far from its middle the plane of the first vertex lets light in along x [mm].
 
@@ -317,7 +327,8 @@ class _Guide:
         reach_mm: half its width [mm].
         y_mm: coefficients, shape (K, N, 1).
         slope: coefficients, shape (K, N, 1).
-        rough: fans of which rays are lost, so that the series is not to be relied on, shape (N,).
+        rough: fans of which rays are lost or not aimed, so that the series is not to be relied on,
+            shape (N,).
     """
 
     centre_mm: float

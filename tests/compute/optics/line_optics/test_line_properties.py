@@ -1,5 +1,7 @@
 """What is true of all lines: symmetry, distance, continuity, blur, ends of the row."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,9 +22,13 @@ from tests.compute.optics.line_optics.systems import (
     cylinder,
     slit,
 )
+from tests.oracles.ray_sums import row_solid_angle_sr
 
 BLUR = Blur(880.0, 0.3)
 NO_BLUR = Blur(None, 0.0)
+FADE = 1e-3
+"""Least range of v in which the edge of a lens cuts off the light of one height on the row."""
+BESIDE_PX = 64.0
 FEW = settings(max_examples=12, deadline=None)
 
 u_angle = st.floats(-0.28, 0.28)
@@ -83,16 +89,63 @@ def test_light_falls_with_the_square_of_the_distance(u, v, z):
 @FEW
 @given(st.sampled_from(["bar", "toroid", "tilted"]), u_angle, v_angle, distances)
 def test_lines_are_continuous(name, u, v, z):
+    """The light of a line changes smoothly, but where the edge of a lens cuts it off.
+
+    There the rays left at one height on the row are those of a fan whose ends are the roots of a
+    parabola: of what is cut off within FADE of the field angle v, a step takes the root of its
+    share at most, and a first step from darkness as much. A line that lies farther than 64 px
+    beside the row is dark.
+    """
     assembly, row = SYSTEMS[name]
     step = 1e-4
-    found = TracedLines(assembly, row, BLUR).shapes(
+    traced = TracedLines(assembly, row, BLUR)
+    found = traced.shapes(
         points_at(u, v, z) + step * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     )
-    lit = found.total_sr > 0.0
-    assert lit.all() or not lit.any()
-    if lit.all():
-        np.testing.assert_allclose(found.total_sr, found.total_sr[0], rtol=1e-4)
+    light, lit = found.total_sr, found.total_sr > 0.0
+    beside = np.maximum(-found.centroid_px, found.centroid_px - row.count)
+    if lit.any() and not lit.all() and beside[lit].min() > BESIDE_PX - 1.0:
+        return
+    axis = traced.shapes(np.array([[0.0, 0.0, z]])).total_sr[0]
+    if light[0] > 0.8 * axis / (1.0 + u**2 + v**2) ** 2:
+        np.testing.assert_allclose(light, light[0], rtol=1e-4)
         np.testing.assert_allclose(found.centroid_px, found.centroid_px[0], rtol=0, atol=2e-3)
+    else:
+        assert np.ptp(light) <= axis * np.sqrt(step / z / FADE)
+
+
+@pytest.mark.parametrize("place", [(-0.2676, 0.0041, 1514.89), (0.2676, 0.1, 1514.89)])
+def test_line_that_leaves_the_row_keeps_its_light(place):
+    """Lines that end 50 to 70 px beside the row, as on a row that is long enough for them."""
+    assembly, row = SYSTEMS["toroid"]
+    long_row = replace(row, count=row.count + 1024)
+    points = points_at(*place) + np.linspace(-4.0, 4.0, 41)[:, None] * [1.0, 0.0, 0.0]
+    found = TracedLines(assembly, row, BLUR).shapes(points).total_sr
+    whole = TracedLines(assembly, long_row, BLUR).shapes(points).total_sr
+    lit = found > 0.0
+    assert lit.any()
+    assert whole.min() > 0.0
+    np.testing.assert_allclose(found[lit], whole[lit], rtol=1e-9)
+
+
+def test_lines_end_where_the_lens_ends():
+    """As much light as a plain sum of rays has; none where no ray meets the row.
+
+    Where the lens's edge cuts the light off, it is integrated over three heights on the row only.
+    """
+    assembly, row = SYSTEMS["toroid"]
+    traced = TracedLines(assembly, row, BLUR)
+    for v, rtol in ((0.1, 0.01), (0.15, 0.01), (0.1875, 0.1), (0.1885, 0.2)):
+        point = points_at(-0.0422, v, 3124.2)
+        summed = row_solid_angle_sr(assembly, point[0], (8.0, 40.0), row.height_mm)
+        assert traced.shapes(point).total_sr[0] == pytest.approx(summed, rel=rtol), v
+    beyond = [(-0.04219242642512919, 0.23722347541527167, 3124.2093821845456),
+              (0.07378086191800554, 0.23497326465477142, 3859.302800062919)]  # fmt: skip
+    beyond += [(0.07378, v, 3859.3) for v in np.linspace(0.2, 0.35, 61).tolist()]
+    points = np.concatenate([points_at(*one) for one in beyond])
+    for point in points[::6]:
+        assert row_solid_angle_sr(assembly, point, (8.0, 40.0), row.height_mm) == 0.0
+    np.testing.assert_array_equal(traced.shapes(points).total_sr, 0.0)
 
 
 def test_pixels_add_up_to_the_line():

@@ -28,9 +28,10 @@ PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BI
 test: $(STAMP)
 	$(PYTEST) --dist loadfile -m "not thorough"
 
-# By the test, not by the file: the few files that there are would leave a core idle.
+# By the test, not by the file: the few files that there are would leave a core idle. Generated
+# examples are new in each run, those of `make test` the same.
 test-thorough: $(STAMP)
-	$(PYTEST) --dist worksteal -m thorough
+	LUMILINE_TEST_EXAMPLES=random $(PYTEST) --dist worksteal -m thorough
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -62,7 +62,7 @@ def select_terms(
         progress: called with the fraction done and the candidate.
 
     Returns:
-        The terms of each sensor, and how they were chosen.
+        The terms of each sensor, and how they were chosen: none where nothing could be predicted.
     """
     count = block_count(len(observed.points_mm))
     blocks = space_blocks(observed.points_mm, count)
@@ -89,6 +89,9 @@ def select_terms(
             except (DegeneratePoints, NoConvergence, TooFewPoints) as error:
                 note = error.detail
         rows.append(_row(name, note))
+    if not scored:
+        none = ((),) * len(undistorted)
+        return none, DistortionSelection("none", _reason_unjudged(rows), tuple(rows), count)
     sigma = _deviations(observed, fits)
     losses = [_losses(one.errors_px, sigma, loss) for one in scored]
     readings = int(observed.seen.sum())
@@ -211,6 +214,24 @@ def _standard_error(
 
 def _parameters(terms: tuple[tuple[Term, ...], ...]) -> int:
     return sum(free_parameters(own) for own in terms)
+
+
+def _reason_unjudged(rows: Sequence[CandidateTerms]) -> str:
+    """Say why none is taken where no candidate, not even the one without terms, was judged."""
+    bare = next(row.note for row in rows if row.name == "none")
+    return (
+        "no candidate could be judged by points of blocks that it never saw, so no terms are "
+        f"taken; not even cameras without terms, as {bare}"
+    )
+
+
+def refusals(candidates: Sequence[CandidateTerms]) -> dict[str, list[str]]:
+    """Return why candidates were not judged: by reason, the names of those that it refused."""
+    found: dict[str, list[str]] = {}
+    for one in candidates:
+        if one.note:
+            found.setdefault(one.note, []).append(one.name)
+    return found
 
 
 def _reason(chosen: str, best: str, excess: float, error: float) -> str:

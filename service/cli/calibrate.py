@@ -10,6 +10,7 @@ from compute.calibration.crossvalidation import fitted_errors
 from compute.calibration.full import assess
 from compute.calibration.labels.finding import LabelFinding
 from compute.calibration.result import AxisErrors, Calibration, CrossValidation
+from compute.calibration.selection import refusals
 from compute.calibration.settings import CalibrationSettings, Distortion, LabelPolicy, Loss, Method
 from compute.camera.model import SensorGeometry
 from compute.errors import InvalidParameter, LumilineError
@@ -73,7 +74,11 @@ def run(
         raise fail(error.detail) from error
     console.print(fit_table(found, f"{path}: {len(table.points_mm)} points, {settings.method}"))
     if found.distortion is not None:
-        console.print(f"distortion: {found.distortion.chosen} ({found.distortion.reason})")
+        console.print(
+            f"distortion: {found.distortion.chosen} ({found.distortion.reason})", highlight=False
+        )
+        for reason, names in refusals(found.distortion.candidates).items():
+            console.print(f"not judged: {', '.join(names)}: {reason}", highlight=False)
     for finding in found.labels:
         console.print(f"[yellow]label:[/yellow] {label_in_words(finding)}", highlight=False)
     if found.labels and settings.labels == "report":

@@ -10,7 +10,11 @@ from numpy.typing import NDArray
 from compute.calibration.blocks import block_count, space_blocks
 from compute.calibration.design import check_determined
 from compute.calibration.distorted import Slits, minimise_distorted
-from compute.calibration.labels.mend import exclude, repair
+from compute.calibration.effective_readings import (
+    count_readings,
+    effective_readings,
+    repaired_readings,
+)
 from compute.calibration.outcome import with_exact_points
 from compute.calibration.result import AxisErrors, Calibration, CrossValidation
 from compute.calibration.run import calibrate
@@ -42,6 +46,26 @@ def fitted_errors(
     covariance = np.array(calibration.covariance)
     found = reconstruct(calibration.models, readings_px, sigma, covariance)
     return found.position_mm - points_mm
+
+
+def control_errors(
+    calibration: Calibration, points_mm: Array, readings_px: Array, sigma_px: Array | None = None
+) -> tuple[Array, int]:
+    """Reconstruct the control points from the readings that the calibration's fit used.
+
+    Args:
+        calibration: of these points.
+        points_mm: control points, shape (N, 3) [mm].
+        readings_px: readings as they were given, shape (N, S) [px]; NaN where not seen.
+        sigma_px: their deviations, shape (N, S) [px], or None.
+
+    Returns:
+        Reconstructed minus given points, shape (N, 3) [mm], as of ``fitted_errors``, and how many
+        readings they rest on.
+    """
+    used, sigma = effective_readings(calibration, readings_px, sigma_px)
+    differences = fitted_errors(calibration, points_mm, used, sigma)
+    return differences, count_readings(used, differences)
 
 
 def leave_one_out(
@@ -94,7 +118,7 @@ def cross_validate(
         InvalidParameter: the calibration was not made of control points.
     """
     points = np.asarray(points_mm, dtype=np.float64)
-    readings, sigma = _mended(calibration, sensors, readings_px, sigma_px)
+    readings, sigma = repaired_readings(calibration, readings_px, sigma_px)
     count = len(points) if scheme == "points" else block_count(len(points))
     groups = np.arange(count) if scheme == "points" else space_blocks(points, count)
     work, published = None, DEFAULTS
@@ -146,22 +170,6 @@ def cross_validate(
 def _rms(values: Array) -> float | None:
     here = values[np.isfinite(values)]
     return float(np.sqrt((here**2).mean())) if len(here) else None
-
-
-def _mended(
-    calibration: Calibration,
-    sensors: Sequence[SensorGeometry],
-    readings_px: Array,
-    sigma_px: Array | None,
-) -> tuple[Array, Array | None]:
-    """Return the readings that the calibration was made of."""
-    readings = np.asarray(readings_px, dtype=np.float64)
-    sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
-    policy = "off" if calibration.settings is None else calibration.settings.labels
-    if policy in ("off", "report") or not calibration.labels:
-        return readings, sigma
-    mend = exclude if policy == "exclude" else repair
-    return mend(calibration.labels, sensors, readings, sigma)
 
 
 def _again(

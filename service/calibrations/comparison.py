@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from compute.calibration.crossvalidation import fitted_errors
+from compute.calibration.effective_readings import effective_readings
 from compute.calibration.result import Calibration
 from compute.camera.model import PARAMETER_COUNT, PARAMETERS, SensorModel, Vector3, vector3
 from compute.camera.stack import CameraStack
@@ -28,7 +29,7 @@ class Controlled:
     Args:
         calibration: the calibration.
         points_mm: shape (N, 3) [mm]; N may be 0.
-        readings_px: shape (N, S) [px], NaN where not seen.
+        readings_px: as they were given, shape (N, S) [px], NaN where not seen.
         left_out_mm: errors of the points by calibrations that never saw them, shape (N, 3) [mm],
             NaN where there is none; None: not known.
     """
@@ -274,7 +275,8 @@ def _errors(held: Controlled, owner: Controlled) -> Array:
     """Return the errors of the owner's points, by a calibration that never saw them if known."""
     if held is owner and owner.left_out_mm is not None:
         return owner.left_out_mm
-    return fitted_errors(held.calibration, owner.points_mm, owner.readings_px)
+    used, _ = effective_readings(owner.calibration, owner.readings_px)
+    return fitted_errors(held.calibration, owner.points_mm, used)
 
 
 def _rms(rows_mm: Array) -> float:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from compute.calibration.crossvalidation import fitted_errors
+from compute.calibration.crossvalidation import control_errors
+from compute.calibration.effective_readings import count_readings, effective_readings
 from compute.calibration.full import assess
 from compute.calibration.result import AxisErrors, Calibration
 from compute.calibration.run import Progress
@@ -26,7 +27,6 @@ from service.calibrations.schema import (
     PointErrors,
     Provenance,
 )
-from service.calibrations.used import used_readings
 
 _RESULT = TypeAdapter(Calibration)
 _POINTS = TypeAdapter(list[ControlPoint])
@@ -92,14 +92,17 @@ def calibration_outcome(
     """
     points, observed, sigma = control_arrays(given, sensors)
     result = assess(points, observed, geometry(sensors), sigma, settings, progress)
-    left_out = next((one for one in result.cross_validation if one.scheme == "points"), None)
+    used, _ = effective_readings(result, observed)
+    left_out = {
+        check.scheme: point_errors(
+            differences := optional_rows(check.differences_mm), count_readings(used, differences)
+        )
+        for check in result.cross_validation
+    }
     errors = ControlPointErrors(
-        fitted=point_errors(
-            fitted_errors(result, points, used_readings(result, points, observed), sigma)
-        ),
-        leave_one_out=None
-        if left_out is None
-        else PointErrors(statistics=left_out.errors, differences_mm=list(left_out.differences_mm)),
+        fitted=point_errors(*control_errors(result, points, observed, sigma)),
+        leave_one_out=left_out.get("points"),
+        blocks_left_out=left_out.get("blocks"),
     )
     content = calibration_content(device_id, "fitted", given, result)
     return Outcome(result, content, errors.model_dump(mode="json"))
@@ -119,8 +122,18 @@ def control_arrays(
     return points, observed.readings_px, sigma
 
 
-def point_errors(differences_mm: NDArray[np.float64]) -> PointErrors:
-    """Return differences (N, 3) [mm] with their figures; NaN where there is no position."""
+def optional_rows(rows: Sequence[tuple[float, float, float] | None]) -> NDArray[np.float64]:
+    """Return rows as an array (N, 3); NaN for those that there are not."""
+    return np.array([(np.nan,) * 3 if row is None else row for row in rows]).reshape(-1, 3)
+
+
+def point_errors(differences_mm: NDArray[np.float64], readings: int) -> PointErrors:
+    """Return differences (N, 3) [mm] with their figures; NaN where there is no position.
+
+    Args:
+        differences_mm: reconstructed minus given points, shape (N, 3) [mm].
+        readings: how many readings they rest on.
+    """
     statistics = AxisErrors.of(differences_mm)
     return PointErrors(
         statistics=statistics if statistics.points else None,
@@ -128,6 +141,7 @@ def point_errors(differences_mm: NDArray[np.float64]) -> PointErrors:
             (row[0], row[1], row[2]) if np.isfinite(row).all() else None
             for row in differences_mm.tolist()
         ],
+        readings=readings,
     )
 
 

@@ -136,6 +136,12 @@ class PointErrors(Document):
     differences_mm: list[Vector3 | None] = Field(
         description="Reconstructed minus given, in the order of the points; null: no position."
     )
+    readings: int | None = Field(
+        default=None,
+        description="How many readings the statistics rest on: those that the calibration used, "
+        "with labels repaired or left out and without outliers that a robust loss gave no weight. "
+        "Null in documents from before it was counted.",
+    )
 
 
 class ControlPointErrors(Document):
@@ -144,7 +150,12 @@ class ControlPointErrors(Document):
     fitted: PointErrors | None = Field(description="The points that made it; null without any.")
     leave_one_out: PointErrors | None = Field(
         description="Each point by a calibration that never saw it; null without any point, or "
-        f"with more than {LEAVE_ONE_OUT_POINTS}: see the result's `cross_validation` by blocks."
+        f"with more than {LEAVE_ONE_OUT_POINTS}: see `blocks_left_out`."
+    )
+    blocks_left_out: PointErrors | None = Field(
+        default=None,
+        description="Each point by a calibration that never saw its block of space, as in the "
+        "result's `cross_validation`; null where that was not made.",
     )
 
 

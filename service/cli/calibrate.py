@@ -4,9 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+import numpy as np
 from rich.table import Table
 
-from compute.calibration.crossvalidation import fitted_errors
+from compute.calibration.crossvalidation import control_errors
+from compute.calibration.effective_readings import count_readings, effective_readings
 from compute.calibration.full import assess
 from compute.calibration.labels.finding import LabelFinding
 from compute.calibration.result import AxisErrors, Calibration, CrossValidation
@@ -69,7 +71,7 @@ def run(
             found = assess(
                 *given, sensors, table.sigma_px, settings, lambda share, _stage: done(share)
             )
-        fitted = AxisErrors.of(fitted_errors(found, *given, table.sigma_px))
+        rows = _error_rows(found, table)
     except LumilineError as error:
         raise fail(error.detail) from error
     console.print(fit_table(found, f"{path}: {len(table.points_mm)} points, {settings.method}"))
@@ -83,11 +85,12 @@ def run(
         console.print(f"[yellow]label:[/yellow] {label_in_words(finding)}", highlight=False)
     if found.labels and settings.labels == "report":
         console.print("look at them; --labels exclude or --labels repair takes them as they are")
-    if fitted.points:
-        rows = [("fitted", fitted, "")]
-        rows += [(_scheme(check), check.errors, "") for check in found.cross_validation
-                 if check.errors is not None]  # fmt: skip
-        console.print(error_table("control points, absolute errors in mm", rows))
+    if rows:
+        title = "control points, absolute errors in mm"
+        counts = [row.readings for row in rows]
+        console.print(error_table(title, [(row.label, row.errors, "") for row in rows], counts))
+        if len(set(counts)) > 1:
+            console.print("the rows are over different readings: some points were not predicted")
     else:
         console.print("fewer than three sensors saw each point: no points were reconstructed")
     for remark in found.diagnosis.remarks if found.diagnosis is not None else ():
@@ -96,6 +99,33 @@ def run(
         write_calibration(output, found)
     if report is not None:
         _report(path, table, found, report, figures)
+
+
+@dataclass(frozen=True)
+class _ErrorRow:
+    """A row of the table of errors, over the readings that the calibration used."""
+
+    label: str
+    errors: AxisErrors
+    readings: int
+
+
+def _error_rows(found: Calibration, table: ObservationTable) -> list[_ErrorRow]:
+    """Return the errors of the control points: fitted, and predicted; none without any point."""
+    readings = table.readings_px
+    differences, over = control_errors(found, table.points_mm, readings, table.sigma_px)
+    fitted = AxisErrors.of(differences)
+    if not fitted.points:
+        return []
+    rows = [_ErrorRow("fitted", fitted, over)]
+    used, _ = effective_readings(found, readings)
+    for check in found.cross_validation:
+        if check.errors is not None:
+            known = np.array(
+                [(np.nan,) * 3 if row is None else row for row in check.differences_mm]
+            )
+            rows.append(_ErrorRow(_scheme(check), check.errors, count_readings(used, known)))
+    return rows
 
 
 def _scheme(check: CrossValidation) -> str:

@@ -5,11 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 from sqlalchemy.orm import Session
 
+from compute.calibration.effective_readings import effective_readings
 from compute.errors import InvalidParameter
 from service.calibrations.controlled import controlled
 from service.calibrations.observations import observations
 from service.calibrations.schema import ControlPoint, Reading
-from service.calibrations.used import used_readings
 from service.captures.store import captured_points
 from service.database.models import CalibrationRow
 from service.devices.sensor import Sensor
@@ -103,8 +103,10 @@ def _of_calibration(row: CalibrationRow, sensors: list[Sensor]) -> Earlier:
     """Return what the calibration took of its control points, without those it left out."""
     points = [ControlPoint.model_validate(point) for point in row.content["points"]]
     held = controlled(row, sensors)
-    used = used_readings(held.calibration, held.points_mm, held.readings_px)
-    sigma = observations(points, sensors).sigma_px
+    used, sigma = effective_readings(
+        held.calibration, held.readings_px, observations(points, sensors).sigma_px
+    )
+    assert sigma is not None
     found: dict[str, dict[str, float | Reading]] = {}
     for point, values, deviations in zip(points, used, sigma, strict=True):
         found[point.name] = {

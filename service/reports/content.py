@@ -8,12 +8,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.crossvalidation import fitted_errors
-from compute.calibration.result import Calibration
+from compute.calibration.crossvalidation import control_errors
+from compute.calibration.effective_readings import (
+    count_readings,
+    effective_readings,
+    repaired_readings,
+)
+from compute.calibration.result import Calibration, CrossValidation
 from compute.calibration.weights import reading_sigma
 from compute.camera.stack import CameraStack
 from service.calibrations.comparison import Comparison, box_grid, seen_readings
-from service.calibrations.used import used_readings
 
 Array = NDArray[np.float64]
 
@@ -48,7 +52,7 @@ class ReportContent:
         calibration: the calibration.
         names: of the N control points, in the order in which they were measured.
         points_mm: shape (N, 3) [mm]; N may be 0.
-        readings_px: shape (N, S) [px], NaN where not seen.
+        readings_px: as they were given, shape (N, S) [px], NaN where not seen.
         sigma_px: the readings' own deviations, shape (N, S) [px]; None: not given.
         provenance: what is known of where it comes from, in words, by name.
         compared: another calibration that it is compared with, the second of the two in the
@@ -89,17 +93,35 @@ class ReportContent:
     def reading_sigma_px(self) -> Array:
         """Deviations of the readings as the calibration took them, shape (N, S) [px]."""
         own = np.array([fit.sigma_px for fit in self.calibration.sensors])
-        if self.sigma_px is None:
+        _, given = repaired_readings(self.calibration, self.readings_px, self.sigma_px)
+        if given is None:
             return np.broadcast_to(own, self.readings_px.shape)
-        return np.where(np.isfinite(self.sigma_px), self.sigma_px, own)
+        return np.where(np.isfinite(given), given, own)
+
+    @cached_property
+    def repaired_px(self) -> Array:
+        """The readings that the residuals are of, shape (N, S) [px]; NaN where not seen."""
+        return repaired_readings(self.calibration, self.readings_px)[0]
 
     @cached_property
     def fitted_errors_mm(self) -> Array:
         """Reconstructed minus given control points, shape (N, 3) [mm]."""
         if not len(self.points_mm):
             return np.empty((0, 3))
-        used = used_readings(self.calibration, self.points_mm, self.readings_px)
-        return fitted_errors(self.calibration, self.points_mm, used, self.sigma_px)
+        errors, _ = control_errors(
+            self.calibration, self.points_mm, self.readings_px, self.sigma_px
+        )
+        return errors
+
+    def left_out_mm(self, check: CrossValidation) -> Array:
+        """Return the errors of a cross-validation, shape (N, 3) [mm]; NaN where there is none."""
+        rows = [(np.nan,) * 3 if row is None else row for row in check.differences_mm]
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+    def count_readings(self, differences_mm: Array) -> int:
+        """Return how many readings that were used the points (N, 3) rest on; NaN: no point."""
+        used, _ = effective_readings(self.calibration, self.readings_px)
+        return count_readings(used, differences_mm)
 
     @cached_property
     def volume_mm(self) -> tuple[Array, Array] | None:

@@ -121,7 +121,7 @@ def residuals_pixels(content: ReportContent) -> Figure | None:
     figure, axes = _rows(content, "Residuals over the pixels")
     for number in range(len(content.sensors)):
         _dots(
-            axes[number, 0], content.readings_px[:, number], content.residuals_px[:, number], number
+            axes[number, 0], content.repaired_px[:, number], content.residuals_px[:, number], number
         )
     axes[-1, 0].set_xlabel("reading [px]")
     return figure
@@ -159,10 +159,10 @@ def coverage(content: ReportContent) -> Figure | None:
     figure.suptitle("Coverage")
     u, v = content.stack.field_angles(content.points_mm)
     for number, model in enumerate(content.calibration.models):
-        seen = np.isfinite(content.readings_px[:, number])
+        seen = np.isfinite(content.repaired_px[:, number])
         pixels, field, depth = axes[number]
         pixels.hist(
-            content.readings_px[seen, number], np.linspace(-0.5, model.pixels - 0.5, 33),
+            content.repaired_px[seen, number], np.linspace(-0.5, model.pixels - 0.5, 33),
             color=_style(number)[0],
         )  # fmt: skip
         pixels.set_ylabel(f"{model.name}\npoints")
@@ -184,12 +184,13 @@ def point_errors(content: ReportContent) -> Figure | None:
     """Errors of the control points along X, Y, Z: fitted, and predicted without the point."""
     series: list[tuple[str, Array]] = []
     if np.isfinite(content.fitted_errors_mm).any():
-        series.append(("fitted", content.fitted_errors_mm))
+        over = content.count_readings(content.fitted_errors_mm)
+        series.append((f"fitted, {over} readings", content.fitted_errors_mm))
     for check in content.calibration.cross_validation:
-        rows = [(np.nan,) * 3 if row is None else row for row in check.differences_mm]
+        rows = content.left_out_mm(check)
         if len(rows) == len(content.points_mm):
             label = "left out one by one" if check.scheme == "points" else "left out in blocks"
-            series.append((label, np.array(rows, dtype=np.float64).reshape(-1, 3)))
+            series.append((f"{label}, {content.count_readings(rows)} readings", rows))
     if not series:
         return None
     figure = Figure(figsize=(9.0, 5.0), layout="constrained")

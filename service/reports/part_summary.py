@@ -20,15 +20,15 @@ def summary(content: ReportContent, _draw: Draw) -> str:
     residuals = content.residuals_px[np.isfinite(content.residuals_px)]
     if len(residuals):
         facts.append(("residuals, RMS", f"{number(float(np.sqrt((residuals**2).mean())))} px"))
-    rms = _rms(content.fitted_errors_mm)
-    if rms is not None:
-        facts.append(("fitted points, RMS", f"{number(rms)} mm"))
+    errors = [("fitted points", content.fitted_errors_mm)]
     for check in calibration.cross_validation:
-        rows = [row for row in check.differences_mm if row is not None]
-        left_out = _rms(np.array(rows, dtype=np.float64).reshape(-1, 3))
-        if left_out is not None:
-            what = "points left out" if check.scheme == "points" else "blocks left out"
-            facts.append((f"{what}, RMS", f"{number(left_out)} mm"))
+        what = "points left out" if check.scheme == "points" else "blocks left out"
+        errors.append((what, content.left_out_mm(check)))
+    for what, differences in errors:
+        rms = _rms(differences)
+        if rms is not None:
+            over = content.count_readings(differences)
+            facts.append((f"{what}, RMS over {over} readings", f"{number(rms)} mm"))
     deviation = np.linalg.norm(content.volume_uncertainty_mm, axis=1)
     if np.isfinite(deviation).any():
         facts.append(("expected deviation", f"{number(float(np.nanmedian(deviation)))} mm"))

@@ -7,6 +7,7 @@ import numpy as np
 from sqlalchemy.orm import Session
 
 from compute.calibration.crossvalidation import fitted_errors
+from compute.calibration.effective_readings import count_readings
 from compute.calibration.result import Calibration
 from compute.calibration.still_set import compare
 from compute.calibration.update import check_update
@@ -71,6 +72,7 @@ def _judged(request: Request, result: Calibration) -> tuple[list[ControlPoint], 
     still = still_set(request.markers, request.device_sensors, result, request.position_sigma_mm)
     assert still.places_mm is not None
     differences = fitted_errors(result, still.places_mm, still.readings_px, still.sigma_px)
+    seen = count_readings(still.readings_px, differences)
     if not np.isfinite(differences).any():
         return points, none
-    return points, ControlPointErrors(fitted=point_errors(differences), leave_one_out=None)
+    return points, ControlPointErrors(fitted=point_errors(differences, seen), leave_one_out=None)

@@ -153,6 +153,8 @@ def test_it_says_what_the_calibration_found(content: ReportContent, page: str):
     rms = float(np.sqrt((errors**2).sum(axis=1)[np.isfinite(errors).all(axis=1)].mean()))
     assert rms < 1.0
     assert f"{number(rms)} mm" in text
+    used = int(np.isfinite(content.readings_px).sum()) - 2
+    assert text.count(f"RMS over {used} readings") == 3
     assert len(content.calibration.cross_validation) == 2
     for check in content.calibration.cross_validation:
         assert check.errors is not None

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from compute.calibration.crossvalidation import cross_validate
 from compute.calibration.diagnosis import diagnose
+from compute.calibration.effective_readings import effective_readings
 from compute.calibration.result import Calibration
 from compute.calibration.run import calibrate
 from compute.calibration.settings import DEFAULTS, CalibrationSettings
@@ -46,5 +47,6 @@ def assess(
     if len(points_mm) <= POINTS_ONE_BY_ONE:
         checks.append(cross_validate(found, *given, "points", part(0.5, 0.75)))
     checks.append(cross_validate(found, *given, "blocks", part(0.75, 0.9)))
-    diagnosis = diagnose(found, points_mm, readings_px, part(0.9, 1.0))
+    used, _ = effective_readings(found, readings_px)
+    diagnosis = diagnose(found, points_mm, used, part(0.9, 1.0))
     return replace(found, cross_validation=tuple(checks), diagnosis=diagnosis)

@@ -7,6 +7,7 @@ import pytest
 
 from compute.calibration.crossvalidation import control_errors, fitted_errors
 from compute.calibration.effective_readings import count_readings, effective_readings
+from compute.calibration.full import assess
 from compute.calibration.run import calibrate
 from compute.calibration.settings import CalibrationSettings, LabelPolicy
 from compute.camera.stack import CameraStack
@@ -78,6 +79,22 @@ def test_outliers_without_weight_count_in_no_error() -> None:
     independent = triangulate(CameraStack.of(found.models).project, expected, sigma, points)
     # The calibration's covariance weighs besides: a part of the noise's effect.
     assert np.abs(errors - (independent - points)).max() < 0.1
+
+
+def test_outliers_without_weight_cover_no_pixels() -> None:
+    points, clean, _, _ = exchanged()
+    spoilt = clean.copy()
+    far = int(clean[:, 0].argmax())
+    spoilt[far, 0] += 200.0
+    found = assess(
+        points, spoilt, geometry(rig()), np.full(clean.shape, SIGMA),
+        CalibrationSettings(loss="robust"),
+    )  # fmt: skip
+    assert np.array(found.reading_weights)[far, 0] == 0.0
+    assert found.diagnosis is not None
+    low, high = found.diagnosis.sensors[0].pixels
+    assert low == clean[:, 0].min()
+    assert high == np.delete(clean[:, 0], far).max()
 
 
 def test_readings_of_points_that_were_not_reconstructed_do_not_count() -> None:

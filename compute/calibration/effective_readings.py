@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.labels.mend import exclude, repair
+from compute.calibration.mislabels.repair import exclude, repair
 from compute.calibration.result import Calibration
 from compute.camera.model import SensorGeometry
 

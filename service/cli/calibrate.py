@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from rich.table import Table
 
-from compute.calibration.crossvalidation import control_errors
+from compute.calibration.assessment.cross_validation import control_errors
+from compute.calibration.calibrate_and_assess import calibrate_and_assess
+from compute.calibration.distortion_selection import refusals
 from compute.calibration.effective_readings import count_readings, effective_readings
-from compute.calibration.full import assess
-from compute.calibration.labels.finding import LabelFinding
+from compute.calibration.mislabels.finding import LabelFinding
 from compute.calibration.result import AxisErrors, Calibration, CrossValidation
-from compute.calibration.selection import refusals
 from compute.calibration.settings import CalibrationSettings, Distortion, LabelPolicy, Loss, Method
 from compute.camera.model import SensorGeometry
 from compute.errors import InvalidParameter, LumilineError
@@ -68,7 +68,7 @@ def run(
         sensors = [SensorGeometry(name, options.pixels, options.pitch_um) for name in table.sensors]
         given = table.points_mm, table.readings_px
         with progress("calibrating", 1.0) as done:
-            found = assess(
+            found = calibrate_and_assess(
                 *given, sensors, table.sigma_px, settings, lambda share, _stage: done(share)
             )
         rows = _error_rows(found, table)
@@ -82,7 +82,7 @@ def run(
         for reason, names in refusals(found.distortion.candidates).items():
             console.print(f"not judged: {', '.join(names)}: {reason}", highlight=False)
     for finding in found.labels:
-        console.print(f"[yellow]label:[/yellow] {label_in_words(finding)}", highlight=False)
+        console.print(f"[yellow]label:[/yellow] {label_message(finding)}", highlight=False)
     if found.labels and settings.labels == "report":
         console.print("look at them; --labels exclude or --labels repair takes them as they are")
     if rows:
@@ -144,8 +144,8 @@ def write_calibration(path: Path, found: Calibration) -> None:
 def _report(
     source: Path, table: ObservationTable, found: Calibration, page: Path, figures: Path | None
 ) -> None:
-    from service.reports.content import ReportContent
-    from service.reports.write import write_report
+    from service.api.reports.content import ReportContent
+    from service.api.reports.export import write_report
 
     names = [str(number) for number in range(1, len(table.points_mm) + 1)]
     content = ReportContent(
@@ -177,13 +177,13 @@ def fit_table(found: Calibration, title: str) -> Table:
     return fits
 
 
-def label_in_words(finding: LabelFinding) -> str:
+def label_message(finding: LabelFinding) -> str:
     """Return what a finding says, in a sentence; points counted from 1."""
     where = "all sensors" if finding.sensor is None else f"sensor {finding.sensor}"
     points = [str(point) for point in finding.points]
     sure = f"probability {finding.probability:.3g}"
     if finding.kind == "wrong":
-        off = finding.off_px[0] if finding.off_px else None
+        off = finding.residual_px[0] if finding.residual_px else None
         by = "" if off is None else f", off by {off:.4g} px"
         return f"{where}: the reading of point {points[0]} is wrong{by} ({sure})"
     if finding.kind == "missing":

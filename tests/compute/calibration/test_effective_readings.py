@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from compute.calibration.crossvalidation import control_errors, fitted_errors
+from compute.calibration.assessment.cross_validation import control_errors, fitted_errors
+from compute.calibration.calibrate import calibrate
+from compute.calibration.calibrate_and_assess import assess
 from compute.calibration.effective_readings import count_readings, effective_readings
-from compute.calibration.full import assess
-from compute.calibration.run import calibrate
 from compute.calibration.settings import CalibrationSettings, LabelPolicy
 from compute.camera.stack import CameraStack
 from tests.compute.rig import control_points, geometry, project, rig

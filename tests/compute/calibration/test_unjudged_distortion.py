@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from compute.calibration.full import assess
-from compute.calibration.selection import refusals
+from compute.calibration.calibrate_and_assess import assess
+from compute.calibration.distortion_selection import refusals
 from compute.calibration.settings import CalibrationSettings
-from compute.calibration.terms import AUTO_CANDIDATES
+from compute.calibration.single_sensor.distortion_terms import AUTO_CANDIDATES
 from compute.camera.model import SensorGeometry
 from tests.compute.rig import geometry, project, rig
 from validation.thesis_data import load_test

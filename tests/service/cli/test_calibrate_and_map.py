@@ -14,7 +14,7 @@ from compute.camera.field_distortion import FieldDistortion
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from service.cli import app
-from service.cli.calibrate import label_in_words
+from service.cli.calibrate import label_message
 from service.cli.calibration_file import read_calibration
 from tests.compute.rig import rig
 from tests.service.cli.test_commands import QUICK, frame_csv, here
@@ -158,7 +158,7 @@ def test_map_writes_a_table_that_mends_a_plain_calibration(
 ) -> None:
     plain, table = tmp_path / "plain.json", tmp_path / "table.h5"
     here("calibrate", mapping_csv, "--pixels", "2048", *QUICK, "--output", plain)
-    given = ("map", mapping_csv, "--calibration", plain, "--own-points", "--output", table)
+    given = ("map", mapping_csv, "--calibration", plain, "--calibration-points", "--output", table)
     shown = here(*given).stdout
     assert "s1" in shown
     with h5py.File(table) as file:
@@ -183,13 +183,13 @@ def test_map_refuses_with_a_reason(mapping_csv: Path, frame_csv: Path, tmp_path:
 
 
 def test_findings_are_told_in_words() -> None:
-    from compute.calibration.labels.finding import LabelFinding
+    from compute.calibration.mislabels.finding import LabelFinding
 
     exchanged = LabelFinding("exchanged", "cam4", (14, 16), 0.999, (12.0, -11.0), (9.0, -8.0))
-    assert label_in_words(exchanged) == (
+    assert label_message(exchanged) == (
         "sensor cam4: the readings of points 14 and 16 are exchanged (probability 0.999)"
     )
     wrong = LabelFinding("wrong", "cam1", (3,), 1.0, (25.0,), (20.0,))
-    assert "point 3 is wrong, off by 25 px" in label_in_words(wrong)
+    assert "point 3 is wrong, off by 25 px" in label_message(wrong)
     missing = LabelFinding("missing", None, (4, 7), 0.9, (25.0, None), (20.0, None))
-    assert label_in_words(missing).startswith("all sensors: the reading of point 4 is point 7's")
+    assert label_message(missing).startswith("all sensors: the reading of point 4 is point 7's")

@@ -15,7 +15,7 @@ from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX, BackgroundModel, Fi
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import MAX_JOINT_PEAKS
 from service.api.line_scans.chain_steps import STRICT, ChainMethod
-from service.api.line_scans.estimate_background import Shape
+from service.api.line_scans.line_spread import Shape
 from service.api.line_scans.mask_method import MaskMethod
 
 MethodName = Literal["centroid", "fit", "chain", "matched", "mask"]

@@ -64,6 +64,7 @@ async def running(
         manager = _live_manager(settings) if live is None else live
         closed_at_the_end(manager)
         app.state.live = manager
+        app.state.streams = manager.streams
         stack.callback(setattr, app.state, "live", None)
         app.state.operation = DeviceService(database, manager, settings.folders)
         recordings = RecordingManager(
@@ -87,7 +88,7 @@ async def running(
         closed_at_the_end(watch)
         watch.start()
         app.state.metrics.add(
-            LiveCollector(manager),
+            LiveCollector(manager, app.state.streams),
             DatabaseCollector(database, runs.durations),
             RecordingsCollector(recordings),
         )
@@ -101,4 +102,4 @@ async def running(
 def _live_manager(settings: Settings) -> PipelineManager:
     own = partial(find_profile, profiles_dir=settings.folders.profiles)
     hub = Hub(settings.stream_kept_messages, settings.stream_lag_s)
-    return PipelineManager(settings.compute_device, own, hub)
+    return PipelineManager(hub, settings.compute_device, own)

@@ -4,28 +4,22 @@ import logging
 import time
 from dataclasses import dataclass, replace
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 from hardware.driver import DeviceDescription
 from hardware.line_frame import LineFrame
 from hardware.link import LinkState
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
+from service.pipeline.frame_batch import FrameBatch, TrackingResult
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
-from service.pipeline.frame_ring import FrameRing
-from service.pipeline.latency_histogram import LatencyHistogram
 from service.pipeline.latest_poses import LatestPoses, PoseEntry
 from service.pipeline.load_shedding import LoadShedding
-from service.pipeline.pose_counters import PoseCounters
+from service.pipeline.reader_thread import FrameRing, ReaderThread
+from service.pipeline.session_counters import LatencyHistogram, PoseCounters
+from service.pipeline.stream_publisher import StreamPublisher
+from service.pipeline.taps import Tap
 from service.pipeline.tracking_config import TrackingConfig
-from service.protocols.stream.encoding import describe_message, status_message
-from service.protocols.stream.hub import Hub
-
-if TYPE_CHECKING:
-    from service.pipeline.frame_batch import FrameBatch
-    from service.pipeline.reader_thread import ReaderThread
-    from service.pipeline.taps import Tap
-    from service.pipeline.tracking_result import TrackingResult
 
 _log = logging.getLogger(__name__)
 
@@ -81,7 +75,7 @@ class DeviceSession:
         description: DeviceDescription,
         processor: FrameProcessor,
         ring: FrameRing,
-        hub: Hub,
+        streams: StreamPublisher,
         poses: LatestPoses | None = None,
         holds: BeamHoldRegistry | None = None,
     ) -> None:
@@ -89,7 +83,7 @@ class DeviceSession:
         self.description = description
         self.processor = processor
         self.ring = ring
-        self.hub = hub
+        self.streams = streams
         self.poses = LatestPoses() if poses is None else poses
         """Where the newest poses are put up."""
         self.holds = holds
@@ -110,62 +104,67 @@ class DeviceSession:
         self.failure: str | None = None
         self.stopped = False
         self._batch = MAX_FRAMES
+        self._watches_holds = False
 
     def work(self) -> bool:
         """Process and publish what waits; runs in the compute thread."""
         if self.failure is not None:
             return False
-        frames = self.ring.take(self._batch)
-        if not frames:
-            return False
         begin = time.monotonic()
         try:
-            track = self._select_tracked_frames(frames)
-            frames = frames[: len(track)]
+            frames, track = self._take_frames()
+            if not frames:
+                return False
             batch = self.processor.process(frames, track=track)
-            if self.holds is not None:
+            if self.holds is not None and self._watches_holds:
                 # Before all others: whoever holds a beam waits for nothing else.
                 batch = replace(batch, holds=self.holds.take(batch))
             if batch.motion is not None and batch.motion.poses:
                 # Before the streams: who steers by a pose waits for nothing else.
                 self._publish_poses(batch, batch.motion)
             self._offer(batch)
-            self.hub.publish_batch(batch)
+            self.streams.publish_batch(batch)
             self.latency.count((time.time_ns() - frames[0].exposure_host_ns) * 1e-9)
         except Exception as error:  # noqa: BLE001 - becomes the status
             self._fail(error)
             return False
         self.processed += len(frames)
         # Other devices wait meanwhile: a device whose frames take long gets short batches. But
-        # where only some frames are followed, that time is bounded, whatever the batch's length.
+        # where only some frames are tracked, that time is bounded, whatever the batch's length.
         whole = time.monotonic() - begin
-        following = self.processor.tracking_s
-        self.load_shedding.count(sum(track), following, whole - following)
-        per_frame = (whole - following if self.load_shedding.sheds else whole) / len(frames)
-        self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(per_frame, 1e-6))))
+        if track is not None:
+            tracking = self.processor.tracking_s
+            self.load_shedding.count(sum(track), tracking, whole - tracking)
+            if self.load_shedding.sheds:
+                whole -= tracking
+        self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(whole / len(frames), 1e-6))))
         return True
 
-    def _select_tracked_frames(self, frames: list[LineFrame]) -> tuple[bool, ...]:
-        """Return in which of the frames that were taken markers and tools are followed.
+    def _take_frames(self) -> tuple[list[LineFrame], tuple[bool, ...] | None]:
+        """Take the next frames, and in which of them markers and tools are tracked; None: in all.
 
-        Those without an answer wait for the next batch. A source that waits is never behind.
+        A source that waits for the pipeline is never behind.
         """
         if not self.processor.is_tracking or self.reader is None or self.reader.waits:
-            return (True,) * len(frames)
-        track = self.load_shedding.choose([frame.marker for frame in frames], len(self.ring))
-        if len(track) < len(frames):
-            self.ring.put_back(frames[len(track) :])
+            return self.ring.take(self._batch), None
+        frames, track = self.ring.take_chosen(
+            self._batch,
+            lambda frames, waiting: self.load_shedding.choose(
+                [frame.marker for frame in frames], waiting
+            ),
+        )
         self.frames_not_tracked_count += track.count(False)
-        return track
+        return frames, tuple(track)
 
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
-        """Follow other things from the next batch on; runs in the compute thread."""
+        """Track other things from the next batch on; runs in the compute thread."""
+        self._watches_holds = bool(tracked.holds)
         self.processor.set_tracking_config(tracked)
         self.pose_counts.keep(tool.name for tool in tracked.tools)
         if not tracked.tools:
             self.poses.remove(self.device_id)
 
-    def _publish_poses(self, batch: "FrameBatch", motion: "TrackingResult") -> None:
+    def _publish_poses(self, batch: FrameBatch, motion: TrackingResult) -> None:
         """Count the poses of a batch, and put those of its newest frame up."""
         self.pose_counts.count(motion.poses)
         now = time.monotonic()
@@ -184,17 +183,17 @@ class DeviceSession:
         )
         self.poses.put(entry)
 
-    def attach(self, tap: "Tap") -> None:
+    def attach(self, tap: Tap) -> None:
         """Let a tap have the batches from now on."""
         with self._taps_lock:
             self.taps = (*self.taps, tap)
 
-    def detach(self, tap: "Tap") -> None:
+    def detach(self, tap: Tap) -> None:
         """Let it have no more."""
         with self._taps_lock:
             self.taps = tuple(one for one in self.taps if one is not tap)
 
-    def _offer(self, batch: "FrameBatch") -> None:
+    def _offer(self, batch: FrameBatch) -> None:
         """Offer a batch to all taps; one that fails has no more, and the device goes on."""
         for tap in self.taps:
             try:
@@ -219,7 +218,7 @@ class DeviceSession:
         self.poses.remove(self.device_id)
         if self.holds is not None:
             self.holds.fail(self.device_id, f"the device failed: {self.failure}")
-        self.hub.publish(self.device_id, status_message(self.device_id, "failed", self.failure))
+        self.streams.publish_status(self.device_id, "failed", self.failure)
 
     @property
     def running(self) -> bool:
@@ -250,11 +249,13 @@ class DeviceSession:
             return state, reason, link
         return "disconnected" if link.state == "disconnected" else "running", link.reason, link
 
-    def status_message(self) -> dict[str, Any]:
-        """Return the message that tells how things stand."""
+    def publish_status(self) -> None:
+        """Tell the clients its state."""
         state, reason, link = self._standing()
-        message = status_message(self.device_id, state, reason, link.state if link else None)
-        return message | describe_message(self.description) if state == "running" else message
+        description = self.description if state == "running" else None
+        self.streams.publish_status(
+            self.device_id, state, reason, link.state if link else None, description
+        )
 
     def status(self) -> DeviceStatus:
         """Return how things stand."""
@@ -268,7 +269,7 @@ class DeviceSession:
             self.ring.lost,
             self.ring.dropped,
             self.processed,
-            self.hub.subscribers(self.device_id),
+            self.streams.subscribers(self.device_id),
             link,
             self.frames_not_tracked_count,
         )

@@ -6,7 +6,7 @@ from typing import Final
 
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.single_calibration_tap import SingleCalibrationTap
+from service.pipeline.taps import SingleCalibrationTap
 
 MAX_KEPT: Final = 20_000
 """Frames that wait to be drained; the oldest go first."""

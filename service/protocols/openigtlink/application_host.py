@@ -23,9 +23,9 @@ from service.api.tools.tip_limit import tip_limit_of
 from service.database.engine import Database
 from service.database.models import RegistrationRow, ToolRow
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.transform_names import frame_name
 from service.problems.errors import UnknownRecording
 from service.protocols.openigtlink.host import Caller, Landmark, WireTool
-from service.protocols.openigtlink.transform_names import frame_name
 from service.security.audit_entry import record_repeats
 from service.security.principal import Act, Principal, current_act
 from service.security.refusal_aggregation import RefusalAggregator

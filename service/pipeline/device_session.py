@@ -1,69 +1,36 @@
-"""DeviceSession: one device from start to stop, what it does and what it has lost."""
+"""DeviceSession: one running device; its batches, its counters, and who gets what is made."""
 
 import logging
 import time
-from dataclasses import dataclass, replace
+from bisect import bisect_left
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from threading import Lock
-from typing import Literal
+from typing import Final
 
+from compute.pose.tool_pose import PoseStatus, ToolPose
 from hardware.driver import DeviceDescription
 from hardware.line_frame import LineFrame
 from hardware.link import LinkState
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
+from service.pipeline.device_status import DeviceState, DeviceStatus
 from service.pipeline.frame_batch import FrameBatch, TrackingResult
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
 from service.pipeline.latest_poses import LatestPoses, PoseEntry
 from service.pipeline.load_shedding import LoadShedding
 from service.pipeline.reader_thread import FrameRing, ReaderThread
-from service.pipeline.session_counters import LatencyHistogram, PoseCounters
 from service.pipeline.stream_publisher import StreamPublisher
 from service.pipeline.taps import Tap
 from service.pipeline.tracking_config import TrackingConfig
 
 _log = logging.getLogger(__name__)
 
-DeviceState = Literal["stopped", "starting", "running", "disconnected", "ended", "failed"]
-
 BOARD_SECONDS = 0.001
 """Least time between two entries of the board: of faster devices not every frame is put up."""
 
 BATCH_SECONDS = 0.02
 """How long the frames of one device may keep those of the others waiting."""
-
-
-@dataclass(frozen=True)
-class DeviceStatus:
-    """What a device is doing, and what was lost where since it was started.
-
-    Args:
-        state: starting (its driver is being opened), running, disconnected (its device is not
-            there, and is tried again until it is), stopped by request, ended by itself (a
-            recording), or failed.
-        reason: why it failed, ended or is disconnected, or what is wrong with its link.
-        calibration_id: the calibration that points are reconstructed with; None: peaks only.
-        table_id: the correction table that readings are corrected by; None: they are not.
-        frames: frames received from the driver.
-        frames_lost_device: exposures missing in the device's sequence numbers.
-        frames_dropped_ring: frames dropped because the compute thread did not keep up.
-        frames_processed: frames that were published.
-        subscribers: connected streams.
-        link: of a device that can be unplugged, how its link stands; None of others.
-        frames_not_tracked: frames whose points were made, but in which markers and tools were not
-            followed, because the compute thread did not keep up.
-    """
-
-    state: DeviceState
-    reason: str | None = None
-    calibration_id: str | None = None
-    table_id: str | None = None
-    frames: int = 0
-    frames_lost_device: int = 0
-    frames_dropped_ring: int = 0
-    frames_processed: int = 0
-    subscribers: int = 0
-    link: LinkState | None = None
-    frames_not_tracked: int = 0
 
 
 class DeviceSession:
@@ -273,3 +240,85 @@ class DeviceSession:
             link,
             self.frames_not_tracked_count,
         )
+
+
+BOUNDS_S: Final = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+"""Upper bounds of the classes [s]; one more, without a bound, follows."""
+
+
+@dataclass(frozen=True)
+class LatencyCounts:
+    """Latencies by class.
+
+    Args:
+        counts: batches in each class of BOUNDS_S, and in the one behind it.
+        sum_s: of all latencies [s].
+    """
+
+    counts: tuple[int, ...] = (0,) * (len(BOUNDS_S) + 1)
+    sum_s: float = 0.0
+
+
+class LatencyHistogram:
+    """Counted by one thread, read by any; a lock would cost more than the counting."""
+
+    def __init__(self) -> None:
+        self._counts = [0] * (len(BOUNDS_S) + 1)
+        self._sum_s = 0.0
+
+    def count(self, latency_s: float) -> None:
+        """Count a batch; a clock that was set back makes no negative latency."""
+        latency_s = max(latency_s, 0.0)
+        self._counts[bisect_left(BOUNDS_S, latency_s)] += 1
+        self._sum_s += latency_s
+
+    def counts(self) -> LatencyCounts:
+        """Return what was counted so far."""
+        return LatencyCounts(tuple(self._counts), self._sum_s)
+
+
+@dataclass(frozen=True)
+class ToolCounts:
+    """What was counted of one tool.
+
+    Args:
+        frames: frames by the status of its pose.
+        newest_ns: exposure of the newest frame with a pose of it that is OK, on the host's clock
+            [ns]; None: there was none.
+    """
+
+    frames: dict[PoseStatus, int] = field(default_factory=dict)
+    newest_ns: int | None = None
+
+
+class PoseCounters:
+    """Counted by the compute thread, read by any; tools that are gone are forgotten."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._frames: dict[str, dict[PoseStatus, int]] = {}
+        self._newest_ns: dict[str, int] = {}
+
+    def count(self, poses: Iterable[ToolPose]) -> None:
+        """Count the poses of a batch."""
+        with self._lock:
+            for pose in poses:
+                frames = self._frames.setdefault(pose.tool, {})
+                frames[pose.status] = frames.get(pose.status, 0) + 1
+                if pose.valid:
+                    self._newest_ns[pose.tool] = pose.exposure_ns
+
+    def keep(self, tools: Iterable[str]) -> None:
+        """Forget all other tools: their names must not pile up."""
+        with self._lock:
+            kept = set(tools)
+            self._frames = {name: one for name, one in self._frames.items() if name in kept}
+            self._newest_ns = {name: at for name, at in self._newest_ns.items() if name in kept}
+
+    def counts(self) -> dict[str, ToolCounts]:
+        """Return what was counted so far, by tool."""
+        with self._lock:
+            return {
+                name: ToolCounts(dict(frames), self._newest_ns.get(name))
+                for name, frames in self._frames.items()
+            }

@@ -73,10 +73,8 @@ class FrameProcessor:
         self._compute_device = compute_device
         reads = self._detection.reads
         self._tracking = TrackingStage(device_id, len(self._names), reads=reads, make=make)
-        self.is_tracking = False
-        """Whether markers or tools are tracked."""
-        self.tracking_s = 0.0
-        """Time that tracking took in the newest batch [s]."""
+        self._is_tracking = False
+        self._tracking_s = 0.0
         if reads:
             # Here: what tracks tools loads only where frames are processed.
             from compute.pose.filtering.native.strobed_step import load_kernels as load_steps
@@ -137,8 +135,18 @@ class FrameProcessor:
 
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
         """Switch what is tracked, between two batches; a tool that cannot be tracked says why."""
-        self.is_tracking = not tracked.nothing
+        self._is_tracking = not tracked.nothing
         self._tracking.set_tracking_config(tracked)
+
+    @property
+    def is_tracking(self) -> bool:
+        """Whether markers or tools are tracked."""
+        return self._is_tracking
+
+    @property
+    def tracking_s(self) -> float:
+        """Time that tracking took in the newest batch [s]."""
+        return self._tracking_s
 
     def process(
         self, frames: Sequence[LineFrame], *, track: Sequence[bool] | None = None
@@ -174,10 +182,10 @@ class FrameProcessor:
             usable = usable_peaks(active, frames, peaks, self._detection.use)
             points, owner = points_of(active, frames, usable)
         motion = None
-        if self.is_tracking:
+        if self._is_tracking:
             begin = time.perf_counter()
             motion = self._tracking.find(frames, usable, points, owner, track)
-            self.tracking_s = time.perf_counter() - begin
+            self._tracking_s = time.perf_counter() - begin
         return FrameBatch(
             self._device_id,
             self._names,

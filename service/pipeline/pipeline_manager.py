@@ -15,7 +15,8 @@ from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCal
 from service.pipeline.beam_hold_registry import BeamHoldRegistry, BeamHoldWatchdog
 from service.pipeline.compute_thread import ComputeThread
 from service.pipeline.connect import DeviceConnector
-from service.pipeline.device_session import DeviceSession, DeviceStatus
+from service.pipeline.device_session import DeviceSession, LatencyCounts, ToolCounts
+from service.pipeline.device_status import DeviceStatus
 from service.pipeline.expected_scans import (
     ExpectedScans,
     FindProfile,
@@ -25,7 +26,6 @@ from service.pipeline.expected_scans import (
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.latest_poses import LatestPoses
 from service.pipeline.reader_thread import FrameRing, ReaderThread
-from service.pipeline.session_counters import LatencyCounts, ToolCounts
 from service.pipeline.stream_publisher import StreamPublisher
 from service.pipeline.taps import PeakTap, Tap
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig

@@ -16,12 +16,12 @@ from service.api.tools.tip_tap import TipTap
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.pipeline.detection_stage import DetectionStage
-from service.pipeline.device_session import DeviceSession, DeviceStatus
+from service.pipeline.device_session import DeviceSession, LatencyCounts, ToolCounts
+from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.latest_poses import LatestPoses
 from service.pipeline.pipeline_manager import Accept, PipelineManager, any_device
 from service.pipeline.reader_thread import FrameRing
-from service.pipeline.session_counters import LatencyCounts, ToolCounts
 from service.pipeline.taps import Tap
 from service.pipeline.tracking_config import TrackingConfig
 from service.problems.errors import DeviceNotRunning

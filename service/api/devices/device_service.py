@@ -37,7 +37,7 @@ from service.api.tools.tracking_config import tracking_config_of
 from service.database.engine import Database
 from service.database.models import DeviceRow, HoldRow
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.device_session import DeviceStatus
+from service.pipeline.device_status import DeviceStatus
 from service.pipeline.pipeline_manager import Accept, PipelineManager
 from service.pipeline.tracking_config import TrackingConfig
 from service.problems.errors import SensorsChanged

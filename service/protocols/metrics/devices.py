@@ -8,9 +8,9 @@ from prometheus_client import Metric
 from prometheus_client.registry import Collector
 
 from compute.pose.tool_pose import PoseStatus
-from service.pipeline.device_session import DeviceState, DeviceStatus
+from service.pipeline.device_session import BOUNDS_S
+from service.pipeline.device_status import DeviceState, DeviceStatus
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.session_counters import BOUNDS_S
 from service.protocols.metrics.families import Labelled, counter, gauge, histogram, single
 from service.protocols.stream.hub import Hub
 

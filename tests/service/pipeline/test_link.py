@@ -95,7 +95,7 @@ def live() -> Iterator[PipelineManager]:
 
 def states(live: PipelineManager) -> list[tuple[str, str | None, str | None]]:
     assert isinstance(live.streams, Told)
-    return [(one["state"], one["reason"], one["link"]) for one in live.hub.messages]
+    return [(one["state"], one["reason"], one["link"]) for one in live.streams.messages]
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:

@@ -22,7 +22,8 @@ from hardware.simulated.scenes import RotatingBar, StillPoints
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import simulated_rig
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.device_session import BATCH_SECONDS, DeviceStatus
+from service.pipeline.device_session import BATCH_SECONDS
+from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.pipeline_manager import PipelineManager
@@ -138,8 +139,8 @@ def test_the_same_frames_give_the_same_messages(live: PipelineManager) -> None:
     settings = simulation(duration_s=0.05)
     first = run_to_the_end(live, settings, nominal())
     assert isinstance(live.streams, RecordingHub)
-    live.hub.batches.clear()
-    live.hub.messages.clear()
+    live.streams.batches.clear()
+    live.streams.messages.clear()
     second = run_to_the_end(live, settings, nominal())
     for message in (*first, *second):
         del message["exposure_ns"]

@@ -16,8 +16,8 @@ from service.api.recordings.write_counters import WriteCounters
 from service.database.models import RunRow
 from service.jobs.duration_histogram import DurationHistogram
 from service.logs.request_record import RequestRecord
-from service.pipeline.device_session import DeviceStatus
-from service.pipeline.session_counters import BOUNDS_S, LatencyHistogram, ToolCounts
+from service.pipeline.device_session import BOUNDS_S, LatencyHistogram, ToolCounts
+from service.pipeline.device_status import DeviceStatus
 from tests.service.fake_pipeline import FakePipeline
 from tests.service.test_outage import cut_off
 

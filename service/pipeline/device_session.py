@@ -224,6 +224,19 @@ class DeviceSession:
             self.device_id, state, reason, link.state if link else None, description
         )
 
+    def publish_change(self) -> None:
+        """Tell the clients its state behind its last frames; hold its beams when it is lost."""
+        while self.work():
+            pass
+        if not self.connected:
+            self.poses.remove(self.device_id)
+            if self.holds is not None and not self.stopped:
+                status = self.status()
+                why = "" if status.reason is None else f": {status.reason}"
+                self.holds.fail(self.device_id, f"the device is {status.state}{why}")
+        if not self.stopped:
+            self.publish_status()
+
     def status(self) -> DeviceStatus:
         """Return how things stand."""
         state, reason, link = self._standing()

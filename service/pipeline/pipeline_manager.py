@@ -166,8 +166,8 @@ class PipelineManager:
                 device_id,
                 driver,
                 session.ring,
-                lambda: self._publish_load_shedding(session),
-                lambda: self._publish_load_shedding(session),
+                lambda: self._compute.submit(session.publish_change),
+                lambda: self._compute.submit(session.publish_change),
             )
             self._compute.submit(lambda: self._compute.add(device_id, session.work)).result()
             self._sessions[device_id] = session
@@ -382,23 +382,6 @@ class PipelineManager:
         return DeviceSession(
             device_id, description, processor, ring, self.streams, self.poses, self.holds
         )
-
-    def _publish_load_shedding(self, session: DeviceSession) -> None:
-        """Tell the clients how a device stands now, behind its last frames."""
-
-        def tell() -> None:
-            while session.work():
-                pass
-            if not session.connected:
-                self.poses.remove(session.device_id)
-                if not session.stopped:
-                    status = session.status()
-                    why = "" if status.reason is None else f": {status.reason}"
-                    self.holds.fail(session.device_id, f"the device is {status.state}{why}")
-            if not session.stopped:
-                session.publish_status()
-
-        self._compute.submit(tell)
 
     def _not_running(self, device_id: str) -> DeviceNotRunning:
         """Return the error of a device from which nothing can be captured now."""

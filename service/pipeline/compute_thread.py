@@ -1,4 +1,4 @@
-"""The one thread that owns Warp: processes the frames of all devices, batch by batch."""
+"""ComputeThread: the one thread that owns Warp and processes the frames of all devices."""
 
 import logging
 import time
@@ -40,12 +40,12 @@ class ComputeThread:
 
     @property
     def busy_s(self) -> float:
-        """How long it is at the batch, or the job, that it has in hand [s]; 0 when it waits."""
+        """Time spent so far on the current batch or job [s]; 0 when idle."""
         since = self._since_s
         return 0.0 if since is None else time.monotonic() - since
 
     def wake(self) -> None:
-        """Say that there is something to do; callable from any thread, never blocks."""
+        """Wake the thread: frames wait; callable from any thread, never blocks."""
         self._wake.set()
 
     def submit(self, job: Callable[[], T]) -> "Future[T]":

@@ -1,4 +1,4 @@
-"""DeviceSession: one running device; its batches, its counters, and who gets what is made."""
+"""DeviceSession: one running device; hands its batches to holds, poses, taps and streams."""
 
 import logging
 import time
@@ -52,9 +52,9 @@ class DeviceSession:
         self.ring = ring
         self.streams = streams
         self.poses = LatestPoses() if poses is None else poses
-        """Where the newest poses are put up."""
+        """Where the newest poses are published."""
         self.holds = holds
-        """What says whether beams are held; None: nothing does."""
+        """The beam holds of all devices; None: there are none."""
         self.pose_counts = PoseCounters()
         self._board_s = -BOARD_SECONDS
         self.frames_not_tracked_count = 0
@@ -151,12 +151,12 @@ class DeviceSession:
         self.poses.put(entry)
 
     def attach(self, tap: Tap) -> None:
-        """Let a tap have the batches from now on."""
+        """Give a tap all batches from now on."""
         with self._taps_lock:
             self.taps = (*self.taps, tap)
 
     def detach(self, tap: Tap) -> None:
-        """Let it have no more."""
+        """Give a tap no more batches."""
         with self._taps_lock:
             self.taps = tuple(one for one in self.taps if one is not tap)
 
@@ -194,7 +194,7 @@ class DeviceSession:
 
     @property
     def drained(self) -> bool:
-        """Whether taps have had all that they will ever have."""
+        """Whether all frames are processed and no more will come."""
         if self.stopped or self.failure is not None:
             return True
         taken = self.processed + self.ring.dropped
@@ -238,7 +238,7 @@ class DeviceSession:
             self.publish_status()
 
     def status(self) -> DeviceStatus:
-        """Return how things stand."""
+        """Return the device's status."""
         state, reason, link = self._standing()
         return DeviceStatus(
             state,
@@ -261,7 +261,7 @@ BOUNDS_S: Final = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5,
 
 @dataclass(frozen=True)
 class LatencyCounts:
-    """Latencies by class.
+    """Numbers of batches by class of latency.
 
     Args:
         counts: batches in each class of BOUNDS_S, and in the one behind it.
@@ -273,7 +273,7 @@ class LatencyCounts:
 
 
 class LatencyHistogram:
-    """Counted by one thread, read by any; a lock would cost more than the counting."""
+    """Latencies of batches by class; counted by one thread, read by any, without a lock."""
 
     def __init__(self) -> None:
         self._counts = [0] * (len(BOUNDS_S) + 1)
@@ -286,13 +286,13 @@ class LatencyHistogram:
         self._sum_s += latency_s
 
     def counts(self) -> LatencyCounts:
-        """Return what was counted so far."""
+        """Return the counts so far."""
         return LatencyCounts(tuple(self._counts), self._sum_s)
 
 
 @dataclass(frozen=True)
 class ToolCounts:
-    """What was counted of one tool.
+    """Counts of one tool.
 
     Args:
         frames: frames by the status of its pose.
@@ -305,7 +305,7 @@ class ToolCounts:
 
 
 class PoseCounters:
-    """Counted by the compute thread, read by any; tools that are gone are forgotten."""
+    """Frames by tool and pose status; counted by the compute thread, read by any."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -322,14 +322,14 @@ class PoseCounters:
                     self._newest_ns[pose.tool] = pose.exposure_ns
 
     def keep(self, tools: Iterable[str]) -> None:
-        """Forget all other tools: their names must not pile up."""
+        """Forget all tools but these."""
         with self._lock:
             kept = set(tools)
             self._frames = {name: one for name, one in self._frames.items() if name in kept}
             self._newest_ns = {name: at for name, at in self._newest_ns.items() if name in kept}
 
     def counts(self) -> dict[str, ToolCounts]:
-        """Return what was counted so far, by tool."""
+        """Return the counts so far, by tool."""
         with self._lock:
             return {
                 name: ToolCounts(dict(frames), self._newest_ns.get(name))

@@ -10,7 +10,7 @@ DeviceState = Literal["stopped", "starting", "running", "disconnected", "ended",
 
 @dataclass(frozen=True)
 class DeviceStatus:
-    """What a device is doing, and what was lost where since it was started.
+    """State of a device, and the frames that were lost since it was started, by place.
 
     Args:
         state: starting (its driver is being opened), running, disconnected (its device is not
@@ -26,7 +26,7 @@ class DeviceStatus:
         subscribers: connected streams.
         link: of a device that can be unplugged, how its link stands; None of others.
         frames_not_tracked: frames whose points were made, but in which markers and tools were not
-            followed, because the compute thread did not keep up.
+            tracked, because the compute thread did not keep up.
     """
 
     state: DeviceState

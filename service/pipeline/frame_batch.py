@@ -39,7 +39,7 @@ class TrackingResult:
     def of(
         cls, tracks: Sequence[TrackBatch], poses: Sequence[Sequence[ToolPose]], sensors: int
     ) -> Self:
-        """Join what was found in F frames, one after the other.
+        """Concatenate the tracks and poses of F frames.
 
         Args:
             tracks: of each frame, F of them.

@@ -1,4 +1,4 @@
-"""PipelineManager: owns every running device's threads; what the REST layer talks to."""
+"""PipelineManager: starts and stops devices and their threads; the API's door to the pipeline."""
 
 import logging
 import time
@@ -14,7 +14,7 @@ from hardware.link import LinkedDriver, LinkState
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
 from service.pipeline.beam_hold_registry import BeamHoldRegistry, BeamHoldWatchdog
 from service.pipeline.compute_thread import ComputeThread
-from service.pipeline.connect import DeviceConnector
+from service.pipeline.device_connector import DeviceConnector
 from service.pipeline.device_session import DeviceSession, LatencyCounts, ToolCounts
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.expected_scans import (
@@ -49,7 +49,7 @@ Accept = Callable[[DeviceDescription], None]
 
 
 def any_device(_: DeviceDescription) -> None:
-    """Accept it."""
+    """Accept every device."""
 
 
 class PipelineManager:
@@ -93,7 +93,7 @@ class PipelineManager:
 
     @property
     def busy_s(self) -> float:
-        """How long the compute thread is at the batch, or the job, that it has in hand [s]."""
+        """Time that the compute thread has spent on its current batch or job [s]."""
         return self._compute.busy_s
 
     def start_device(
@@ -176,7 +176,7 @@ class PipelineManager:
             session.reader.start()
 
     def _opening_changed(self, device_id: str, opening: DeviceConnector) -> None:
-        """Tell of a device that is waited for, or given up."""
+        """Publish that a device is waited for, or could not be opened."""
         with self._lock:
             if opening.cancelled.is_set():
                 return
@@ -187,7 +187,7 @@ class PipelineManager:
                 self.streams.publish_status(device_id, opening.state, opening.reason, opening.state)
 
     def _refuse(self, device_id: str, reason: str) -> None:
-        """Keep and tell why a device was not started."""
+        """Keep and publish why a device was not started."""
         self._sessions.pop(device_id, None)
         self._refused[device_id] = reason
         self.streams.publish_status(device_id, "failed", reason)
@@ -243,7 +243,7 @@ class PipelineManager:
                 _log.warning("device %s goes on as it was: %s", device_id, error.detail)
 
     def set_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
-        """Say what of a device is followed: from the next batch on, or once it is started."""
+        """Set what is tracked of a device: from the next batch on, or once it is started."""
         with self._lock:
             self._tracked[device_id] = tracked
             try:
@@ -256,7 +256,7 @@ class PipelineManager:
                 raise
 
     def tracked(self, device_id: str) -> TrackingConfig:
-        """Return what of a device is followed, or will be once it is started."""
+        """Return what is tracked of a device, or will be once it is started."""
         return self._tracked.get(device_id, NO_TRACKING)
 
     def _set(self, session: DeviceSession, found: ActiveCalibration) -> None:
@@ -291,7 +291,7 @@ class PipelineManager:
         return {name: session.latency.counts() for name, session in tuple(self._sessions.items())}
 
     def pose_counts(self) -> dict[str, dict[str, ToolCounts]]:
-        """Return what was counted of the tools of every device that was started. Never waits."""
+        """Return pose counts by device and tool, of devices that were started. Never waits."""
         return {
             name: session.pose_counts.counts() for name, session in tuple(self._sessions.items())
         }
@@ -302,7 +302,7 @@ class PipelineManager:
         return {name: self.status(name) for name in sorted(names)}
 
     def describe(self, device_id: str) -> DeviceDescription | None:
-        """Return what the device's driver says it is; None for one never started. Never waits."""
+        """Return the driver's description of a device; None: it was never started. Never waits."""
         session = self._sessions.get(device_id)
         return session.description if session else None
 
@@ -314,18 +314,18 @@ class PipelineManager:
         return session
 
     def attach(self, session: DeviceSession, tap: Tap) -> None:
-        """Let a tap have the batches of a session from now on."""
+        """Give a tap all batches of a session from now on."""
         tap.prepare(session.in_force)
         session.attach(tap)
 
     def detach(self, session: DeviceSession, tap: Tap) -> None:
-        """Let it have no more."""
+        """Give a tap no more batches."""
         session.detach(tap)
 
     def collect(
         self, device_id: str, frames: int, marker: int | None, timeout_s: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return what the sensors read of one marker in the next frames of a running device.
+        """Return the readings of one marker in the next frames of a running device.
 
         Args:
             device_id: the device.

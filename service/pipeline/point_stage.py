@@ -1,4 +1,4 @@
-"""Points of frames from the peaks of their lines: who belongs together, and where it is."""
+"""Point stage: correspondence of measurements, then triangulation to points with covariance."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,7 +23,7 @@ On four sensors more of them are mostly ambiguous, and take longer than frames c
 
 
 def no_points(sensors: int) -> PointBatch:
-    """Return the batch of no points, of so many sensors."""
+    """Return an empty batch of points for this number of sensors."""
     return PointBatch(
         np.empty((0, 3)),
         np.empty((0, 3, 3)),

@@ -113,8 +113,8 @@ class ReaderThread:
         device_id: str,
         driver: Driver,
         ring: FrameRing,
-        ended: Callable[[], None],
-        link_changed: Callable[[], None],
+        ended: Callable[[], object],
+        link_changed: Callable[[], object],
     ) -> None:
         """Prepare the thread.
 

@@ -132,7 +132,7 @@ def collect(
     ended: Event,
     look: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Attach a tap for so long, or until ``ended`` is set or ``look`` is true; waits.
+    """Attach a tap for some seconds, or until ``ended`` is set or ``look`` is true; waits.
 
     ``look`` is called in the waiting thread, several times a second.
 

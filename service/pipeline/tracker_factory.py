@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class MarkerTrackerProtocol(Protocol):
-    """Follows markers from frame to frame; see compute/tracking/factory.py."""
+    """Tracks markers from frame to frame; see compute/tracking/factory.py."""
 
     def step(
         self,
@@ -28,16 +28,16 @@ class MarkerTrackerProtocol(Protocol):
         peak_flags: NDArray[np.int32],
         marker: int | None,
     ) -> TrackBatch:
-        """Take the readings of a frame."""
+        """Process the readings of a frame; return the tracks after it."""
         ...
 
     def reset(self) -> None:
-        """Forget all."""
+        """Forget all tracks."""
         ...
 
 
 class ToolTrackerProtocol(Protocol):
-    """Follows tools from frame to frame; see compute/pose/tool_tracking/tool_tracker.py."""
+    """Tracks tools from frame to frame; see compute/pose/tool_tracking/tool_tracker.py."""
 
     def step(
         self,
@@ -49,21 +49,21 @@ class ToolTrackerProtocol(Protocol):
         marker: int | None,
         points: PointBatch | None,
     ) -> tuple[ToolPose, ...]:
-        """Take the readings of a frame; return a pose of each tool, in order."""
+        """Process the readings of a frame; return a pose of each tool, in order."""
         ...
 
     def reset(self) -> None:
-        """Forget all."""
+        """Forget all tracks."""
         ...
 
 
 class TrackerFactory(Protocol):
-    """Makes them of a calibration; a test puts its own in their place."""
+    """Makes the trackers for a calibration; tests put their own in place."""
 
     def markers(
         self, active: PreparedCalibration, tracked: TrackingConfig
     ) -> MarkerTrackerProtocol:
-        """Return what follows markers."""
+        """Return the marker tracker."""
         ...
 
     def tools(
@@ -73,20 +73,20 @@ class TrackerFactory(Protocol):
         tools: Sequence[RigidBody],
         before: ToolTrackerProtocol | None,
     ) -> ToolTrackerProtocol:
-        """Return what follows these tools; raises LumilineError when one cannot be followed.
+        """Return the tracker of these tools; raises LumilineError when one cannot be tracked.
 
-        It goes on with what ``before``, of the same calibration, knows of the same tools.
+        It adopts the state that ``before``, of the same calibration, has of the same tools.
         """
         ...
 
 
 class DefaultTrackerFactory:
-    """Those of compute; loaded when a device first needs them."""
+    """Makes the trackers of compute, which load when a device first needs them."""
 
     def markers(
         self, active: PreparedCalibration, tracked: TrackingConfig
     ) -> MarkerTrackerProtocol:
-        """Return what follows markers."""
+        """Return the marker tracker."""
         from compute.tracking.factory import create_tracker
         from compute.tracking.settings import TrackerSettings
 
@@ -106,7 +106,7 @@ class DefaultTrackerFactory:
         tools: Sequence[RigidBody],
         before: ToolTrackerProtocol | None,
     ) -> ToolTrackerProtocol:
-        """Return what follows these tools; raises LumilineError when one cannot be followed."""
+        """Return the tracker of these tools; raises LumilineError when one cannot be tracked."""
         from compute.pose.settings import ToolTrackerSettings
         from compute.pose.tool_tracking.tool_tracker import ToolTracker
 

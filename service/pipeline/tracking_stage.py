@@ -1,4 +1,4 @@
-"""TrackingStage: a device's tracks and tool poses, frame by frame, whatever fails on the way."""
+"""TrackingStage: tracks and tool poses, frame by frame; faults of a tracker stay with its tools."""
 
 import logging
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ MAX_BACKOFF_S: Final = 30.0
 
 
 class _Group:
-    """Tools that are followed together; a fault in one of them is a fault of its group."""
+    """Tools that are tracked together; a fault in one of them is a fault of its group."""
 
     def __init__(
         self,
@@ -49,8 +49,8 @@ class _Group:
     ):
         self.tools = tuple(tools)
         self.tracker = tracker
-        self.reason = reason  # why there is no follower
-        self.faults = faults  # of its followers so far
+        self.reason = reason  # why there is no tracker
+        self.faults = faults  # of its trackers so far
         self.failed_ns: int | None = None  # on the device's clock; None: it never began
 
     def may_restart(self, now_ns: int) -> bool:
@@ -63,19 +63,19 @@ class _Group:
 
 
 class TrackingStage:
-    """Follows markers and tools through the frames of one device; lives in the compute thread.
+    """Tracks markers and tools through the frames of one device; lives in the compute thread.
 
-    Nothing that a tracker does stops the device: tools that cannot be followed have the status
-    INVALID and the reason. When following all tools together fails, each is followed by itself
-    from then on, so that the faulty one does not take the others with it; one that fails by itself
-    begins anew after a while, more and more rarely. When following markers fails, it begins anew,
-    at most FRESH_STARTS times.
+    No fault of a tracker stops the device: tools that cannot be tracked have the status INVALID
+    and the reason. When tracking all tools together fails, each is tracked by itself from then on,
+    so that the faulty one does not take the others with it; one that fails by itself is restarted
+    after a while, more and more rarely. The marker tracker is restarted at most MAX_RESTARTS
+    times.
 
     Args:
         device_id: the device, for the log.
         sensors: how many it has.
-        reads: whether its lines are read at all.
-        make: makes what follows.
+        reads: whether a method reads its scans.
+        make: makes the trackers.
     """
 
     MAX_RESTARTS: Final = 3
@@ -99,11 +99,11 @@ class TrackingStage:
 
     @property
     def is_enabled(self) -> bool:
-        """Whether there is anything to follow."""
+        """Whether markers or tools are tracked."""
         return not self._tracked.nothing
 
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
-        """Follow other things from the next frame on; what is followed already goes on."""
+        """Track other things from the next frame on; what is tracked already goes on."""
         before, self._tracked = self._tracked, tracked
         active = self._is_tracking
         if active is None:
@@ -118,7 +118,7 @@ class TrackingStage:
         self._groups = self._tool_groups(active, tracked.tools, known if same else None)
 
     def set_calibration(self, active: PreparedCalibration | None) -> None:
-        """Follow with another calibration; tracks and tools are found anew."""
+        """Track with another calibration; tracks and tools are acquired anew."""
         self._active = active
         self._markers, self._groups = None, []
         active = self._is_tracking
@@ -141,14 +141,14 @@ class TrackingStage:
         owner: NDArray[np.intp],
         track: Sequence[bool] | None = None,
     ) -> TrackingResult:
-        """Return what moved in a batch.
+        """Return the tracks and tool poses of a batch.
 
         Args:
             frames: F frames, in their order.
             usable: their peaks; None: there is no calibration, or nothing is read.
             points: of these frames.
             owner: index of the frame of each.
-            follow: of each frame, whether anything is followed in it; None: in all. In others tools
+            track: of each frame, whether anything is tracked in it; None: in all. In others tools
                 are MISSING, as the computer does not keep up, and there are no tracks.
         """
         tracks: list[TrackBatch] = []
@@ -176,7 +176,7 @@ class TrackingStage:
         return TrackingResult.of(tracks, poses, self._sensors)
 
     def _start_marker_tracker(self, active: PreparedCalibration) -> None:
-        """Follow markers anew; their numbers go on where those before ended."""
+        """Start the marker tracker; its track numbers go on where those before ended."""
         self._restarts = 0
         self._markers = self._marker_tracker(active)
 
@@ -216,7 +216,7 @@ class TrackingStage:
             return _Group([tool], None, f"the tool cannot be tracked: {_error_message(error)}")
 
     def _check_clock(self, frame: LineFrame) -> None:
-        """Begin anew when the device's clock did: it was restarted."""
+        """Reset the trackers when the device's clock went back: it was restarted."""
         last, self._last_ns = self._last_ns, frame.exposure_device_ns
         if last is None or frame.exposure_device_ns > last:
             return

@@ -21,7 +21,7 @@ from service.pipeline.beam_hold_spec import (
     WatchedTool,
 )
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.hold_observer import (
+from service.pipeline.beam_hold_observer import (
     HoldObserver,
     LitMarkerObserver,
     StrobedMarkerObserver,

@@ -1,4 +1,4 @@
-"""Metrics: the registry of one application, and what is read into it."""
+"""Metrics: the Prometheus registry of one application."""
 
 import platform
 

@@ -1,4 +1,4 @@
-"""Runs the NDI answerer as long as the application, where settings say so."""
+"""Runs the NDI server as long as the application, where settings ask for it."""
 
 import logging
 from collections.abc import AsyncIterator

@@ -1,4 +1,4 @@
-"""The NDI answerer's counters, read when Prometheus asks."""
+"""NdiCollector: counters of the NDI server as metrics."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""NdiServer: the answerer on a TCP port, in the asyncio loop."""
+"""NdiServer: serves NDI clients on a TCP port, in the asyncio loop."""
 
 import asyncio
 import logging

@@ -1,4 +1,4 @@
-"""ServiceHost: what OpenIGTLink clients get of this application's tools and recordings."""
+"""ApplicationHost: tools, landmarks and recordings of this application for OpenIGTLink."""
 
 import logging
 from collections.abc import Callable, Sequence

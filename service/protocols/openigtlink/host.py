@@ -1,4 +1,4 @@
-"""What the server needs of the application around it: its tools, landmarks and recordings."""
+"""Host: interface of the server to the application: tools, landmarks, recordings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Runs the OpenIGTLink server as long as the application, where settings say so."""
+"""Runs the OpenIGTLink server as long as the application, where settings ask for it."""
 
 import logging
 from collections.abc import AsyncIterator

@@ -1,4 +1,4 @@
-"""The OpenIGTLink server's counters, read when Prometheus asks."""
+"""OpenIGTLinkCollector: counters of the OpenIGTLink server as metrics."""
 
 from collections.abc import Iterator
 

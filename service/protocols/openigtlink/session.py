@@ -1,4 +1,4 @@
-"""What is known of one client: its header version, what it wants, what it has been told."""
+"""Session: state of one client: header version, subscriptions, what it was sent."""
 
 from dataclasses import dataclass, field
 from typing import Final, Literal

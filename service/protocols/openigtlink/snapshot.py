@@ -1,4 +1,4 @@
-"""All poses of one instant as clients get them: named, relative, encoded once for all clients."""
+"""Snapshot: all poses of one instant: named, relative, encoded once for all clients."""
 
 import time
 from collections.abc import Mapping

@@ -24,7 +24,7 @@ LAG_S = 1.0
 
 
 class Hub:
-    """Publishing appends to the device's log; nothing that a client does holds it up."""
+    """StreamPublisher of the service: appends to the device's log, and never waits for a client."""
 
     def __init__(self, kept_messages: int = KEPT_MESSAGES, lag_s: float = LAG_S) -> None:
         """Make a hub; see KEPT_MESSAGES and LAG_S."""
@@ -104,7 +104,7 @@ class Hub:
             self._logs.pop(device_id, None)
 
     def close(self, reason: str) -> None:
-        """End all streams at once: their devices go on and would never come to an end."""
+        """End all streams at once, though their devices go on."""
         self.closed = reason
         for device_id in tuple(self._clients):
             self._tell(device_id, partial(_end, reason, True))

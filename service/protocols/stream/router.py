@@ -77,7 +77,7 @@ async def _serve(websocket: WebSocket, request: StreamRequest, principal: Princi
 
 @router.get("/api/v1/stream", include_in_schema=False)
 def stream_by_http() -> None:
-    """Tell a plain HTTP client what is here."""
+    """Answer a plain HTTP request: 426, this is a websocket."""
     raise UpgradeRequired(
         "this is a websocket: open it as ws://HOST:PORT/api/v1/stream?device=ID, "
         "not as http:// (docs/stream.md describes its messages)"

@@ -23,7 +23,7 @@ Rows = list[dict[str, Any]]
 
 
 class FrameHeader(NamedTuple):
-    """A frame without its lines; see LineFrame."""
+    """A frame without its pixels; see LineFrame."""
 
     sequence: int
     exposure_device_ns: int

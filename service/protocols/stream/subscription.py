@@ -21,14 +21,14 @@ _ENTRIES: Final = 64  # that are looked at in one go
 
 @dataclass(frozen=True, slots=True)
 class CursorItem:
-    """What a client is sent, and whether it holds frames: other messages are not paced."""
+    """A payload, and whether it holds frames: other messages are not paced."""
 
     payload: Payload
     frames: bool
 
 
 class Cursor(Protocol):
-    """Finds what a client is sent next."""
+    """Reading position that yields what a client is sent next."""
 
     def take(self, *, due: bool) -> CursorItem | None:
         """Return what is sent now, if anything; ``due``: whether it is time for frames."""
@@ -36,7 +36,7 @@ class Cursor(Protocol):
 
 
 class SequentialCursor:
-    """Every message in order; too far behind, it goes on with the newest and says what it left.
+    """Every message in order; too far behind, it skips to the newest and says what was missed.
 
     Args:
         log: the device's.
@@ -200,7 +200,7 @@ class StreamRequest:
 
 
 class Subscription:
-    """One client's reading of a log; made and used in one event loop."""
+    """One client's position and pace in a log; made and used in one event loop."""
 
     def __init__(self, request: StreamRequest, log: StreamLog, lag_s: float) -> None:
         """Begin with the next message, or after the one that the client has.
@@ -240,7 +240,7 @@ class Subscription:
         self._at_once = False
 
     def wake(self, *, frames: bool) -> None:
-        """Say that there is something new; frames wake nobody for whom they are not due."""
+        """Wake the client for a new message; frames wake it only when they are due."""
         if not frames or not self._pace_s or self.loop.time() >= self._due_s:
             self._ready.set()
 

@@ -51,7 +51,7 @@ class DeviceConnector:
         self._thread = Thread(target=self._run, name=f"opener-{device_id}", daemon=True)
 
     def attempt(self) -> None:
-        """Open the driver once, in the caller's thread; raises what stands in its way."""
+        """Open the driver once, in the caller's thread; raises what the driver raises."""
         self.driver.open()
         try:
             self._opened(self)
@@ -60,7 +60,7 @@ class DeviceConnector:
             raise
 
     def start(self, wait_s: float) -> None:
-        """Open it in a thread of its own; wait so long at most for the first attempt.
+        """Open it in a thread of its own; wait at most ``wait_s`` for the first attempt.
 
         Raises:
             LumilineError: it cannot be opened, for another reason than that it is not there.
@@ -71,7 +71,7 @@ class DeviceConnector:
             raise self.error
 
     def cancel(self) -> None:
-        """Give it up, without waiting for the thread."""
+        """Stop trying, without waiting for the thread."""
         self.cancelled.set()
         if self._thread.is_alive():
             self.driver.close()

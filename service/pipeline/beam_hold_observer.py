@@ -1,4 +1,4 @@
-"""What a frame shows of what a beam hold watches: a tool's pose, or places of markers."""
+"""Observers of beam holds: pose of the watched tool or positions of watched markers in a frame."""
 
 from dataclasses import dataclass
 from typing import Final, Protocol
@@ -16,13 +16,13 @@ Array = NDArray[np.float64]
 
 UNUSABLE_POINT: Final = PointFlag.INCONSISTENT | PointFlag.AMBIGUOUS | PointFlag.OUTSIDE_MAP
 UNUSABLE_TRACK: Final = TrackFlag.AMBIGUOUS | TrackFlag.OUTSIDE_MAP
-TURNS: Final = 2
-"""After so many times the time between its last two turns the place of a marker is too old."""
+MAX_AGE_CYCLES: Final = 2
+"""A position is too old after this many times the interval between its last two strobe cycles."""
 
 
 @dataclass(frozen=True, eq=False)
 class HoldObservation:
-    """What one frame shows.
+    """What one frame shows of the target of a hold.
 
     Args:
         pose: T_world_tool; None: not known, or predicted only.
@@ -41,10 +41,10 @@ class HoldObservation:
 
 
 class HoldObserver(Protocol):
-    """Finds in frames what one hold watches."""
+    """Finds the target of one hold in frames."""
 
     def of(self, batch: FrameBatch, index: int) -> HoldObservation:
-        """Return what the frame with this index shows."""
+        """Return the observation of the frame with this index."""
         ...
 
 
@@ -55,7 +55,7 @@ class ToolObserver:
         self._tool = spec.tool
 
     def of(self, batch: FrameBatch, index: int) -> HoldObservation:
-        """Return what the frame with this index shows."""
+        """Return the observation of the frame with this index."""
         poses = () if batch.motion is None else batch.motion.poses_of(index)
         pose = next((one for one in poses if one.tool == self._tool), None)
         if pose is None:
@@ -69,7 +69,7 @@ class ToolObserver:
 
 
 class StrobedMarkerObserver:
-    """The places of strobed markers, each from its last turn.
+    """Positions of strobed markers, each from its newest strobe cycle.
 
     Args:
         spec: the markers.
@@ -86,7 +86,7 @@ class StrobedMarkerObserver:
         self._calibration: tuple[str | None, str | None] = None, None
 
     def of(self, batch: FrameBatch, index: int) -> HoldObservation:
-        """Return what the frame with this index shows."""
+        """Return the observation of the frame with this index."""
         frame = batch.frames[index]
         world = batch.calibration_id, batch.table_id
         if world != self._calibration:
@@ -105,7 +105,7 @@ class StrobedMarkerObserver:
                 self._covariances[row] = batch.points.covariance_mm2[point]
         now = frame.exposure_device_ns
         # Of a marker whose frames are lost the last place would stand for it until then.
-        between = TURNS * (now - self._times[row])
+        between = MAX_AGE_CYCLES * (now - self._times[row])
         self._oldest_ns[row] = between if 0 < between < self._max_ns else self._max_ns
         self._times[row] = now
         age = now - self._times
@@ -125,7 +125,7 @@ class StrobedMarkerObserver:
 
 
 class LitMarkerObserver:
-    """The places of markers that are lit together: what is nearest to where each is to be.
+    """Positions of markers that are lit together: the mutual nearest neighbour of each reference.
 
     A marker counts where its place and what was seen are nearest to each other, and nothing else
     that could be it is near.
@@ -136,7 +136,7 @@ class LitMarkerObserver:
         self._at = positions_mm
 
     def of(self, batch: FrameBatch, index: int) -> HoldObservation:
-        """Return what the frame with this index shows."""
+        """Return the observation of the frame with this index."""
         if batch.frames[index].marker is not None:
             return HoldObservation(why="the device strobes its markers; name them as strobed ones")
         seen, covariances = _lit(self._spec, batch, index)
@@ -169,7 +169,7 @@ class LitMarkerObserver:
 
 
 def lit_places(spec: WatchedLitMarkers, batch: FrameBatch, index: int) -> Array:
-    """Return where a frame shows markers that are lit together, shape (N, 3) [mm]."""
+    """Return the positions in a frame whose markers are lit together, shape (N, 3) [mm]."""
     return _lit(spec, batch, index)[0] if batch.frames[index].marker is None else np.empty((0, 3))
 
 

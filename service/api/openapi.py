@@ -9,6 +9,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
 from compute.errors import LumilineError, NonFiniteValue
+from service.principal import SCOPE_MEANINGS
 from service.problems.catalogue import (
     MEDIA_TYPE,
     PROBLEM_TYPES,
@@ -31,7 +32,6 @@ from service.problems.errors import (
     UnsupportedMediaType,
 )
 from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC
-from service.security.scopes import SCOPE_MEANINGS
 
 Responses = dict[int | str, dict[str, Any]]
 

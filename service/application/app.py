@@ -30,12 +30,14 @@ from service.api.tools.frames_router import router as frames
 from service.api.tools.points_router import router as points
 from service.api.tools.registrations_router import router as registrations
 from service.api.tools.router import router as tools
-from service.application.body_limit import BodyLimitMiddleware
-from service.application.cross_origin import CrossOriginMiddleware
-from service.application.head_middleware import HeadMiddleware
 from service.application.lifespan import running
+from service.application.middleware import (
+    BodyLimitMiddleware,
+    CrossOriginMiddleware,
+    HeadMiddleware,
+)
+from service.application.request_log import RequestLog
 from service.application.server import router as server
-from service.logs.request_middleware import RequestLog
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.handlers import install_problem_handlers, unknown_websocket
 from service.protocols.metrics.registry import Metrics

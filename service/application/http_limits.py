@@ -18,7 +18,7 @@ HEAD_BYTES: Final = 64 * 1024
 class LimitedHttpProtocol(HttpToolsProtocol):
     """Uvicorn's protocol, which would wait for ever for a head of any size.
 
-    Bodies have limits of their own (service/application/body_limit.py).
+    Bodies have limits of their own (service/application/middleware.py).
     """
 
     def __init__(self, *given: Any, **named: Any) -> None:

@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 import migrations
 from service.api.recordings.recording_manager import RecordingManager
-from service.database.consistency import revision_of
+from service.application.consistency import revision_of
 from service.database.engine import Database
 from service.jobs.run_manager import RunManager
 from service.pipeline.pipeline_manager import PipelineManager

@@ -13,7 +13,7 @@ from service.api.openapi import problems
 from service.application.readiness import check_ready, failed_devices, limits
 from service.problems.catalogue import PROBLEM_TYPES, ProblemType
 from service.problems.errors import NotReady, UnknownProblem
-from service.security.local_access import why_not_local
+from service.security.credential import why_not_local
 
 if TYPE_CHECKING:
     from service.pipeline.pipeline_manager import PipelineManager

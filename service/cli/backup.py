@@ -5,10 +5,10 @@ from pathlib import Path
 
 import typer
 
+from service.application.consistency import find_inconsistencies
 from service.cli.local_database import local_database
 from service.cli.output import console, progress
 from service.database.backup import back_up
-from service.database.consistency import find_inconsistencies
 from service.database.copy_rows import count_rows
 from service.database.restore import restore
 from service.database.restored_api_keys import KeyChanges

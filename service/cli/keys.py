@@ -14,8 +14,8 @@ from service.cli.local_database import local_database
 from service.cli.output import console, fail, progress_console
 from service.database.engine import Database
 from service.database.migration import migrate
+from service.principal import SCOPES
 from service.security import store
-from service.security.scopes import SCOPES
 
 _MOST_SHOWN: Final = 10_000
 

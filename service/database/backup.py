@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection
 
-from service.database.consistency import find_inconsistencies, newest_revision, revision_of
+from service.application.consistency import find_inconsistencies, newest_revision, revision_of
 from service.database.copy_rows import Told, copy_rows, count_rows
 from service.database.engine import Database
 from service.database.migration import migrate

@@ -15,9 +15,9 @@ from sqlalchemy import Connection, inspect
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from service.api.audit.audited_session import entry
+from service.application.consistency import find_inconsistencies, newest_revision, revision_of
+from service.database.audited_session import entry
 from service.database.backup import back_up, opened
-from service.database.consistency import find_inconsistencies, newest_revision, revision_of
 from service.database.copy_rows import Told, copy_rows, count_rows
 from service.database.engine import Database
 from service.database.migration import alembic_config, lock_schema, migrate

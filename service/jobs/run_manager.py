@@ -16,10 +16,10 @@ from service.jobs import store
 from service.jobs.duration_histogram import DurationHistogram
 from service.jobs.worker import Done, Failed, Progress
 from service.jobs.worker_process import WorkerProcess
+from service.principal import Act, current_act
 from service.problems.catalogue import PROBLEM_TYPES
 from service.problems.errors import NotReady
 from service.problems.handlers import json_safe
-from service.security.principal import Act, current_act
 
 _log = logging.getLogger(__name__)
 

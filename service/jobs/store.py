@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 from compute.errors import LumilineError
 from service.database.engine import Database, insert
 from service.database.models import RunRow
+from service.principal import current_act
 from service.problems.errors import (
     Busy,
     CalibrationExists,
@@ -21,7 +22,6 @@ from service.problems.errors import (
     RunNotEnded,
     UnknownRun,
 )
-from service.security.principal import current_act
 
 Kind = Literal["calibration", "self-calibration", "update", "mapping", "export"]
 State = Literal["queued", "running", "succeeded", "failed", "cancelled", "interrupted"]

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from typing import Any, Final
 
 from service.logs.context import DEVICE, REQUEST
-from service.security.redaction import redact
+from service.logs.redaction import redact
 
 _STANDARD: Final = frozenset(vars(logging.makeLogRecord({}))) | {
     "message",

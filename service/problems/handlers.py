@@ -17,7 +17,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from compute.errors import LumilineError, NonFiniteValue
-from service.logs.request_record import request_record
+from service.logs.context import request_record
 from service.problems.catalogue import (
     MEDIA_TYPE,
     PROBLEM_TYPES,

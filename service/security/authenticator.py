@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from service.database.engine import Database
 from service.database.models import ApiKeyRow
+from service.principal import Principal
 from service.problems.errors import NotReady, TooManyAttempts, Unauthenticated
 from service.security import store
 from service.security.key_cache import KeyCache
 from service.security.key_format import PREFIX, digest, key_id_of
 from service.security.login_throttle import LoginThrottle
-from service.security.principal import Principal
 from service.settings import Settings
 
 if TYPE_CHECKING:

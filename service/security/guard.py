@@ -18,13 +18,13 @@ from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from compute.errors import LumilineError
-from service.logs.request_record import request_record
+from service.logs.context import request_record
+from service.principal import LOCAL, Act, Principal, current_act
 from service.problems.catalogue import problem_type_of
 from service.problems.errors import MissingScope, TooManyAttempts, Unauthenticated
 from service.problems.handlers import problem_response, refuse_websocket
 from service.security.audit_entry import record_act, record_repeats
-from service.security.credential import check_query, credential_of
-from service.security.local_access import why_not_local
+from service.security.credential import check_query, credential_of, why_not_local
 from service.security.operation_scopes import (
     OPERATION_SCOPES,
     PUBLIC,
@@ -32,7 +32,6 @@ from service.security.operation_scopes import (
     check_complete,
     operation_of,
 )
-from service.security.principal import LOCAL, Act, Principal, current_act
 from service.security.refusal_aggregation import RefusalAggregator
 from service.settings import Settings
 

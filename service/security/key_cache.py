@@ -7,7 +7,7 @@ from collections.abc import Callable
 from threading import Lock
 from typing import Final
 
-from service.security.principal import Principal
+from service.principal import Principal
 
 CACHE_LIFETIME_S: Final = 600.0
 """How long after the database last said so a key is still believed."""

@@ -5,10 +5,9 @@ from typing import Any, Final
 
 import jwt
 
+from service.principal import Principal, known_scopes
 from service.problems.errors import Unauthenticated
 from service.security.jwks import Jwks
-from service.security.principal import Principal
-from service.security.scopes import known_scopes
 
 ALGORITHMS: Final = (
     "RS256",

@@ -6,7 +6,7 @@ from typing import Final, Literal
 from fastapi.routing import RouteContext, iter_route_contexts
 from starlette.routing import BaseRoute
 
-from service.security.scopes import Scope
+from service.principal import Scope
 
 PUBLIC: Final = "public"
 """Needs no key: it tells nothing of this installation but whether it is up."""

@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final
 
-from service.security.principal import Act
+from service.principal import Act
 
 AGGREGATION_S: Final = 60.0
 """Within which refusals of the same principal and operation are one."""

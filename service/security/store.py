@@ -10,10 +10,9 @@ from sqlalchemy.orm import Session
 from compute.errors import InvalidParameter
 from service.api.security.schema import ApiKey, KeyState, NewApiKey
 from service.database.models import ApiKeyRow
+from service.principal import Principal, current_act, known_scopes
 from service.problems.errors import UnknownKey
 from service.security.key_format import NewKey, make_key
-from service.security.principal import Principal, current_act
-from service.security.scopes import known_scopes
 
 USED_EVERY: Final = timedelta(hours=1)
 """The moment of last use is written down no more often: each is a write."""

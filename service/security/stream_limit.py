@@ -8,8 +8,8 @@ from typing import Final
 
 from anyio import CapacityLimiter
 
+from service.principal import Principal
 from service.problems.errors import TooManyStreams
-from service.security.principal import Principal
 
 _CHECKED_AT_ONCE: Final = 2
 

@@ -22,7 +22,9 @@ from service.api.beam_holds.schema import (
     ToolWatch,
     Watch,
 )
-from service.database.models import HoldRow
+from service.api.devices.store import tracking_of
+from service.api.tools.rigid_bodies import tools_of
+from service.database.models import DeviceRow, HoldRow
 from service.pipeline.beam_hold_spec import (
     BeamHoldConfig,
     HoldReference,
@@ -31,6 +33,7 @@ from service.pipeline.beam_hold_spec import (
     WatchedStrobedMarkers,
     WatchedTool,
 )
+from service.pipeline.tracking_config import TrackingConfig
 
 MIN_APART_MM: Final = 1.0
 """Of markers: two lights that are nearer to each other are seen as one."""
@@ -192,3 +195,19 @@ def beam_holds_of(session: Session, device_id: str) -> tuple[BeamHoldConfig, ...
     """Return all holds of a device, by id."""
     rows = select(HoldRow).where(HoldRow.device_id == device_id).order_by(HoldRow.id)
     return tuple(to_watched_hold(row) for row in session.scalars(rows))
+
+
+def tracking_config_of(session: Session, device: DeviceRow) -> TrackingConfig:
+    """Return what is followed of a device when it runs.
+
+    A beam hold that goes by tracks has markers followed, whatever the settings say.
+    """
+    tracking, tools = tracking_of(device), tools_of(session, device.id)
+    holds = beam_holds_of(session, device.id)
+    tracks = tracking.tracks == "always" or (tracking.tracks == "with-tools" and bool(tools))
+    tracks |= any(
+        isinstance(one.spec, WatchedLitMarkers) and one.spec.observed_as == "tracks"
+        for one in holds
+    )
+    codes = None if tracking.blinking is None else tracking.blinking.codes()
+    return TrackingConfig(tracks, tools, tracking.tracker(), tracking.tool_tracker(), codes, holds)

@@ -26,8 +26,8 @@ from service.api.calibrations.schema import (
     NewCalibration,
     State,
 )
-from service.api.calibrations.sensor_check import check_sensors
 from service.api.dependencies import DatabaseDep, DeviceServiceDep
+from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
@@ -151,8 +151,8 @@ def compare_calibrations(
     """Two calibrations of one device: parameters in their deviations, positions over the control
     points' box, and which is better on the same observations.
     """
+    from service.api.calibrations.calibration_content import with_control_points
     from service.api.calibrations.comparison import compare
-    from service.api.calibrations.with_control_points import with_control_points
 
     with database.read() as session:
         rows = [store.get_calibration(session, name) for name in (calibration_id, other_id)]

@@ -7,9 +7,9 @@ from typing import Any
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
-from service.api.calibrations.activation import Target, active, lock_device, move_pointer
 from service.api.calibrations.calibration_content import Outcome
 from service.api.calibrations.schema import CalibrationSummary, State
+from service.api.devices.activation import Target, active, lock_device, move_pointer
 from service.database.engine import insert
 from service.database.models import ActiveCalibrationRow, CalibrationRow
 from service.problems.errors import (

@@ -9,10 +9,10 @@ import numpy as np
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 
-from service.api.calibrations.activation import Target, active, lock_device, move_pointer
 from service.api.calibrations.store import get_calibration
 from service.api.correction_tables.schema import CorrectionTableDocument
 from service.api.correction_tables.table_content import TableContent, check_table
+from service.api.devices.activation import Target, active, lock_device, move_pointer
 from service.database.engine import insert
 from service.database.models import (
     ActivationRow,

@@ -11,29 +11,26 @@ from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
 from hardware.driver import DeviceDescription
+from service.api.beam_holds.monitor_config import tracking_config_of
 from service.api.calibrations import store as calibrations
-from service.api.calibrations.activation import (
+from service.api.calibrations.calibration_content import result_of
+from service.api.calibrations.schema import CalibrationSummary
+from service.api.correction_tables import store as tables
+from service.api.correction_tables.schema import CorrectionTableDocument
+from service.api.devices import store
+from service.api.devices.activation import (
+    ActivationPrecondition,
+    IsReached,
+    activation_precondition,
     active,
+    check_activation_precondition,
     lock_device,
     move_pointer,
     previous_activation,
 )
-from service.api.calibrations.activation_precondition import (
-    ActivationPrecondition,
-    IsReached,
-    activation_precondition,
-    check_activation_precondition,
-)
-from service.api.calibrations.calibration_content import result_of
-from service.api.calibrations.schema import CalibrationSummary
-from service.api.calibrations.sensor_check import check_sensors, listed, sensors_match
-from service.api.correction_tables import store as tables
-from service.api.correction_tables.schema import CorrectionTableDocument
-from service.api.devices import store
 from service.api.devices.driver_factory import make_driver, sensors_of
 from service.api.devices.schema import Device, DeviceChange, NewDevice
-from service.api.devices.sensor import Sensor
-from service.api.tools.tracking_config import tracking_config_of
+from service.api.devices.sensor import Sensor, check_sensors, listed, sensors_match
 from service.database.engine import Database
 from service.database.models import DeviceRow, HoldRow
 from service.pipeline.active_calibration import ActiveCalibration

@@ -8,9 +8,9 @@ from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 from compute.errors import InvalidParameter, InvalidRecording
 from hardware.errors import DeviceNotConnected
 from service.api.base_models import SLUG_PATTERN, Page
-from service.api.calibrations.activation import activations
 from service.api.dependencies import DatabaseDep, DeviceServiceDep
 from service.api.devices import store
+from service.api.devices.activation import activations
 from service.api.devices.examples import CHANGES, NEW_DEVICES
 from service.api.devices.schema import Activation, Device, DeviceChange, NewDevice, Status
 from service.api.json_body import JsonRoute, JsonTypes

@@ -9,10 +9,9 @@ from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
 from compute.tracking.thesis.settings import MIN_SENSORS
-from service.api.calibrations.activation import active
-from service.api.calibrations.sensor_check import sensors_match
+from service.api.devices.activation import active
 from service.api.devices.schema import Device, DeviceChange, NewDevice, Source
-from service.api.devices.sensor import Sensor
+from service.api.devices.sensor import Sensor, sensors_match
 from service.api.devices.tracking_settings import Tracking
 from service.database.engine import insert
 from service.database.models import (

@@ -10,7 +10,7 @@ from compute.calibration.drift.stability_check import StationaryMarkers
 from compute.calibration.result import Calibration
 from compute.errors import InvalidParameter
 from hardware.driver import SensorDescription
-from service.api.calibrations.observations import observations
+from service.api.calibrations.calibration_content import observations
 from service.api.calibrations.schema import Reading
 from service.api.drift_checks.schema import StationaryMarker
 

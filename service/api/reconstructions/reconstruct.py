@@ -9,8 +9,8 @@ from compute.calibration.result import Calibration
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.triangulation import reconstruct
 from hardware.driver import SensorDescription
-from service.api.calibrations.observations import observations
-from service.api.calibrations.sensor_check import check_sensors
+from service.api.calibrations.calibration_content import observations
+from service.api.devices.sensor import check_sensors
 from service.api.reconstructions.schema import NamedEstimate, ObservedPoint
 
 

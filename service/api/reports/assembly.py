@@ -8,14 +8,15 @@ import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from service.api.calibrations.calibration_content import result_of
+from service.api.calibrations.calibration_content import (
+    observations,
+    result_of,
+    with_control_points,
+)
 from service.api.calibrations.comparison import compare
-from service.api.calibrations.observations import observations
 from service.api.calibrations.schema import ControlPoint
-from service.api.calibrations.sensor_check import sensors_match
 from service.api.calibrations.store import active_id, get_calibration
-from service.api.calibrations.with_control_points import with_control_points
-from service.api.devices.sensor import Sensor
+from service.api.devices.sensor import Sensor, sensors_match
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.reports.content import ComparedCalibration, Relation, ReportContent
 from service.database.models import ActivationRow, CalibrationRow

@@ -16,10 +16,9 @@ from compute.errors import (
 )
 from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.schema import ControlPoint
-from service.api.calibrations.sensor_check import check_sensors
 from service.api.calibrations.store import check_unused
 from service.api.correction_tables import store as tables
-from service.api.devices.sensor import Sensor
+from service.api.devices.sensor import Sensor, check_sensors
 from service.api.devices.store import sensors_of_row
 from service.api.drift_checks.marker_references import resolve_stationary_markers
 from service.api.drift_checks.schema import StationaryMarker

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from service.api.base_models import Moment, RequestModel, RequestMoment, ResponseModel, Text200
-from service.security.scopes import Scope
+from service.principal import Scope
 
 KeyState = Literal["valid", "expired", "revoked"]
 

@@ -11,6 +11,7 @@ from starlette.datastructures import State
 from compute.errors import LumilineError
 from service.pipeline.beam_hold_state import hold_part
 from service.pipeline.pipeline_manager import PipelineManager
+from service.principal import Principal
 from service.problems.catalogue import problem_type_of
 from service.problems.errors import NotReady, UpgradeRequired
 from service.problems.handlers import problem_response
@@ -19,7 +20,6 @@ from service.protocols.stream.query import parse_stream_request
 from service.protocols.stream.subscription import StreamEnded, StreamRequest, Subscription
 from service.security.credential import SUBPROTOCOL, subprotocols
 from service.security.guard import ACT
-from service.security.principal import Principal
 
 if TYPE_CHECKING:
     from service.security.authenticator import Authenticator

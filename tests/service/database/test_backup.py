@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 
 from service.api.correction_tables.store import add_table, find_parent
 from service.api.security.schema import NewApiKey
+from service.application.consistency import find_inconsistencies
 from service.application.initial_content import seed
 from service.cli import app
 from service.database import restore as restoring
 from service.database.backup import back_up
-from service.database.consistency import find_inconsistencies
 from service.database.engine import Database
 from service.database.migration import migrate
 from service.database.models import (

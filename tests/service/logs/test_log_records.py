@@ -12,10 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.application.app import create_app
-from service.logs.context import REFUSED, set_device_id, set_request_id
+from service.application.request_log import RequestLog
+from service.logs.context import (
+    REFUSED,
+    RequestRecord,
+    request_record,
+    set_device_id,
+    set_request_id,
+)
 from service.logs.formatter import JsonFormatter, TextFormatter
-from service.logs.request_middleware import RequestLog
-from service.logs.request_record import RequestRecord, request_record
 from service.logs.setup import configured_logging, is_server_record
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient

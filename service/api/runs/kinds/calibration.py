@@ -6,10 +6,9 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from compute.calibration.control_data_checks import check_observations
-from service.api.calibrations.calibration_content import Outcome, control_arrays
-from service.api.calibrations.observations import geometry
-from service.api.calibrations.sensor_check import check_sensors
+from service.api.calibrations.calibration_content import Outcome, control_arrays, geometry
 from service.api.calibrations.store import add_calibration
+from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.runs.tasks.calibration import Request, compute
 from service.database.models import RunRow

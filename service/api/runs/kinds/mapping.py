@@ -7,10 +7,10 @@ import numpy as np
 from sqlalchemy.orm import Session
 
 from service.api.calibrations.calibration_content import result_of
-from service.api.calibrations.sensor_check import check_sensors
 from service.api.calibrations.store import get_calibration, usable
 from service.api.correction_tables.store import add_table
 from service.api.correction_tables.table_content import TableContent
+from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.runs.tasks.mapping import Request, compute, measurements
 from service.database.models import CalibrationRow, RunRow

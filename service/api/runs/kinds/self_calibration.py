@@ -8,8 +8,8 @@ from sqlalchemy.orm import Session
 from compute.calibration.result import Calibration
 from service.api.calibrations.calibration_content import Outcome, calibration_content, result_of
 from service.api.calibrations.schema import ControlPointErrors
-from service.api.calibrations.sensor_check import check_sensors
 from service.api.calibrations.store import add_calibration, get_calibration
+from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.runs.self_calibration_schema import recording_of
 from service.api.runs.tasks.self_calibration import Request, compute

@@ -18,8 +18,8 @@ from service.api.calibrations.calibration_content import (
     result_of,
 )
 from service.api.calibrations.schema import ControlPoint, ControlPointErrors
-from service.api.calibrations.sensor_check import check_sensors
 from service.api.calibrations.store import add_calibration, get_calibration
+from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.drift_checks.stationary_markers import still_set
 from service.api.runs.tasks.update import Request, compute

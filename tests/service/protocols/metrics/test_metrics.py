@@ -15,7 +15,7 @@ from hardware.link import LinkCounters, LinkState
 from service.api.recordings.write_counters import WriteCounters
 from service.database.models import RunRow
 from service.jobs.duration_histogram import DurationHistogram
-from service.logs.request_record import RequestRecord
+from service.logs.context import RequestRecord
 from service.pipeline.device_session import DeviceStatus
 from service.pipeline.latency_histogram import BOUNDS_S, LatencyHistogram
 from service.pipeline.pose_counters import ToolCounts

@@ -14,9 +14,9 @@ from compute.optics.profiles.profile_optics import profile_optics
 from compute.planning.cramer_rao import centroids
 from service.api.calibrations import store as calibrations
 from service.api.calibrations.calibration_content import result_of
-from service.api.devices.profile_device import device_id, nominal_calibration
 from service.application.app import create_app
 from service.application.bootstrap import prepare
+from service.application.profile_device import device_id, nominal_calibration
 from service.database.engine import Database
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient

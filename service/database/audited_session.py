@@ -19,7 +19,7 @@ from service.database.models import (
     RunRow,
     WatchSampleRow,
 )
-from service.security.principal import SERVICE, Act, current_act
+from service.principal import SERVICE, Act, current_act
 
 _MAX_VALUE_CHARACTERS: Final = 500
 

@@ -10,12 +10,11 @@ from typing import Final
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.logs.context import REFUSED, set_request_id
-from service.logs.request_record import RECORD, RequestRecord
+from service.logs.context import RECORD, REFUSED, RequestRecord, set_request_id
+from service.logs.redaction import decoded
 from service.problems.catalogue import problem_type_of
 from service.problems.errors import NotReady
 from service.problems.handlers import problem_response, refuse_websocket
-from service.security.redaction import decoded
 
 _log = logging.getLogger("service.access")
 

@@ -8,7 +8,9 @@ from typing import Protocol
 from anyio.to_thread import run_sync
 from fastapi import FastAPI
 
-from service.api.devices.device_service import DeviceService
+from service.api.beam_holds.monitor_config import tracking_config_of
+from service.api.correction_tables.store import active_calibration
+from service.api.devices.device_service import DeviceService, StoredContent
 from service.api.devices.profiles import find_profile
 from service.api.exports.repository import ExportRepository
 from service.api.quality.drift_monitor import DriftMonitor
@@ -65,7 +67,12 @@ async def running(
         closed_at_the_end(manager)
         app.state.live = manager
         stack.callback(setattr, app.state, "live", None)
-        app.state.operation = DeviceService(database, manager, settings.folders)
+        app.state.device_service = DeviceService(
+            database,
+            manager,
+            settings.folders,
+            StoredContent(active_calibration, tracking_config_of),
+        )
         recordings = RecordingManager(
             manager,
             settings.folders.recordings,
@@ -74,7 +81,7 @@ async def running(
         )
         closed_at_the_end(recordings)
         app.state.recordings = recordings
-        await run_sync(app.state.operation.autostart, *named)
+        await run_sync(app.state.device_service.autostart, *named)
         exports = ExportRepository(settings.folders.exports, settings.recording_free_bytes)
         app.state.exports = exports
         kinds = kinds_with(exports, settings.folders.recordings)

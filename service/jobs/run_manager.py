@@ -9,11 +9,11 @@ from threading import Event, Lock, Thread
 from typing import Any, Final, TypeVar
 
 from compute.errors import LumilineError
-from service.api.runs.kind_registry import KINDS, RunKind
 from service.database.engine import Database
 from service.database.models import RunRow
 from service.jobs import store
 from service.jobs.duration_histogram import DurationHistogram
+from service.jobs.run_kind import RunKind
 from service.jobs.worker import Done, Failed, Progress
 from service.jobs.worker_process import WorkerProcess
 from service.principal import Act, current_act
@@ -39,7 +39,7 @@ class RunManager:
     """Runs at most ``at_once`` computations, each in a process of its own."""
 
     def __init__(
-        self, database: Database, max_concurrent: int, kinds: Mapping[str, RunKind] = KINDS
+        self, database: Database, max_concurrent: int, kinds: Mapping[str, RunKind]
     ) -> None:
         self._database = database
         self._max_concurrent = max_concurrent

@@ -18,7 +18,8 @@ from service.api.beam_holds.schema import (
     NewReference,
 )
 from service.api.beam_holds.state import state_of
-from service.api.dependencies import DatabaseDep, DeviceServiceDep, LiveDep
+from service.api.dependencies import DatabaseDep, LiveDep
+from service.api.devices.device_service import DeviceServiceDep
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
 from service.api.pagination import PagingDep, page_of
@@ -69,14 +70,14 @@ def list_beam_holds(
     ),
 )
 def create_beam_hold(
-    request: NewBeamHoldBody, live: LiveDep, operation: DeviceServiceDep, response: Response
+    request: NewBeamHoldBody, live: LiveDep, device_service: DeviceServiceDep, response: Response
 ) -> BeamHold:
     """Say what is watched, and how far it may move.
 
     The beam is held from the first: until there is a reference, and all was near it for as long
     as `settle_s`.
     """
-    with operation.tools_change(request.device) as session:
+    with device_service.tools_change(request.device) as session:
         made = _set_up(live, store.add_beam_hold(session, request))
     response.headers["Location"] = f"/api/v1/beam-holds/{made.id}"
     return made
@@ -101,13 +102,16 @@ def get_beam_hold(hold_id: BeamHoldPath, database: DatabaseDep) -> BeamHold:
     responses=problems(UnknownBeamHold, InvalidParameter),
 )
 def change_beam_hold(
-    hold_id: BeamHoldPath, request: ChangeBody, database: DatabaseDep, operation: DeviceServiceDep
+    hold_id: BeamHoldPath,
+    request: ChangeBody,
+    database: DatabaseDep,
+    device_service: DeviceServiceDep,
 ) -> BeamHold:
     """Change what is given; other limits or rules hold the beam, and it settles anew.
 
     What is watched never changes: delete the hold and create another.
     """
-    with operation.tools_change(_device_of(database, hold_id)) as session:
+    with device_service.tools_change(_device_of(database, hold_id)) as session:
         return store.document(
             store.change_beam_hold(session, store.get_beam_hold(session, hold_id), request)
         )
@@ -121,10 +125,10 @@ def change_beam_hold(
     responses=problems(UnknownBeamHold),
 )
 def delete_beam_hold(
-    hold_id: BeamHoldPath, database: DatabaseDep, operation: DeviceServiceDep
+    hold_id: BeamHoldPath, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> None:
     """Delete a hold; the last that clients of the stream hear of it is that it is held."""
-    with operation.tools_change(_device_of(database, hold_id)) as session:
+    with device_service.tools_change(_device_of(database, hold_id)) as session:
         session.delete(store.get_beam_hold(session, hold_id))
 
 
@@ -149,7 +153,7 @@ def set_beam_hold_reference(
     request: ReferenceBody,
     database: DatabaseDep,
     live: LiveDep,
-    operation: DeviceServiceDep,
+    device_service: DeviceServiceDep,
 ) -> BeamHold:
     """Measure the set-up, with the patient at rest, or take what is given.
 
@@ -163,12 +167,12 @@ def set_beam_hold_reference(
         device, created, spec = row.device_id, row.created_at, to_spec(to_watch(row))
         before = store.reference_id(row)
     if request.given is not None:
-        with operation.tools_change(device) as session:
+        with device_service.tools_change(device) as session:
             row = store.get_same_beam_hold(session, hold_id, created, before)
             return _set_up(live, store.set_given(session, row, request.given))
     with capture_slot():
         measured, calibration, table = capture_reference(live, device, spec, request)
-    with operation.tools_change(device) as session:
+    with device_service.tools_change(device) as session:
         row = store.get_same_beam_hold(session, hold_id, created, before)
         return _set_up(live, store.set_captured(session, row, measured, calibration, table))
 
@@ -180,10 +184,10 @@ def set_beam_hold_reference(
     responses=problems(UnknownBeamHold),
 )
 def delete_beam_hold_reference(
-    hold_id: BeamHoldPath, database: DatabaseDep, operation: DeviceServiceDep
+    hold_id: BeamHoldPath, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> BeamHold:
     """The beam is held until there is another: between two patients."""
-    with operation.tools_change(_device_of(database, hold_id)) as session:
+    with device_service.tools_change(_device_of(database, hold_id)) as session:
         return store.document(
             store.remove_reference(session, store.get_beam_hold(session, hold_id))
         )

@@ -19,7 +19,6 @@ from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorGeometry
 from compute.errors import DuplicatePoint, InvalidParameter, ReadingOutsideSensor, UnknownSensor
 from hardware.driver import SensorDescription
-from service.api.calibrations.comparison import CalibrationWithControlPoints
 from service.api.calibrations.schema import (
     LEAVE_ONE_OUT_POINTS,
     ControlPoint,
@@ -29,8 +28,6 @@ from service.api.calibrations.schema import (
     Provenance,
     Reading,
 )
-from service.api.devices.sensor import Sensor
-from service.database.models import CalibrationRow
 
 _RESULT = TypeAdapter(Calibration)
 _POINTS = TypeAdapter(list[ControlPoint])
@@ -264,21 +261,3 @@ def _check_inside(value_px: float, sensor: SensorDescription, point: str) -> Non
 def geometry(sensors: Sequence[SensorDescription]) -> list[SensorGeometry]:
     """Return what the computation needs to know of the sensors."""
     return [SensorGeometry(sensor.name, sensor.pixels, sensor.pitch_um) for sensor in sensors]
-
-
-def with_control_points(row: CalibrationRow, sensors: list[Sensor]) -> CalibrationWithControlPoints:
-    """Return a calibration of these sensors with the points that it is judged on."""
-    points = [ControlPoint.model_validate(point) for point in row.content["points"]]
-    held = observations(points, sensors)
-    left_out = row.errors["leave_one_out"]
-    return CalibrationWithControlPoints(
-        result_of(row.content),
-        np.array([point.position_mm for point in points], dtype=np.float64).reshape(-1, 3),
-        held.readings_px,
-        None
-        if left_out is None
-        else np.array(
-            [(np.nan,) * 3 if row is None else row for row in left_out["differences_mm"]],
-            dtype=np.float64,
-        ).reshape(-1, 3),
-    )

@@ -26,7 +26,8 @@ from service.api.calibrations.schema import (
     NewCalibration,
     State,
 )
-from service.api.dependencies import DatabaseDep, DeviceServiceDep
+from service.api.dependencies import DatabaseDep
+from service.api.devices.device_service import DeviceServiceDep
 from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.json_body import JsonRoute, JsonTypes
@@ -178,14 +179,22 @@ def compare_calibrations(
     responses=problems(UnknownCalibration, CalibrationRetired, SensorsChanged, ActivationConflict),
 )
 def activate_calibration(
-    calibration_id: CalibrationPath, operation: DeviceServiceDep, expected: ExpectedActive = None
+    calibration_id: CalibrationPath,
+    database: DatabaseDep,
+    device_service: DeviceServiceDep,
+    expected: ExpectedActive = None,
 ) -> CalibrationSummary:
     """Make this the active calibration of its device, in a running one from the next frame on.
 
     The move is written into the device's history of activations. To roll back, activate the
     previous one again. Of activations at the same moment one wins; the others are told.
     """
-    return operation.activate(calibration_id, expected)
+    with database.read() as session:
+        device = store.get_calibration(session, calibration_id).device_id
+    with device_service.pointer_move(
+        device, lambda now: now.calibration_id == calibration_id, expected
+    ) as session:
+        return store.summary(session, store.activate(session, calibration_id))
 
 
 @router.post(

@@ -9,13 +9,18 @@ from sqlalchemy.orm import Session
 
 from service.api.calibrations.calibration_content import Outcome
 from service.api.calibrations.schema import CalibrationSummary, State
-from service.api.devices.activation import Target, active, lock_device, move_pointer
+from service.api.devices.activation import (
+    Target,
+    active,
+    check_not_retired,
+    lock_device,
+    move_pointer,
+)
 from service.database.engine import insert
 from service.database.models import ActiveCalibrationRow, CalibrationRow
 from service.problems.errors import (
     CalibrationActive,
     CalibrationExists,
-    CalibrationRetired,
     UnknownCalibration,
 )
 
@@ -111,12 +116,7 @@ def usable(session: Session, calibration_id: str) -> CalibrationRow:
     row = get_calibration(session, calibration_id)
     lock_device(session, row.device_id)
     session.refresh(row)
-    if row.retired_at is not None:
-        raise CalibrationRetired(
-            f'calibration "{row.id}" was retired on {row.retired_at:%Y-%m-%d}; activate one that '
-            "is available",
-            calibration=row.id,
-        )
+    check_not_retired(row)
     return row
 
 

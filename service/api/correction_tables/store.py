@@ -9,6 +9,7 @@ import numpy as np
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 
+from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.store import get_calibration
 from service.api.correction_tables.schema import CorrectionTableDocument
 from service.api.correction_tables.table_content import TableContent, check_table
@@ -21,6 +22,7 @@ from service.database.models import (
     CorrectionTableRow,
     ReconstructionRow,
 )
+from service.pipeline.active_calibration import ActiveCalibration
 from service.problems.errors import (
     CorrectionTableExists,
     CorrectionTableInUse,
@@ -263,6 +265,24 @@ def delete_table(session: Session, table_id: str) -> None:
         )
     session.delete(row)
     session.flush()
+
+
+def active_calibration(session: Session, device_id: str) -> ActiveCalibration:
+    """Return the calibration and the table that the device's pointer names, with their content."""
+    pointer = active(session, device_id)
+    if pointer is None:
+        return ActiveCalibration()
+    calibration = get_calibration(session, pointer.calibration_id)
+    table = None if pointer.table_id is None else get_table(session, pointer.table_id)
+    return ActiveCalibration(
+        calibration.id,
+        result_of(calibration.content),
+        pointer.table_id,
+        content_of(table).table if table else None,
+        calibration.content,
+        calibration.content_hash,
+        table.data if table else None,
+    )
 
 
 def document(session: Session, row: CorrectionTableRow) -> CorrectionTableDocument:

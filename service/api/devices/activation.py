@@ -1,4 +1,4 @@
-"""The pointer of a device to its calibration and table, and the history of its moves."""
+"""The pointer of a device to its active calibration and table: its moves and their history."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,8 +7,13 @@ from datetime import UTC, datetime
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
-from service.database.models import ActivationRow, ActiveCalibrationRow, DeviceRow
-from service.problems.errors import ActivationConflict, NothingToRollBack
+from service.database.models import (
+    ActivationRow,
+    ActiveCalibrationRow,
+    CalibrationRow,
+    DeviceRow,
+)
+from service.problems.errors import ActivationConflict, CalibrationRetired, NothingToRollBack
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,16 @@ def active_at(session: Session, device_id: str, moment: datetime) -> Target | No
 def lock_device(session: Session, device_id: str) -> None:
     """Let other moves of the pointer wait (SQLite: they do from the transaction's begin)."""
     session.execute(select(DeviceRow.id).where(DeviceRow.id == device_id).with_for_update())
+
+
+def check_not_retired(row: CalibrationRow) -> None:
+    """Raise CalibrationRetired when a calibration may not be activated any more."""
+    if row.retired_at is not None:
+        raise CalibrationRetired(
+            f'calibration "{row.id}" was retired on {row.retired_at:%Y-%m-%d}; activate one that '
+            "is available",
+            calibration=row.id,
+        )
 
 
 def move_pointer(

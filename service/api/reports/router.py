@@ -3,13 +3,14 @@
 from threading import BoundedSemaphore
 from typing import Annotated, Final, Literal
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Depends, Path, Query, Request
 from starlette.responses import HTMLResponse, Response
 
 from service.api.base_models import SLUG_PATTERN
-from service.api.dependencies import DatabaseDep, ReportsDep
+from service.api.dependencies import DatabaseDep
 from service.api.openapi import problems
 from service.api.reports.assembly import assemble_report, report_key
+from service.api.reports.cache import ReportCache
 from service.api.reports.render_process import render_figure, render_page
 from service.api.request_parameters import CalibrationPath
 from service.problems.errors import (
@@ -47,6 +48,14 @@ FigurePath = Annotated[
         openapi_examples={"frame": {"summary": "of the example body", "value": "sim-frame"}},
     ),
 ]
+
+
+def _reports(request: Request) -> ReportCache:
+    reports: ReportCache = request.app.state.reports
+    return reports
+
+
+ReportsDep = Annotated[ReportCache, Depends(_reports)]
 PreviousQuery = Annotated[
     str | None,
     Query(

@@ -8,8 +8,7 @@ from sqlalchemy.orm import Session
 
 from service.api.dependencies import DatabaseDep, RunsDep, SettingsDep
 from service.api.devices.store import get_device
-from service.api.runs.document import run_document
-from service.api.runs.schema import Run
+from service.api.runs.schema import Run, run_document
 from service.database.models import DeviceRow
 from service.jobs import store
 from service.jobs.store import Kind

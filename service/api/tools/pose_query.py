@@ -19,8 +19,8 @@ from service.api.tools.schema import TRACKER, Pose
 from service.database.models import RegistrationRow, ToolRow
 from service.pipeline.latest_poses import PoseEntry
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.pose_message import pose_message
 from service.problems.errors import UnknownTool
-from service.protocols.stream.tracking_messages import pose_message
 
 STALE_S: Final = 1.0
 """A pose older than this is none, or than this many frames where they come more slowly:"""

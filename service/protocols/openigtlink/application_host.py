@@ -19,6 +19,7 @@ from service.api.tools.provenance import provenance
 from service.api.tools.registrations import measured_points
 from service.api.tools.rigid_bodies import body_of
 from service.api.tools.tip_limit import tip_limit_of
+from service.api.tools.transform_name import frame_name
 from service.database.audited_session import entry
 from service.database.engine import Database
 from service.database.models import RegistrationRow, ToolRow
@@ -26,7 +27,6 @@ from service.pipeline.pipeline_manager import PipelineManager
 from service.principal import Act, Principal, current_act
 from service.problems.errors import UnknownRecording
 from service.protocols.openigtlink.host import Caller, Landmark, WireTool
-from service.protocols.openigtlink.transform_names import frame_name
 from service.security.audit_entry import record_repeats
 from service.security.refusal_aggregation import RefusalAggregator
 

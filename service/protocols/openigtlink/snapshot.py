@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.api.tools.tip_limit import TipLimit, exceeded_reason, tip_sd_mm
+from service.api.tools.transform_name import TRACKER, TransformName, frame_name
 from service.pipeline.latest_poses import PoseEntry
 from service.protocols.openigtlink.errors import BadMessage
 from service.protocols.openigtlink.message import Message, write_message
@@ -23,12 +24,7 @@ from service.protocols.openigtlink.pose_bodies import (
     write_tracking,
     write_transform,
 )
-from service.protocols.openigtlink.transform_names import (
-    TRACKER,
-    ToolNames,
-    TransformName,
-    frame_name,
-)
+from service.protocols.openigtlink.transform_names import ToolNames
 
 Array = NDArray[np.float64]
 

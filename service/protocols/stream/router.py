@@ -42,7 +42,7 @@ async def stream(websocket: WebSocket) -> None:
     with ExitStack() as stack:
         try:
             request = parse_stream_request(websocket.query_params)
-            await run_sync(websocket.app.state.operation.status, request.device_id)
+            await run_sync(websocket.app.state.device_service.status, request.device_id)
             stack.enter_context(websocket.app.state.open_streams.opened(principal))
         except LumilineError as error:
             path = websocket.url.path

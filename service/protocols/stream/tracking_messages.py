@@ -6,16 +6,10 @@ from itertools import pairwise
 from math import isfinite
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from compute.camera.rotation import rotation_quaternion
 from compute.flags import flag_names
-from compute.pose.tool_pose import ToolPose
 from compute.tracking.track_batch import TrackFlag, TrackState
+from service.pipeline.pose_message import pose_message
 from service.pipeline.tracking_result import TrackingResult
-
-Array = NDArray[np.float64]
 
 
 def track_messages(
@@ -82,37 +76,6 @@ def tool_pose_messages(
     """Yield the tool poses of each of ``count`` frames from ``first`` on; none without motion."""
     for frame in range(first, first + count):
         yield [] if motion is None else [pose_message(pose) for pose in motion.poses_of(frame)]
-
-
-def pose_message(pose: ToolPose) -> dict[str, Any]:
-    """Return a pose with the members of ToolPose, and its turn as a quaternion, too."""
-    sigma = pose.residual_sigma
-    return {
-        "tool": pose.tool,
-        "status": pose.status.value,
-        "reason": pose.reason,
-        "translation_mm": _values(pose.translation_mm),
-        "rotation": _values(pose.rotation),
-        "quaternion_wxyz": _values(
-            None if pose.rotation is None else rotation_quaternion(pose.rotation)
-        ),
-        "covariance": _values(pose.covariance),
-        "tip_mm": _values(pose.tip_mm),
-        "tip_covariance_mm2": _values(pose.tip_covariance_mm2),
-        "residual_sigma": sigma if sigma is not None and isfinite(sigma) else None,
-        "markers_used": pose.markers_used,
-        "readings_used": pose.readings_used,
-        "velocity_mm_s": _values(pose.velocity_mm_s),
-        "angular_velocity_rad_s": _values(pose.angular_velocity_rad_s),
-    }
-
-
-def _values(array: Array | None) -> list[Any] | None:
-    """Return an array as lists; None for what is not known, for which JSON has no number."""
-    if array is None or not np.isfinite(array).all():
-        return None
-    found: list[Any] = array.tolist()
-    return found
 
 
 @lru_cache

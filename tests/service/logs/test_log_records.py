@@ -194,7 +194,7 @@ def test_a_failure_has_a_line_and_its_id(
     def broken(*_: Any) -> None:
         raise RuntimeError("unforeseen")
 
-    monkeypatch.setattr(sqlite_client.app.state.operation, "status", broken)
+    monkeypatch.setattr(sqlite_client.app.state.device_service, "status", broken)
     answer = sqlite_client.get("/api/v1/devices/sim/status", headers={"x-request-id": "f1"})
     assert (answer.status_code, answer.headers["x-request-id"]) == (500, "f1")
     assert vars(accesses(caplog)[-1])["status"] == 500

@@ -12,7 +12,7 @@ from prometheus_client.parser import text_string_to_metric_families as plain
 
 from compute.pose.tool_pose import PoseStatus
 from hardware.link import LinkCounters, LinkState
-from service.api.recordings.write_counters import WriteCounters
+from service.api.recordings.recorder import WriteCounters
 from service.database.models import RunRow
 from service.jobs.duration_histogram import DurationHistogram
 from service.logs.context import RequestRecord

@@ -1,43 +1,30 @@
-"""Whether what a database holds agrees with itself: hashes, references, history, triggers."""
+"""Consistency check of a database: content hashes, references, history, triggers."""
 
 from collections import defaultdict
 from collections.abc import Iterator
+from typing import Final
 
-from alembic.runtime.migration import MigrationContext
-from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, Table, inspect, select
 from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
 from service.api.calibrations.calibration_content import content_hash
 from service.api.devices.store import sensors_of_row, source_of
 from service.database.immutability_triggers import missing_triggers
-from service.database.integrity import missing, unreadable
-from service.database.migration import alembic_config
+from service.database.migration import newest_revision, revision_of
 from service.database.models import (
     ActivationRow,
     ActiveCalibrationRow,
+    Base,
     CalibrationRow,
     CorrectionTableRow,
     DeviceRow,
 )
 
 
-def newest_revision(connection: Connection) -> str:
-    """Return the newest revision that this version knows."""
-    found = ScriptDirectory.from_config(alembic_config(connection)).get_current_head()
-    assert found is not None
-    return found
-
-
-def revision_of(connection: Connection) -> str | None:
-    """Return the revision of a database, None of one that holds nothing of ours."""
-    return MigrationContext.configure(connection).get_current_revision()
-
-
 def find_inconsistencies(connection: Connection) -> list[str]:
     """Return what is wrong, one line each; none: the database is sound."""
-    revision, newest = revision_of(connection), newest_revision(connection)
+    revision, newest = revision_of(connection), newest_revision()
     if revision != newest:
         return [f"its revision is {revision or 'none'}, and this version's {newest}"]
     broken = missing(connection) or unreadable(connection)
@@ -116,3 +103,43 @@ def _history(session: Session) -> Iterator[str]:
     for device_id in sorted(last.keys() | pointers.keys()):
         if pointers.get(device_id, (None, None)) != last[device_id]:
             yield f'device "{device_id}" does not use what its last activation says'
+
+
+_BATCH: Final = 200
+
+
+def missing(connection: Connection) -> list[str]:
+    """Return which tables and columns are not there, one line each."""
+    there = inspect(connection)
+    names = set(there.get_table_names())
+    found = []
+    for table in Base.metadata.sorted_tables:
+        if table.name not in names:
+            found.append(f"the table {table.name} is missing")
+            continue
+        columns = {str(column["name"]) for column in there.get_columns(table.name)}
+        found += [
+            f"the column {column.name} of {table.name} is missing"
+            for column in table.columns
+            if column.name not in columns
+        ]
+    return found
+
+
+def unreadable(connection: Connection) -> list[str]:
+    """Return the first value of each table that means nothing, one line each."""
+    return [line for table in Base.metadata.sorted_tables for line in _of_table(connection, table)]
+
+
+def _of_table(connection: Connection, table: Table) -> Iterator[str]:
+    # Not the tables' data, up to 64 MB each, in which any bytes can be read.
+    columns = [column for column in table.columns if column is not _DATA]
+    found = connection.execute(select(*columns), execution_options={"stream_results": True})
+    try:
+        for _ in found.partitions(_BATCH):
+            pass
+    except (ValueError, TypeError) as error:
+        yield f"a value of the table {table.name} cannot be read: {error}"
+
+
+_DATA: Final = CorrectionTableRow.__table__.columns["data"]

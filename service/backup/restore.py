@@ -11,20 +11,51 @@ from pathlib import Path
 
 from alembic import command
 from alembic.util import CommandError
-from sqlalchemy import Connection, inspect
+from sqlalchemy import Connection, inspect, or_, select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from service.application.consistency import find_inconsistencies, newest_revision, revision_of
+from service.backup.backup import back_up, opened
+from service.backup.consistency import find_inconsistencies
+from service.backup.copy_rows import Told, copy_rows, count_rows
 from service.database.audited_session import entry
-from service.database.backup import back_up, opened
-from service.database.copy_rows import Told, copy_rows, count_rows
 from service.database.engine import Database
-from service.database.migration import alembic_config, lock_schema, migrate
-from service.database.models import Base
-from service.database.restored_api_keys import NO_KEYS, KeyChanges, keep_revoked, read_api_keys
+from service.database.migration import (
+    alembic_config,
+    lock_schema,
+    migrate,
+    newest_revision,
+    revision_of,
+)
+from service.database.models import ApiKeyRow, Base
 from service.database.server_lock import exclusive_lock
 from service.problems.errors import BackupUnusable, DatabaseDamaged, DatabaseNotEmpty
+
+
+@dataclass(frozen=True)
+class KeyChanges:
+    """What a restore did to keys, by their ids.
+
+    Args:
+        revoked: valid in the backup, and revoked now as they were in what was replaced.
+        valid: valid now, and unknown to what was replaced.
+        lost: valid in what was replaced, and not in the backup: nobody can use them any more.
+    """
+
+    revoked: tuple[str, ...] = ()
+    valid: tuple[str, ...] = ()
+    lost: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ApiKeySnapshot:
+    """The keys of a database: when each was revoked, and which are valid."""
+
+    revoked_at: dict[str, datetime | None]
+    valid: frozenset[str]
+
+
+NO_KEYS = ApiKeySnapshot({}, frozenset())
 
 
 @dataclass(frozen=True)
@@ -132,7 +163,7 @@ def _keep(database: Database, keep_in: Path | None) -> Path | None:
                 "the database is not empty; say --replace to have its content backed up and then "
                 "replaced"
             )
-        newest = newest_revision(connection)
+        newest = newest_revision()
     if revision != newest:
         migrate(database)
     kept = keep_in / f"before-restore-{datetime.now(UTC):%Y%m%dT%H%M%S%f}.lumiline"
@@ -148,3 +179,34 @@ def _clear(target: Connection) -> None:
     Base.metadata.drop_all(target, tables=ours)
     if "alembic_version" in there:
         target.exec_driver_sql("DROP TABLE alembic_version")
+
+
+def read_api_keys(connection: Connection) -> ApiKeySnapshot:
+    """Return what a database knows of keys."""
+    query = select(ApiKeyRow.id, ApiKeyRow.revoked_at, ApiKeyRow.expires_at)
+    rows = connection.execute(query).all()
+    now = datetime.now(UTC)
+    return ApiKeySnapshot(
+        {identity: revoked for identity, revoked, _ in rows},
+        frozenset(
+            identity
+            for identity, revoked, expires in rows
+            if revoked is None and (expires is None or expires > now)
+        ),
+    )
+
+
+def keep_revoked(connection: Connection, before: ApiKeySnapshot) -> KeyChanges:
+    """Revoke, among the restored keys, those that were revoked before; return what changed."""
+    restored = read_api_keys(connection)
+    for identity, moment in before.revoked_at.items():
+        if moment is not None:
+            earlier = or_(ApiKeyRow.revoked_at.is_(None), ApiKeyRow.revoked_at > moment)
+            here = update(ApiKeyRow).where(ApiKeyRow.id == identity, earlier)
+            connection.execute(here.values(revoked_at=moment))
+    now = read_api_keys(connection)
+    return KeyChanges(
+        revoked=tuple(sorted(restored.valid - now.valid)),
+        valid=tuple(sorted(now.valid - before.revoked_at.keys())),
+        lost=tuple(sorted(before.valid - restored.revoked_at.keys())),
+    )

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from sqlalchemy import Connection
 
-from service.application.consistency import find_inconsistencies, newest_revision, revision_of
-from service.database.copy_rows import Told, copy_rows, count_rows
+from service.backup.consistency import find_inconsistencies
+from service.backup.copy_rows import Told, copy_rows, count_rows
 from service.database.engine import Database
-from service.database.migration import migrate
+from service.database.migration import migrate, newest_revision, revision_of
 from service.problems.errors import BackupUnusable, DatabaseDamaged
 
 
@@ -52,7 +52,7 @@ def back_up(database: Database, file: Path, told: Told | None = None) -> dict[st
 
 def _check_revision(database: Database) -> None:
     with database.engine.connect() as connection:
-        revision, newest = revision_of(connection), newest_revision(connection)
+        revision, newest = revision_of(connection), newest_revision()
     if revision != newest:
         raise DatabaseDamaged(
             f"the database is of revision {revision or 'none'}, and this version's is {newest}; "

@@ -14,11 +14,12 @@ from typer.testing import CliRunner
 
 from service.api.correction_tables.store import add_table, find_parent
 from service.api.security.schema import NewApiKey
-from service.application.consistency import find_inconsistencies
 from service.application.initial_content import seed
+from service.backup import restore as restoring
+from service.backup.backup import back_up
+from service.backup.consistency import find_inconsistencies
+from service.backup.restore import KeyChanges, restore
 from service.cli import app
-from service.database import restore as restoring
-from service.database.backup import back_up
 from service.database.engine import Database
 from service.database.migration import migrate
 from service.database.models import (
@@ -29,8 +30,6 @@ from service.database.models import (
     CorrectionTableRow,
     DeviceRow,
 )
-from service.database.restore import restore
-from service.database.restored_api_keys import KeyChanges
 from service.database.server_lock import server_lock
 from service.problems.errors import BackupUnusable, DatabaseDamaged, DatabaseInUse, DatabaseNotEmpty
 from service.security import store

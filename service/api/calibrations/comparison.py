@@ -1,7 +1,7 @@
 """Two calibrations of one device beside one another: parameters, positions, observations."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,6 @@ from compute.calibration.result import Calibration
 from compute.camera.model import PARAMETER_COUNT, PARAMETERS, SensorModel, Vector3, vector3
 from compute.camera.stack import CameraStack
 from compute.reconstruction.triangulation import reconstruct
-from service.api.calibrations.calibration_content import observations, result_of
-from service.api.calibrations.schema import ControlPoint
-from service.api.devices.sensor import Sensor
-
-if TYPE_CHECKING:
-    from service.database.models import CalibrationRow
 
 Array = NDArray[np.float64]
 
@@ -292,23 +286,3 @@ def _errors(held: CalibrationWithControlPoints, owner: CalibrationWithControlPoi
 
 def _rms(rows_mm: Array) -> float:
     return float(np.sqrt((rows_mm**2).sum(axis=1).mean()))
-
-
-def with_control_points(
-    row: "CalibrationRow", sensors: list[Sensor]
-) -> CalibrationWithControlPoints:
-    """Return a calibration of these sensors with the points that it is judged on."""
-    points = [ControlPoint.model_validate(point) for point in row.content["points"]]
-    held = observations(points, sensors)
-    left_out = row.errors["leave_one_out"]
-    return CalibrationWithControlPoints(
-        result_of(row.content),
-        np.array([point.position_mm for point in points], dtype=np.float64).reshape(-1, 3),
-        held.readings_px,
-        None
-        if left_out is None
-        else np.array(
-            [(np.nan,) * 3 if row is None else row for row in left_out["differences_mm"]],
-            dtype=np.float64,
-        ).reshape(-1, 3),
-    )

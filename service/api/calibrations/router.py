@@ -152,7 +152,6 @@ def compare_calibrations(
     """Two calibrations of one device: parameters in their deviations, positions over the control
     points' box, and which is better on the same observations.
     """
-    from service.api.calibrations.calibration_content import with_control_points
     from service.api.calibrations.comparison import compare
 
     with database.read() as session:
@@ -166,7 +165,7 @@ def compare_calibrations(
         sensors = sensors_of_row(get_device(session, rows[0].device_id))
         for row in rows:
             check_sensors(row.device_id, sensors, result_of(row.content).models)
-        held = [with_control_points(row, sensors) for row in rows]
+        held = [store.with_control_points(row, sensors) for row in rows]
     return ComparisonDocument(
         one=calibration_id, other=other_id, comparison=compare(held[0], held[1])
     )

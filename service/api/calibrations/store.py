@@ -4,11 +4,13 @@ import secrets
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
-from service.api.calibrations.calibration_content import Outcome
-from service.api.calibrations.schema import CalibrationSummary, State
+from service.api.calibrations.calibration_content import Outcome, observations, result_of
+from service.api.calibrations.comparison import CalibrationWithControlPoints
+from service.api.calibrations.schema import CalibrationSummary, ControlPoint, State
 from service.api.devices.activation import (
     Target,
     active,
@@ -16,6 +18,7 @@ from service.api.devices.activation import (
     lock_device,
     move_pointer,
 )
+from service.api.devices.sensor import Sensor
 from service.database.engine import insert
 from service.database.models import ActiveCalibrationRow, CalibrationRow
 from service.problems.errors import (
@@ -177,3 +180,21 @@ def _members(session: Session, row: CalibrationRow) -> dict[str, object]:
         "created_at": row.created_at,
         "retired_at": row.retired_at,
     }
+
+
+def with_control_points(row: CalibrationRow, sensors: list[Sensor]) -> CalibrationWithControlPoints:
+    """Return a calibration of these sensors with the points that it is judged on."""
+    points = [ControlPoint.model_validate(point) for point in row.content["points"]]
+    held = observations(points, sensors)
+    left_out = row.errors["leave_one_out"]
+    return CalibrationWithControlPoints(
+        result_of(row.content),
+        np.array([point.position_mm for point in points], dtype=np.float64).reshape(-1, 3),
+        held.readings_px,
+        None
+        if left_out is None
+        else np.array(
+            [(np.nan,) * 3 if row is None else row for row in left_out["differences_mm"]],
+            dtype=np.float64,
+        ).reshape(-1, 3),
+    )

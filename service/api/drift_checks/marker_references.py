@@ -7,8 +7,9 @@ from sqlalchemy.orm import Session
 
 from compute.calibration.effective_readings import effective_readings
 from compute.errors import InvalidParameter
-from service.api.calibrations.calibration_content import observations, with_control_points
+from service.api.calibrations.calibration_content import observations
 from service.api.calibrations.schema import ControlPoint, Reading
+from service.api.calibrations.store import with_control_points
 from service.api.captures.store import captured_points
 from service.api.devices.sensor import Sensor
 from service.api.drift_checks.schema import (

@@ -11,11 +11,10 @@ from sqlalchemy.orm import Session
 from service.api.calibrations.calibration_content import (
     observations,
     result_of,
-    with_control_points,
 )
 from service.api.calibrations.comparison import compare
 from service.api.calibrations.schema import ControlPoint
-from service.api.calibrations.store import active_id, get_calibration
+from service.api.calibrations.store import active_id, get_calibration, with_control_points
 from service.api.devices.sensor import Sensor, sensors_match
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.reports.content import ComparedCalibration, Relation, ReportContent

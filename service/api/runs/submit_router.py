@@ -63,7 +63,7 @@ from service.problems.errors import (
     UnknownTool,
 )
 
-router = APIRouter(prefix="/api/v1", tags=["runs"], route_class=JsonRoute)
+router = APIRouter(prefix="/api/v1", route_class=JsonRoute)
 
 NewCalibrationRunBody = Annotated[
     NewCalibrationRun, JsonTypes(), Body(openapi_examples=NEW_CALIBRATION_RUNS)
@@ -78,6 +78,7 @@ NewSelfCalibrationRunBody = Annotated[
 
 @router.post(
     "/calibration-runs",
+    tags=["runs"],
     operation_id="create-calibration-run",
     summary="Calibrate a device beside the requests",
     status_code=HTTP_202_ACCEPTED,
@@ -131,6 +132,7 @@ def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> lis
 
 @router.post(
     "/mapping-runs",
+    tags=["runs"],
     operation_id="create-mapping-run",
     summary="Map the volume beside the requests",
     status_code=HTTP_202_ACCEPTED,
@@ -183,6 +185,7 @@ def create_mapping_run(request: NewMappingRunBody, acceptance: SubmissionDep) ->
 
 @router.post(
     "/self-calibration-runs",
+    tags=["runs"],
     operation_id="create-self-calibration-run",
     summary="Calibrate a device without known coordinates",
     status_code=HTTP_202_ACCEPTED,
@@ -232,6 +235,7 @@ def create_self_calibration_run(
 
 @router.post(
     "/update-runs",
+    tags=["runs"],
     operation_id="create-update-run",
     summary="Bring a calibration up to date by still markers",
     status_code=HTTP_202_ACCEPTED,

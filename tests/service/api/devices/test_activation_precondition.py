@@ -7,8 +7,11 @@ from typing import Any
 import pytest
 
 from hardware.simulated.calibration_target import calibration_target_points_mm
+from service.api.beam_holds.monitor_config import tracking_config_of
+from service.api.calibrations import store as calibrations
 from service.api.calibrations.examples import simulated_points
-from service.api.devices.device_service import DeviceService
+from service.api.correction_tables.store import active_calibration
+from service.api.devices.device_service import DeviceService, StoredContent
 from service.api.devices.store import get_device
 from service.database.engine import Database
 from service.problems.errors import ActivationConflict
@@ -67,13 +70,19 @@ def test_of_two_at_the_same_moment_one_wins_and_the_log_tells_both(with_two: Any
 def test_of_two_servers_with_one_database_one_wins(with_two: Any, settings: Settings):
     # Each has locks of its own; what decides is the database's.
     others = [Database(settings.effective_database_url) for _ in range(2)]
-    servers = [DeviceService(one, FakePipeline(), settings.folders) for one in others]
+    stored = StoredContent(active_calibration, tracking_config_of)
+    servers = [DeviceService(one, FakePipeline(), settings.folders, stored) for one in others]
+
+    def activate(server: DeviceService, name: str) -> None:
+        with server.pointer_move("sim", lambda now: now.calibration_id == name) as session:
+            calibrations.activate(session, name)
+
     try:
         with ThreadPoolExecutor(2) as pool:
             with with_two.app.state.database.write() as session:
                 get_device(session, "sim", lock=True)
                 waiting = [
-                    pool.submit(server.activate, name)
+                    pool.submit(activate, server, name)
                     for server, name in zip(servers, ("a", "b"), strict=True)
                 ]
                 wait_a_while(waiting)

@@ -43,8 +43,7 @@ from service.problems.handlers import install_problem_handlers, unknown_websocke
 from service.protocols.metrics.registry import Metrics
 from service.protocols.metrics.router import router as metrics
 from service.protocols.stream.router import router as stream
-from service.security.guard import Guard, confirm
-from service.security.operation_scopes import check_complete
+from service.security.guard import Guard, check_complete, confirm
 from service.security.stream_limit import StreamLimit
 from service.settings import Settings
 from service.version import package_version
@@ -103,7 +102,7 @@ def create_app(
     app.add_middleware(
         RequestLog,
         ended=app.state.metrics.request_ended,
-        stopping=lambda: bool(app.state.stopping),
+        stopping=partial(getattr, app.state, "stopping"),
     )
     install_problem_handlers(app)
     check_complete(app.routes)

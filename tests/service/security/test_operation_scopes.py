@@ -10,8 +10,8 @@ from fastapi import FastAPI
 from service.application.app import create_app
 from service.principal import SCOPE_MEANINGS, SCOPES
 from service.security import operation_scopes
-from service.security.guard import Guard
-from service.security.operation_scopes import OPERATION_SCOPES, check_complete
+from service.security.guard import Guard, check_complete
+from service.security.operation_scopes import OPERATION_SCOPES
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.security.conftest import Secured

@@ -4,7 +4,6 @@ Clients choose what is looked through, so every pattern takes time in proportion
 match begins only where its first words are, and no run of characters is tried from several places.
 """
 
-import logging
 import re
 from typing import Final
 from urllib.parse import unquote
@@ -42,11 +41,3 @@ def decoded(text: str) -> str:
     for _ in range(_ENCODED_TIMES):
         text = unquote(text)
     return text
-
-
-class RedactingHandler(logging.StreamHandler):  # type: ignore[type-arg]
-    """A handler of which every line, tracebacks included, is redacted."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Return the record as it is written."""
-        return redact(super().format(record))

@@ -1,11 +1,13 @@
 """REST resource /api/v1/beam-holds."""
 
+import time
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Path, Response
 from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from compute.errors import InvalidParameter, NotStationary
+from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.beam_holds import store
 from service.api.beam_holds.examples import BEAM_HOLD_IDS, CHANGES, NEW_BEAM_HOLDS, REFERENCES
@@ -17,15 +19,15 @@ from service.api.beam_holds.schema import (
     NewBeamHold,
     NewReference,
 )
-from service.api.beam_holds.state import state_of
 from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.device_service import DeviceServiceDep
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
 from service.api.pagination import PagingDep, page_of
 from service.api.request_parameters import DeviceFilter
-from service.api.tools.concurrency_limits import capture_slot
+from service.api.tools import concurrency_limits
 from service.database.models import HoldRow
+from service.pipeline.beam_hold_state import BeamHoldState
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.errors import (
     BeamHoldExists,
@@ -170,7 +172,7 @@ def set_beam_hold_reference(
         with device_service.tools_change(device) as session:
             row = store.get_same_beam_hold(session, hold_id, created, before)
             return _set_up(live, store.set_given(session, row, request.given))
-    with capture_slot():
+    with concurrency_limits.captures:
         measured, calibration, table = capture_reference(live, device, spec, request)
     with device_service.tools_change(device) as session:
         row = store.get_same_beam_hold(session, hold_id, created, before)
@@ -238,3 +240,25 @@ def _set_up(live: PipelineManager, row: HoldRow) -> BeamHold:
 def _device_of(database: DatabaseDep, hold_id: str) -> str:
     with database.read() as session:
         return store.get_beam_hold(session, hold_id).device_id
+
+
+def state_of(live: PipelineManager, device_id: str, hold_id: str) -> BeamHoldStatus:
+    """Return whether a hold is held; what is not watched is."""
+    now = live.holds.now(hold_id)
+    if now is None:
+        # Of a server that is starting, or one that could not take the hold over.
+        why = "it is not watched"
+        now = BeamHoldState(hold_id, True, BeamHoldCause.NO_DATA, why, time.time_ns())
+    return BeamHoldStatus(
+        hold=hold_id,
+        device=device_id,
+        held=now.held,
+        cause=now.cause,
+        reason=now.reason,
+        since_ns=now.since_ns,
+        exposure_ns=now.exposure_ns,
+        sequence=now.sequence,
+        shift_mm=now.shift_mm,
+        rotation_rad=now.rotation_rad,
+        probability=now.probability,
+    )

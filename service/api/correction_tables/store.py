@@ -1,7 +1,6 @@
 """Correction tables in the database: stored, read, activated with their calibration."""
 
 import secrets
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Literal
 
@@ -32,14 +31,6 @@ from service.problems.errors import (
 )
 
 Origin = Literal["run", "upload"]
-
-
-@dataclass(frozen=True)
-class ParentCalibrationRef:
-    """The calibration that a table belongs to."""
-
-    calibration_id: str
-    device_id: str
 
 
 def get_table(session: Session, table_id: str) -> CorrectionTableRow:

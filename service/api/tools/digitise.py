@@ -15,8 +15,8 @@ from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.api.tools.frame_conversion import pose_in_frame
 from service.api.tools.point_schema import NewPoint
 from service.api.tools.pose_query import Frame
+from service.api.tools.pose_taps import TipTap
 from service.api.tools.tip_limit import TipLimit
-from service.api.tools.tip_tap import TipTap
 from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation

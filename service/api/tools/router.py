@@ -25,8 +25,7 @@ from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
 from service.api.pagination import PagingDep, page_of
 from service.api.request_parameters import DeviceFilter
-from service.api.tools import store
-from service.api.tools.concurrency_limits import capture_slot
+from service.api.tools import concurrency_limits, store
 from service.api.tools.examples import (
     CALIBRATIONS,
     CAPTURED_TOOLS,
@@ -35,8 +34,8 @@ from service.api.tools.examples import (
     SPUN_IDS,
     TOOL_IDS,
 )
-from service.api.tools.geometry_check import GEOMETRY, check_geometry
 from service.api.tools.pose_query import frame_of, newest_pose
+from service.api.tools.rigid_bodies import GEOMETRY, check_geometry
 from service.api.tools.schema import (
     NewCapturedTool,
     NewTool,
@@ -149,7 +148,7 @@ def capture_tool(
     with database.read() as session:
         get_device(session, request.device)
         store.check_new(session, request, request.strobe_markers)
-    with capture_slot():
+    with concurrency_limits.captures:
         body, origin = capture_geometry(live, request)
     return _add(device_service, request, body, origin, response)
 
@@ -313,7 +312,7 @@ def _calibrated(
     with database.read() as session:
         tool = store.get_tool(session, tool_id)
         device, reference, created = tool.device_id, tool.reference_id, tool.created_at
-    with capture_slot():
+    with concurrency_limits.captures:
         result = calibrate_tip(live, device, tool_id, reference, kind, request)
     with device_service.tools_change(device) as session:
         tool = store.get_same_tool(session, tool_id, created)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from compute.errors import TooFewPoses
 from compute.pose.tool_pose import ToolPose
-from service.api.tools.pose_tap import PoseTap
+from service.api.tools.pose_taps import PoseTap
 from service.api.tools.schema import NewToolCalibration
 from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager

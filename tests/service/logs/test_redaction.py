@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.logs.redaction import RedactingHandler, decoded, redact
+from service.logs.formatter import TextFormatter
+from service.logs.redaction import decoded, redact
 from service.security.key_format import make_key
 
 TOKEN = "eyJhbGciOiJSUzI1NiJ9.eyJzdWIiOiJhIn0.c2lnbmF0dXJl"
@@ -81,13 +82,12 @@ def test_what_is_encoded_is_known(times: int) -> None:
 
 
 def test_tracebacks_are_redacted_too() -> None:
-    handler = RedactingHandler()
     made = make_key()
     try:
         raise ValueError(f"bad {made.text}")
     except ValueError as error:
         record = logging.LogRecord("x", logging.ERROR, "f", 1, "at %s", (TOKEN,), None)
         record.exc_info = (ValueError, error, error.__traceback__)
-        text = handler.format(record)
+        text = TextFormatter().format(record)
     assert "ValueError: bad lumi_***" in text
     assert TOKEN not in text

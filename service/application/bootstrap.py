@@ -1,4 +1,4 @@
-"""Makes ready what the service needs before it serves: data directory, database, first content."""
+"""Prepares data directory, database and first content before serving."""
 
 import logging
 from pathlib import Path

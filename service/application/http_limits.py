@@ -1,4 +1,4 @@
-"""HTTP/1.1 connections whose requests have heads in time and in bounds, or which make room."""
+"""Header size and arrival limits of HTTP/1.1; the longest-waiting connection is evicted."""
 
 import asyncio
 from typing import Any, Final

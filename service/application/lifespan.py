@@ -1,4 +1,4 @@
-"""What runs as long as the application: opened in order, closed in reverse."""
+"""Lifespan of the application: parts are opened in order and closed in reverse."""
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager

@@ -1,4 +1,4 @@
-"""ASGI middleware that refuses what a web page of another origin asks a browser to do here."""
+"""ASGI middleware: cross-origin refusals, HEAD requests, body size and time limits."""
 
 import time
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""The device of a profile, as the service stores it, with what its traced optics calibrate."""
+"""Makes the device of a profile, with the calibration of its traced optics."""
 
 from dataclasses import dataclass
 from typing import Final

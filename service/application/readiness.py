@@ -1,4 +1,4 @@
-"""Readiness: whether requests can be served, and of what cannot the reason."""
+"""Readiness check: whether requests can be served, and what prevents it."""
 
 import shutil
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""ASGI middleware around all others: a request's id, its line in the log, its place in metrics."""
+"""Outermost ASGI middleware: request id, access log and metrics."""
 
 import logging
 import re

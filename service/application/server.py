@@ -1,4 +1,4 @@
-"""Health, the landing page, and what problem types mean."""
+"""Endpoints of the server itself: landing page, health, problem types."""
 
 import html
 from typing import TYPE_CHECKING, Annotated, Literal

@@ -1,4 +1,4 @@
-"""The server's end: streams are closed with a reason, work is put down, and all of it in time."""
+"""Graceful shutdown within a time limit: streams are closed with a reason, work is stopped."""
 
 import asyncio
 import logging

@@ -1,4 +1,4 @@
-"""Backups: one file, a SQLite database, of either kind of database, while it is in use."""
+"""Writes a backup, a SQLite file, of a database of either kind while it is in use."""
 
 import os
 import sqlite3

@@ -1,4 +1,4 @@
-"""Copies all rows of one database of the service into another, of whichever kind."""
+"""Copies all rows between two databases of either kind."""
 
 from collections.abc import Callable
 from typing import Final

@@ -1,4 +1,4 @@
-"""Restores a backup into a database of either kind; all of it or nothing."""
+"""Restores a backup into a database of either kind in one transaction; revoked keys stay so."""
 
 import shutil
 import sqlite3

@@ -1,4 +1,4 @@
-"""What benchmarks of a running service share: their frame, and the questions that they ask it."""
+"""Common parts of the benchmarks that run a service: calibration target and requests."""
 
 import tempfile
 import time

@@ -1,4 +1,4 @@
-"""`lumiline blink-codes`: words for markers that blink, far enough from each other."""
+"""`lumiline blink-codes`: code words for blinking markers with a minimum distance."""
 
 from rich.table import Table
 

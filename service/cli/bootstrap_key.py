@@ -1,4 +1,4 @@
-"""The first key of a server that takes requests with a key only: shown once, on the terminal."""
+"""Makes the first key of a server that requires keys, shown once on the terminal."""
 
 import logging
 import sys

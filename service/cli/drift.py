@@ -1,4 +1,4 @@
-"""`lumiline drift`: is a calibration still good? Still markers read again, without a server."""
+"""`lumiline drift`: checks a calibration by stationary markers, without a server."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The service's database, for commands that work on it without a server."""
+"""Opens the service's database for commands that work without a server."""
 
 import getpass
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Readings in a CSV file, one column a sensor: of control points, or of a moved wand."""
+"""Reads a CSV file of readings, one column a sensor: control points or a moved wand."""
 
 import csv
 from dataclasses import dataclass

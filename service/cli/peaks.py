@@ -1,4 +1,4 @@
-"""`lumiline peaks`: the peaks of lines from a file, as a table, JSON or a picture."""
+"""`lumiline peaks`: peaks of scans in a file, as a table, JSON or a plot."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args

@@ -1,4 +1,4 @@
-"""`lumiline wand`: cameras from a bar of known length at unknown places, without a server."""
+"""`lumiline wand`: calibrates from a wand of known length at unknown positions, offline."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Writes what a transaction changes into the audit log, in that transaction."""
+"""AuditedSession: writes the changes of a transaction to the audit log in that transaction."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""How long PostgreSQL is waited for: one that is not there, does not answer, or takes too long."""
+"""Timeouts of PostgreSQL: connecting, an unresponsive server, long statements."""
 
 import time
 from typing import Any, Final, TypeVar

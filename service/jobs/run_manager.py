@@ -1,4 +1,4 @@
-"""RunManager: takes runs that wait, has each computed in a process, stores what comes of it."""
+"""RunManager: takes queued runs, computes each in a process and stores its result."""
 
 import logging
 import secrets

@@ -1,4 +1,4 @@
-"""Runs in the database: the one place that says which state a run is in."""
+"""Runs in the database: the states of a run and their transitions."""
 
 import os
 import secrets

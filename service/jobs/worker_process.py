@@ -1,4 +1,4 @@
-"""WorkerProcess: a function that runs in a spawned process, seen from the parent."""
+"""WorkerProcess: handle of a spawned process that runs one function."""
 
 import multiprocessing
 import pickle

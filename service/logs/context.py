@@ -1,4 +1,4 @@
-"""Which request or device a log line is of: set once, found wherever something is logged."""
+"""Context of log lines: the request or device that they belong to."""
 
 from contextvars import ContextVar
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The two forms of a log line: readable text, and one JSON object."""
+"""Formatters of log lines: text and JSON."""
 
 import json
 import logging

@@ -1,4 +1,4 @@
-"""Keeps keys and tokens out of what is logged, wherever in a line they stand.
+"""Redacts keys and tokens in log lines.
 
 Clients choose what is looked through, so every pattern takes time in proportion to its length: a
 match begins only where its first words are, and no run of characters is tried from several places.

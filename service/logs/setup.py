@@ -1,4 +1,4 @@
-"""Sets logging up: every logger, the server's own and libraries' too, in one form."""
+"""Configures logging: every logger, also of the server and libraries, in one format."""
 
 import logging
 import sys

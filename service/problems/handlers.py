@@ -1,4 +1,4 @@
-"""Turns every exception into a problem document: application/problem+json (RFC 9457)."""
+"""Exception handlers that answer with problem documents, application/problem+json (RFC 9457)."""
 
 import json
 import logging

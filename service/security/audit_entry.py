@@ -1,4 +1,4 @@
-"""Entries of the audit log that have a transaction of their own: nothing else was changed."""
+"""Entries of the audit log in a transaction of their own, for requests that change no row."""
 
 import logging
 from typing import Final, Literal

@@ -1,4 +1,4 @@
-"""From what a request brings to who is asking."""
+"""Authenticator: the principal of a key or token."""
 
 import hmac
 import logging

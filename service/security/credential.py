@@ -1,4 +1,4 @@
-"""Where a request carries its key or token: a header, or a websocket's subprotocol."""
+"""Credentials of a request: header or websocket subprotocol; local requests without a key."""
 
 import ipaddress
 import re

@@ -1,4 +1,4 @@
-"""Keys that were valid a short while ago, for when the database does not answer."""
+"""KeyCache: recently valid keys, used while the database does not answer."""
 
 import hmac
 import time

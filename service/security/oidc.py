@@ -1,4 +1,4 @@
-"""Tokens of an identity provider (OpenID Connect): checked, and turned into principals."""
+"""Tokens of an identity provider (OpenID Connect): validation, and their principals."""
 
 from datetime import UTC, datetime
 from typing import Any, Final

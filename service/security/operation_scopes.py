@@ -1,4 +1,4 @@
-"""The table of access: which scope every operation needs, and what is public."""
+"""Scopes of operations: which scope each needs, and what is public."""
 
 from collections.abc import Mapping
 from typing import Final, Literal

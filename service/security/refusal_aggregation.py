@@ -1,4 +1,4 @@
-"""Folds refusals that repeat: one entry of the audit log at first, one with their count later.
+"""RefusalAggregator: repeated refusals become one audit entry with a count.
 
 The audit log is never cut, and whoever has any key could fill it with attempts.
 """

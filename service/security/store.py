@@ -1,4 +1,4 @@
-"""API keys in the database: made, found, revoked; only the digest of their text is kept."""
+"""API keys in the database; only the digest of their text is stored."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta

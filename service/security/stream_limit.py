@@ -1,4 +1,4 @@
-"""Counts the open streams of each principal, and refuses more than it may have."""
+"""StreamLimit: limits the open streams of each principal."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -36,7 +36,8 @@ class StreamLimit:
         with self._lock:
             if self._open[who] >= self._max_streams:
                 raise TooManyStreams(
-                    f"{principal.label} has {self._max_streams} open streams, as many as it may; close one"
+                    f"{principal.label} has {self._max_streams} open streams, as many as it may; "
+                    "close one"
                 )
             self._open[who] += 1
         try:

@@ -1,4 +1,4 @@
-"""Stored beam holds as what the live side watches."""
+"""Stored beam holds and tools as the configuration that the pipeline tracks and monitors."""
 
 import json
 from datetime import datetime
@@ -82,14 +82,15 @@ def to_limits(limits: Limits, rules: Rules, watch: Watch) -> BeamHoldLimits:
     )
     if not isinstance(watch, ToolWatch) and limits.rotation_rad is not None:
         raise InvalidParameter(
-            f"rotation_rad is {limits.rotation_rad}, and markers do not turn; leave it out, or watch a tool"
+            f"rotation_rad is {limits.rotation_rad}, and markers do not turn; leave it out, or "
+            "watch a tool"
         )
     if isinstance(watch, SimultaneousMarkersWatch):
         most = max(limits.shift_mm or 0.0, *(limits.axis_mm or (0.0,)), 0.0)
         if watch.search_radius_mm <= most:
             raise InvalidParameter(
-                f"search_radius_mm is {watch.search_radius_mm:g} mm and a limit {most:g} mm; markers must be looked "
-                "for farther away than they may move"
+                f"search_radius_mm is {watch.search_radius_mm:g} mm and a limit {most:g} mm; "
+                "markers must be looked for farther away than they may move"
             )
     return found
 

@@ -1,4 +1,4 @@
-"""A hold's reference from what a running device sees of the patient, set up and at rest."""
+"""Captures a beam hold's reference from a running device, the patient set up and at rest."""
 
 from typing import Any, Final
 

@@ -1,4 +1,4 @@
-"""One calibration run: from a request's control points to the content that is stored."""
+"""Content of a calibration: from control points in a request to what is stored and hashed."""
 
 import hashlib
 import json
@@ -58,7 +58,7 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
 
     Raises:
         InvalidParameter: what is asked for takes longer than a request should.
-        LumilineError: what was wrong with the points; see compute.calibration.calibrate_and_assess.assess.
+        LumilineError: what was wrong with the points; see ``calibrate_and_assess``.
     """
     settings = request.settings()
     few = len(request.points) <= LEAVE_ONE_OUT_POINTS
@@ -89,7 +89,7 @@ def calibration_outcome(
         settings: what is asked for.
 
     Raises:
-        LumilineError: what was wrong with the points; see compute.calibration.calibrate_and_assess.assess.
+        LumilineError: what was wrong with the points; see ``calibrate_and_assess``.
     """
     points, observed, sigma = control_arrays(given, sensors)
     result = calibrate_and_assess(points, observed, geometry(sensors), sigma, settings, progress)

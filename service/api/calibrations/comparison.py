@@ -1,4 +1,4 @@
-"""Two calibrations of one device beside one another: parameters, positions, observations."""
+"""Comparison of two calibrations of a device: parameters, positions, control-point errors."""
 
 from dataclasses import dataclass
 from typing import Final, Literal

@@ -1,4 +1,4 @@
-"""Frames of a marker at rest, averaged: its readings, and whether it did rest."""
+"""Mean readings of a stationary marker over frames, and the check that it was stationary."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Correction tables as HDF5 files: written whole, and read as from a stranger."""
+"""Correction tables as HDF5 files; what is read is validated as untrusted input."""
 
 import io
 import json

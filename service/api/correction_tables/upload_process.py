@@ -1,4 +1,4 @@
-"""Reads an uploaded table in a process of its own, with bounds: the library never meets it here."""
+"""Reads an uploaded table in a separate process with limits of time and memory."""
 
 from typing import Any, Final
 

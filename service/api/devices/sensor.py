@@ -1,4 +1,4 @@
-"""A line sensor as clients give it."""
+"""Line sensors in requests, and the check that sensors are those of a device."""
 
 from collections.abc import Sequence
 from typing import Annotated, Protocol

@@ -1,4 +1,4 @@
-"""How a device's markers and tools are tracked, as clients give it."""
+"""Tracking settings of a device: markers, tools and blink codes, as clients send them."""
 
 from typing import Annotated, Literal, Self
 

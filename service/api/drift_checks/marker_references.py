@@ -1,4 +1,4 @@
-"""From what a request names of still markers to what is stored of them, with earlier readings."""
+"""Resolves the stationary markers of a request: positions or earlier readings."""
 
 from collections.abc import Mapping
 

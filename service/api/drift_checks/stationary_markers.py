@@ -1,4 +1,4 @@
-"""Still markers as arrays for the computation."""
+"""Stationary markers as arrays for the computation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

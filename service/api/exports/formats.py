@@ -1,4 +1,4 @@
-"""The formats: which suffix is which, and what each holds."""
+"""Export formats: file suffixes and their writers."""
 
 from collections.abc import Callable
 from pathlib import Path

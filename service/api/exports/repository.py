@@ -1,4 +1,4 @@
-"""Exports: the folder of files that export runs have made."""
+"""ExportRepository: the folder of files that export runs have made."""
 
 import re
 import shutil

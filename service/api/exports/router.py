@@ -1,4 +1,4 @@
-"""REST resources /api/v1/export-runs and /api/v1/exports."""
+"""REST resource /api/v1/exports."""
 
 from typing import Annotated
 

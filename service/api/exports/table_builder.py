@@ -1,4 +1,4 @@
-"""TableBuilder: a motion table from batches of frames, as the live path makes them."""
+"""TableBuilder: a motion table from the pipeline's batches of frames."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""CSV: one row for each point, track and tool in each frame; empty cells where there is nothing."""
+"""CSV and Parquet: one row for each point, track and tool in each frame."""
 
 import csv
 import json

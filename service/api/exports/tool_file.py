@@ -1,4 +1,4 @@
-"""Tools from a JSON file: as REST takes or sends them."""
+"""Tools and tracking settings from JSON files in the form of the REST API."""
 
 import json
 from dataclasses import dataclass

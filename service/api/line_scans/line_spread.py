@@ -1,4 +1,4 @@
-"""Shape: how the light of lines is spread, as clients measured it or traced it, for the fit."""
+"""Line spread function in requests: measured or traced, used by the fit."""
 
 from functools import cached_property
 from typing import Annotated, Final

@@ -1,4 +1,4 @@
-"""MaskMethod: how clients say which coded window's shadow is in their lines."""
+"""MaskMethod: the coded aperture whose shadow is sought in posted scans."""
 
 from dataclasses import replace
 from typing import Annotated, Final, Literal, Self

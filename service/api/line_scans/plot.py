@@ -1,4 +1,4 @@
-"""The picture of a line: its peaks, what was fitted to them, and what the fit leaves over."""
+"""Plot of a line scan: peaks, fits and residuals."""
 
 import io
 from typing import Final

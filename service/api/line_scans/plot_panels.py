@@ -1,4 +1,4 @@
-"""Panels of a line's picture: a few pixels large, with positions, fits and residuals."""
+"""Close-up panels of a line scan's plot: positions, fits and residuals."""
 
 from dataclasses import dataclass
 from math import floor, log10

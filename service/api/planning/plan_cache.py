@@ -1,4 +1,4 @@
-"""Plans for requests: computed a few at once, and each only once."""
+"""Cache of plans and their plots; few are computed at once, each only once."""
 
 from collections.abc import Callable, Hashable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The picture of a plan: maps of the deviations, error against distance, readings, ghosts."""
+"""Plot of a plan: maps of sigma, error over distance, readings, ghosts."""
 
 import io
 from typing import Final

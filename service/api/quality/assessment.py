@@ -1,4 +1,4 @@
-"""A device's quality: control charts of what the watch and the checks saw, and what to do."""
+"""Assessment of a device's quality from control charts, with recommended actions."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

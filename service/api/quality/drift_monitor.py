@@ -1,4 +1,4 @@
-"""The watch: a thread that taps every running device and stores what it saw of each interval."""
+"""DriftMonitor: a thread that taps running devices and stores statistics of each interval."""
 
 import logging
 from datetime import UTC, datetime

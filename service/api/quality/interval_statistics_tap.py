@@ -1,4 +1,4 @@
-"""WatchTap: sums up what is seen of a running device, interval by interval."""
+"""Tap of a running device that sums up its observations interval by interval."""
 
 from dataclasses import dataclass, field
 from threading import Lock

@@ -1,4 +1,4 @@
-"""PointTap: takes a running device's points of some seconds, each with its marker and time."""
+"""PointTap: collects a running device's points for some seconds, with marker and time."""
 
 from dataclasses import dataclass, field
 from typing import Final

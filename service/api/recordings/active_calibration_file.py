@@ -1,4 +1,4 @@
-"""What was in force, as a recording keeps it: a calibration as JSON, its table as HDF5."""
+"""Active calibration in a recording: the calibration as JSON, its correction table as HDF5."""
 
 import json
 from datetime import UTC, datetime

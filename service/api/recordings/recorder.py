@@ -1,4 +1,4 @@
-"""Recorder: hands the batches of a running device to the process that writes them to a file."""
+"""Recorder: passes the batches of a running device to the process that writes the file."""
 
 from dataclasses import dataclass, replace
 from functools import partial

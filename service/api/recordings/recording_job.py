@@ -1,4 +1,4 @@
-"""What a process is to record that is asked to record a running device."""
+"""RecordingJob of a running device: what its writer process is told."""
 
 from datetime import datetime
 from pathlib import Path

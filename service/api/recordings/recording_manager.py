@@ -1,4 +1,4 @@
-"""Recordings: begins and ends the recordings of running devices, and knows those in the folder."""
+"""RecordingManager: starts and stops recordings of running devices, and knows the stored ones."""
 
 import logging
 import shutil

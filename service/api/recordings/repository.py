@@ -1,4 +1,4 @@
-"""The folder of recordings: what is in it, as the files themselves tell."""
+"""RecordingRepository: the folder of recordings, described from the files themselves."""
 
 import json
 import re

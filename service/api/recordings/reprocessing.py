@@ -1,4 +1,4 @@
-"""A recording processed again: does it give the same bits?"""
+"""Reprocesses a recording through the pipeline; compares the results bit by bit."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The report of a stored calibration, beside the one before it."""
+"""Collects the content of a report: a stored calibration and the one to compare it with."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Reports that were drawn before, kept in memory within a bound: drawing takes seconds."""
+"""ReportCache: rendered pages and figures in memory, bounded, least recently used evicted."""
 
 from collections import OrderedDict
 from threading import Lock

@@ -1,4 +1,4 @@
-"""ReportContent: what a report is made of, whether the calibration is stored or from a file."""
+"""ReportContent: everything a report shows, of a stored calibration or one from a file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

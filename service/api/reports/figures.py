@@ -1,4 +1,4 @@
-"""The figures of a calibration's report: drawn once, written as SVG or PNG."""
+"""Figures of a calibration report, as SVG or PNG."""
 
 import io
 from collections.abc import Callable, Sequence

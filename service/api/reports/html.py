@@ -1,4 +1,4 @@
-"""Building blocks of a report's page: tables and figures, every text from outside escaped."""
+"""HTML of a report: numbers, tables and figures, all text from outside escaped."""
 
 import base64
 from collections.abc import Callable, Iterable

@@ -1,4 +1,4 @@
-"""The report of a calibration as one HTML file that needs nothing else."""
+"""The report of a calibration as one self-contained HTML file, and its figures as files."""
 
 from collections.abc import Callable, Mapping
 from functools import partial

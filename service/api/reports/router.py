@@ -1,4 +1,4 @@
-"""The reports of calibrations: /api/v1/calibrations/{id}/report.html and its figures."""
+"""REST resource /api/v1/calibrations/{id}/report.html and its figures."""
 
 from typing import Annotated, Final, Literal
 

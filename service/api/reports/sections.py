@@ -1,4 +1,4 @@
-"""The top of a report: figures in short, what to look at, the sensors."""
+"""Sections of a calibration report."""
 
 from html import escape
 from typing import Final

@@ -1,4 +1,4 @@
-"""The kinds of runs by name: what each computes in its process and how its result is stored."""
+"""The kinds of runs by name, and the resources that their results are."""
 
 from collections import ChainMap
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""REST resource /api/v1/runs: how far runs are, cancelled, deleted; with those that take them."""
+"""REST resource /api/v1/runs: progress, cancelling, deleting."""
 
 from typing import Annotated
 

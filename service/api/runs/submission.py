@@ -1,4 +1,4 @@
-"""How a run is accepted: checked and stored in one transaction, then told to the manager."""
+"""Submission: checks and stores a run in one transaction, then wakes the run manager."""
 
 from collections.abc import Callable
 from typing import Annotated, Any, Protocol

@@ -1,4 +1,4 @@
-"""REST resources that take runs: /api/v1/calibration-runs, /mapping-runs, ..."""
+"""REST resources that submit runs: /api/v1/calibration-runs, /mapping-runs, ..."""
 
 from typing import Annotated, Any
 

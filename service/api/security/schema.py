@@ -1,4 +1,4 @@
-"""API keys at the edge: what a client sends and receives."""
+"""API keys as clients send and receive them."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""Digitising: where a tool's tip is held still, measured from the live poses."""
+"""Digitises the position of a tool's stationary tip from its live poses."""
 
 from dataclasses import dataclass
 from typing import Any, Final

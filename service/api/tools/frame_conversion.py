@@ -1,4 +1,4 @@
-"""Poses in other frames than the tracker's: relative to a tool, or in a registered frame."""
+"""Poses relative to a reference tool or in a registered frame."""
 
 from dataclasses import replace
 from typing import Final

@@ -1,4 +1,4 @@
-"""The frames of a device and what connects them at its newest frame."""
+"""Transform graph of a device's frames at its newest exposure."""
 
 import time
 from dataclasses import dataclass

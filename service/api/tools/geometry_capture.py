@@ -1,4 +1,4 @@
-"""A tool's geometry from the points that a running device sees of it while it is held still."""
+"""Captures a tool's geometry from the points of a running device while the tool is held still."""
 
 from collections.abc import Sequence
 from typing import Final

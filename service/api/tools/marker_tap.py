@@ -1,4 +1,4 @@
-"""MarkerTap: takes where strobed markers of a running device are, beside a reference tool."""
+"""MarkerTap: collects positions of strobed markers, relative to a reference tool."""
 
 from dataclasses import dataclass
 from typing import Final

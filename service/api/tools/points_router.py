@@ -1,4 +1,4 @@
-"""REST resource /api/v1/tools/{id}/points: where a tool's tip is held still."""
+"""REST resource /api/v1/tools/{id}/points: positions digitised with a tool's tip."""
 
 from typing import Annotated
 

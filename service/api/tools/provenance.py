@@ -1,4 +1,4 @@
-"""Provenance: what a frame was measured with, and whether it holds with what is in force."""
+"""Provenance of a frame: the calibration it was measured with, and whether that is still active."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Registration by three markers: given, or measured while a running device strobes them."""
+"""Registration by three markers: given, or measured on a running device."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Registration by a surface: an earlier one refined by points measured on it."""
+"""Registration by a surface (ICP): refines an earlier one by points on the surface."""
 
 import hashlib
 import time
@@ -161,8 +161,8 @@ def _warnings(found: IcpRegistration) -> list[str]:
     if found.stiffness_ratio < _LOOSE:
         told.append(
             f"the points hardly hold {found.weakest_motion}: its deviation is "
-            f"{found.stiffness_ratio**-0.5:.0f} times that of the best held motion; take points where the "
-            "surface bends another way"
+            f"{found.stiffness_ratio**-0.5:.0f} times that of the best held motion; take points "
+            "where the surface bends another way"
         )
     if found.other is not None and found.other_rms_mm is not None:
         told.append(

@@ -1,4 +1,4 @@
-"""Registrations in the database, kept as named frames."""
+"""Registrations in the database: named frames."""
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime

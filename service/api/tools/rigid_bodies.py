@@ -1,4 +1,4 @@
-"""Stored tools as rigid bodies."""
+"""Stored tools as rigid bodies, and the check of a new one."""
 
 from collections.abc import Sequence
 from typing import Final

@@ -1,4 +1,4 @@
-"""TipLimit: what a tool's pose is worth in a frame, by the standard deviation of its tip there."""
+"""TipLimit: status of a tool's pose by the standard deviation of its tip."""
 
 import math
 from dataclasses import dataclass

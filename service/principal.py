@@ -83,7 +83,7 @@ class Act:
     recorded: bool = False
 
     def as_stored(self) -> dict[str, Any]:
-        """Return who acts, for work that is done later and is this one's doing."""
+        """Return the act as a run stores it, to attribute later work to its principal."""
         return {
             "kind": self.principal.kind,
             "id": self.principal.id,

@@ -30,7 +30,7 @@ class LimitedHttpProtocol(HttpToolsProtocol):
         self._upgraded = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Wait for the first head; when there are too many, who waited longest makes room."""
+        """Wait for the first head; with too many connections, evict the longest waiting."""
         super().connection_made(transport)
         self._wait()
         if self.limit_concurrency is not None and len(self.connections) >= self.limit_concurrency:

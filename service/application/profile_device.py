@@ -50,7 +50,7 @@ def device_id(profile_name: str) -> str:
 
 
 def is_stored(session: Session, profile: DeviceProfile) -> bool:
-    """Tell whether the device of a profile is there.
+    """Return whether the device of a profile is stored.
 
     Raises:
         InvalidParameter: its id is taken by a device of another source.

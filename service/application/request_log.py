@@ -27,7 +27,7 @@ _UNLOGGED_PATHS: Final = frozenset({"/healthz", "/readyz", "/metrics"})
 
 
 class RequestLog:
-    """Names every request, answers 503 once the server stops, and tells what became of it.
+    """Gives each request an id, answers 503 once the server stops, logs and counts the result.
 
     The answer carries the id, and so does every line that is logged within the request.
     """
@@ -35,7 +35,7 @@ class RequestLog:
     def __init__(
         self, app: ASGIApp, ended: Callable[[RequestRecord], None], stopping: Callable[[], bool]
     ) -> None:
-        """Take what is told of each request at its end, and whether new ones are refused."""
+        """Take the callback at each request's end and the test whether the server is stopping."""
         self._app = app
         self._ended = ended
         self._stopping = stopping

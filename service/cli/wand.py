@@ -69,7 +69,7 @@ def _rejected(found: SelfCalibration) -> Table:
 
 
 def _positions(text: str) -> tuple[float, ...]:
-    """Return the markers' places.
+    """Return the markers' positions.
 
     Raises:
         InvalidParameter: something that is not a number.

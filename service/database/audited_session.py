@@ -164,7 +164,7 @@ def _id(row: Base) -> str | None:
 
 
 def _values(row: Base) -> dict[str, Any]:
-    """Return what is loaded of a row; a file is not fetched to be hashed here."""
+    """Return the loaded columns of a row; large files are not fetched."""
     return {name: row.__dict__[name] for name in _columns(row) if name in row.__dict__}
 
 
@@ -196,7 +196,7 @@ def _difference(row: Base) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _redacted(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values short enough for a log: of longer ones what tells them apart."""
+    """Return values short enough for a log; long ones as size and hash."""
     return {
         name: _truncate(value)
         for name, value in sorted(values.items())

@@ -57,7 +57,7 @@ class TimeoutConnection(Connection[Any]):
         return super().wait(self._in_time(gen), *given, **named)
 
     def _in_time(self, gen: PQGen[_T]) -> PQGen[_T]:
-        """Pass on what is waited for; whoever waits comes back here several times a second."""
+        """Wrap psycopg's wait so that it wakes several times a second and can time out."""
         end = time.monotonic() + ANSWER_S
         try:
             wanted = next(gen)

@@ -131,7 +131,7 @@ class RunManager:
             self._wake.set()
 
     def _follow(self, run_id: str) -> None:
-        """Start the process, write down what it tells, store its result."""
+        """Start the process, store its progress and its result."""
         with self._database.read() as session:
             row = store.get_run(session, run_id)
             kind = self._kinds[row.kind]
@@ -190,7 +190,7 @@ class RunManager:
             row = store.is_still_owner(session, run_id)
             if row is None:
                 return False
-            with _cancelled_by_submitter(row):
+            with _acting_as_submitter(row):
                 row.result_id = keep(session, row, result)
                 session.flush()
             store.finish(row, "succeeded", "done")
@@ -243,8 +243,8 @@ class RunManager:
 
 
 @contextmanager
-def _cancelled_by_submitter(row: RunRow) -> Iterator[None]:
-    """Have what is stored told as the doing of whoever posted the run."""
+def _acting_as_submitter(row: RunRow) -> Iterator[None]:
+    """Attribute what is stored to the principal who posted the run."""
     act = None if row.poster is None else Act.of_stored(row.poster)
     token = current_act.set(act)
     try:

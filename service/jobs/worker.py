@@ -26,7 +26,7 @@ _NICENESS: Final = 10
 
 @dataclass(frozen=True)
 class Progress:
-    """How far the task is: share done, 0 .. 1, and what is being done."""
+    """Progress of the task: share done, 0 .. 1, and the stage."""
 
     share: float
     stage: str

@@ -14,12 +14,12 @@ REFUSED: Final[ContextVar[bool]] = ContextVar("lumiline_log_refused", default=Fa
 
 
 def set_request_id(request_id: str) -> None:
-    """Have what this task, and what it starts, logs marked with a request's id."""
+    """Mark log lines of this task, and of those it starts, with a request's id."""
     REQUEST.set(request_id)
 
 
 def set_device_id(device_id: str) -> None:
-    """Have what this thread logs marked with a device's id."""
+    """Mark log lines of this thread with a device's id."""
     DEVICE.set(device_id)
 
 

@@ -34,7 +34,7 @@ class Authenticator:
         self._tokens = _oidc_tokens(settings)
 
     def principal(self, credential: str, address: str) -> Principal:
-        """Return who acts with a key or token that came from an address; blocks.
+        """Return the principal of a key or token that came from an address; blocks.
 
         Raises:
             Unauthenticated: it is not valid; the message does not repeat it.
@@ -94,7 +94,7 @@ class Authenticator:
         return found
 
     def _stored(self, identity: str, given: str) -> tuple[Principal, datetime | None]:
-        """Return who acts with a key, and when it was used last, as the database says."""
+        """Return a key's principal and last use from the database."""
         with self._database.read() as session:
             row = session.get(ApiKeyRow, identity)
             stored = _NO_DIGEST if row is None else row.digest

@@ -74,7 +74,7 @@ async def confirm(connection: HTTPConnection) -> None:
 
 
 class Guard:
-    """Answers 401 or 403 in the place of operations that the table of access does not allow."""
+    """Answers 401 or 403 where the operation's scope is not granted."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self._app = app
@@ -177,7 +177,7 @@ def _is_recorded(scope: Scope, operation: str) -> bool:
 
 
 class _Recorded:
-    """Sends an answer once the audit log has what it tells of.
+    """Sends an answer once the audit log has its entry.
 
     Changes are there already, from their own transactions; conflicts, and what changes nothing in
     the database (starting a device), come here.

@@ -61,7 +61,7 @@ async def _fetch(url: str) -> bytes:
 
 
 class Jwks:
-    """The keys by their ids. One that is not known is looked for at most every ``AGAIN_S``."""
+    """Keys by their ids; an unknown id is looked up at most every ``AGAIN_S``."""
 
     def __init__(
         self,

@@ -38,7 +38,7 @@ class OidcTokens:
         self._keys = keys
 
     def principal(self, token: str) -> Principal:
-        """Return who acts with a token.
+        """Return the principal of a token.
 
         Raises:
             Unauthenticated: it is not valid here; the message says why, without the token.

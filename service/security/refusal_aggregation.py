@@ -49,7 +49,7 @@ class RefusalAggregator:
         return len(self._open)
 
     def is_first(self, act: Act) -> bool:
-        """Whether a refusal wants an entry of its own; others are counted, and told of later."""
+        """Whether a refusal gets an entry of its own; repeats are counted and recorded later."""
         key = (act.principal.kind, act.principal.id, act.operation)
         found = self._open.get(key)
         if found is not None:

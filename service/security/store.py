@@ -123,5 +123,5 @@ def state_of(row: ApiKeyRow) -> KeyState:
 
 
 def principal_of(row: ApiKeyRow) -> Principal:
-    """Return who acts with a key."""
+    """Return the principal of a key."""
     return Principal("key", row.id, row.name, known_scopes(set(row.scopes)), row.expires_at)

@@ -15,7 +15,7 @@ _CHECKED_AT_ONCE: Final = 2
 
 
 class StreamLimit:
-    """At most ``most`` streams at once for each key, token subject, or all local programs."""
+    """Limit of open streams for each key, token subject, or all local programs."""
 
     def __init__(self, max_streams: int) -> None:
         self._max_streams = max_streams

@@ -96,7 +96,7 @@ def to_limits(limits: Limits, rules: Rules, watch: Watch) -> BeamHoldLimits:
 
 
 def validate_reference(given: ReferenceInput, watch: Watch) -> dict[str, Any]:
-    """Return the members of a Reference that is given.
+    """Validate a reference that a client gives; return its members as they are stored.
 
     Raises:
         InvalidParameter: it is not one of what is watched.
@@ -199,7 +199,7 @@ def beam_holds_of(session: Session, device_id: str) -> tuple[BeamHoldConfig, ...
 
 
 def tracking_config_of(session: Session, device: DeviceRow) -> TrackingConfig:
-    """Return what is followed of a device when it runs.
+    """Return what a running device tracks: tools, beam holds, and whether it makes tracks.
 
     A beam hold that goes by tracks has markers followed, whatever the settings say.
     """

@@ -230,7 +230,7 @@ def get_beam_hold_state(
 
 
 def _set_up(live: PipelineManager, row: HoldRow) -> BeamHold:
-    """Return a hold whose reference, if it has one, is taken now; said before it is watched."""
+    """Return a hold with its reference, captured now where it has none."""
     made = store.document(row)
     if made.reference is not None:
         live.holds.set_up(made.reference.id)
@@ -243,7 +243,7 @@ def _device_of(database: DatabaseDep, hold_id: str) -> str:
 
 
 def state_of(live: PipelineManager, device_id: str, hold_id: str) -> BeamHoldStatus:
-    """Return whether a hold is held; what is not watched is."""
+    """Return the state of a beam hold; one that is not monitored holds the beam."""
     now = live.holds.now(hold_id)
     if now is None:
         # Of a server that is starting, or one that could not take the hold over.

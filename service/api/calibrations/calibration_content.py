@@ -112,7 +112,7 @@ def calibration_outcome(
 def control_arrays(
     given: Sequence[ControlPoint], sensors: Sequence[SensorDescription]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None]:
-    """Return positions (N, 3) [mm], readings (N, S) [px] and their deviations or None.
+    """Return positions (N, 3) [mm], readings (N, S) [px] and their sigma [px] or None.
 
     Raises:
         DuplicatePoint, UnknownSensor, ReadingOutsideSensor, InvalidParameter.
@@ -191,7 +191,7 @@ class Observations:
     sigma_px: NDArray[np.float64]
 
     def all_or_no_sigma(self) -> NDArray[np.float64] | None:
-        """Return the deviations, None when none is given.
+        """Return sigma, shape (N, S) [px]; None when none is given.
 
         Raises:
             InvalidParameter: some readings have one and some have not.

@@ -237,7 +237,7 @@ def _positions(
 
 
 def box_grid(low_mm: Array, high_mm: Array, side: int) -> Array:
-    """Return places on a grid over a box, shape (side^3, 3) [mm]."""
+    """Return positions on a grid over a box, shape (side^3, 3) [mm]."""
     axes = [np.linspace(low_mm[axis], high_mm[axis], side) for axis in range(3)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 

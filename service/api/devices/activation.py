@@ -134,7 +134,7 @@ IsReached = Callable[[Target], bool]
 
 @dataclass(frozen=True)
 class ActivationPrecondition:
-    """How things stood when a request came.
+    """Precondition of an activation (optimistic concurrency).
 
     Args:
         device_id: the device.
@@ -150,7 +150,7 @@ class ActivationPrecondition:
 def activation_precondition(
     session: Session, device_id: str, expected: str | None = None
 ) -> ActivationPrecondition:
-    """Return how things stand now."""
+    """Return the precondition as of now."""
     return ActivationPrecondition(device_id, _last_move(session, device_id), expected)
 
 

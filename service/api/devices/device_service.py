@@ -156,7 +156,7 @@ class DeviceService:
     def pointer_move(
         self, device_id: str, reached: IsReached, expected: str | None = None
     ) -> Iterator[Session]:
-        """Yield a transaction that moves the device's pointer; after its commit tell the device.
+        """Yield a transaction that moves the active pointer; after its commit the pipeline follows.
 
         What is refused is refused before the commit. After it nothing is: where the running device
         cannot take the calibration it keeps its own, until its next start.
@@ -205,7 +205,7 @@ class DeviceService:
 
     @contextmanager
     def tools_change(self, device_id: str) -> Iterator[Session]:
-        """Yield a transaction that changes tools of a device; then the live side follows them.
+        """Yield a transaction that changes a device's tools; after its commit the pipeline follows.
 
         Raises:
             UnknownDevice.

@@ -59,5 +59,5 @@ def _layout(sensors: Sequence[_Sensor]) -> list[tuple[str, int]]:
 
 
 def listed(sensors: Sequence[_Sensor]) -> str:
-    """Return sensors in words."""
+    """Return the sensors' names and pixel counts as text for messages."""
     return ", ".join(f'"{name}" ({pixels} px)' for name, pixels in _layout(sensors))

@@ -52,7 +52,7 @@ def _moved(sensor: SensorDrift) -> str:
 
 
 def _with_unit(parameter: str, change: float, sigma: float) -> str:
-    """Return a change with its deviation; angles in mrad."""
+    """Return a change with its sigma as text; angles in mrad."""
     unit = parameter.rpartition("_")[2]
     scale = 1e3 if unit == "rad" else 1.0
     name = "mrad" if unit == "rad" else unit

@@ -68,7 +68,7 @@ def _arrays(
     sensors: Sequence[SensorDescription],
     calibration: Calibration,
 ) -> tuple[Array, Array]:
-    """Return readings and their deviations, shape (N, S) [px]."""
+    """Return readings and their sigma, shape (N, S) [px]."""
     found = observations(markers, sensors)
     own = np.array([fit.sigma_px for fit in calibration.sensors])
     return found.readings_px, np.where(np.isfinite(found.sigma_px), found.sigma_px, own)

@@ -93,7 +93,7 @@ def delete_export(export_id: ExportPath, exports: ExportsDep) -> None:
 
 
 def _with_run(session: Session, found: ExportFile) -> Export:
-    """Return what is known of a file, with the newest run that made one of its id."""
+    """Return an export's document with the newest run that made a file of its id."""
     query = (
         select(RunRow)
         .where(RunRow.kind == "export", RunRow.result_id == found.id)

@@ -49,7 +49,7 @@ class Shape:
 
     @cached_property
     def width_px(self) -> float:
-        """The deviation of the light about its middle, RMS over the rows [px].
+        """Standard deviation of the light about its centre, RMS over the rows [px].
 
         Raises:
             InvalidParameter: rows of different lengths, too many values, a row without light, or

@@ -47,7 +47,7 @@ def dump_active_calibration(found: ActiveCalibration) -> tuple[bytes, bytes]:
 
 
 def load_active_calibration(document: bytes, table: bytes, where: str) -> ActiveCalibration:
-    """Return what a recording says was in force.
+    """Return the active calibration that a recording holds.
 
     Args:
         document: as of ``dump_active_calibration``.

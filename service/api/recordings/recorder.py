@@ -97,11 +97,11 @@ class Recorder:
         self._feed.stop(reason)
 
     def wait(self, timeout_s: float) -> bool:
-        """Return whether it has ended, after at most so long."""
+        """Wait for the end, at most this long; return whether it has ended."""
         return self._feed.wait(timeout_s)
 
     def _row(self, found: ActiveCalibration) -> int:
-        """Return the row of what is in force; made and sent, in another thread, when it is new."""
+        """Return the row of the active calibration; a new one is sent from another thread."""
         if found.calibration is None:
             return NO_CALIBRATION_ROW
         with self._lock:

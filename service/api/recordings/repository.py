@@ -67,7 +67,7 @@ class RecordingRepository:
         return recording_path(name, self.folder)
 
     def document(self, name: str) -> RecordingDocument:
-        """Return what a file tells of itself; one that cannot be read says why.
+        """Return a recording's document from its file; for an unreadable one, the reason.
 
         Raises:
             UnknownRecording: there is no such file.

@@ -31,7 +31,7 @@ _FROM: Final[dict[str, str]] = {
 
 
 def report_key(session: Session, calibration_id: str, previous_id: str | None = None) -> str:
-    """Return a hash of all that the report of a calibration is made of, without making it.
+    """Return a hash of all inputs of a report, without rendering it.
 
     Takes and raises what ``assemble_report`` does.
     """
@@ -50,7 +50,7 @@ def report_key(session: Session, calibration_id: str, previous_id: str | None = 
 def assemble_report(
     session: Session, calibration_id: str, previous_id: str | None = None
 ) -> ReportContent:
-    """Return what the report of a calibration is made of.
+    """Return the content of a calibration's report.
 
     Args:
         session: the session.
@@ -113,7 +113,7 @@ def _parent(row: CalibrationRow) -> str:
 def _other(
     session: Session, row: CalibrationRow, previous_id: str | None
 ) -> tuple[CalibrationRow, Relation] | None:
-    """Return the calibration to compare with, and what it is to this one."""
+    """Return the calibration to compare with and its relation to this one."""
     if previous_id is not None:
         found = get_calibration(session, previous_id)
         if found.device_id != row.device_id:

@@ -148,7 +148,7 @@ def coverage(content: ReportContent, draw: Draw) -> str:
 
 
 def uncertainty(content: ReportContent, draw: Draw) -> str:
-    """Return the deviations over the volume, and which further points would lower them."""
+    """Return sigma over the volume, and which further points would lower it."""
     parts = [figure("uncertainty", draw)]
     known = content.volume_uncertainty_mm
     known = known[np.isfinite(known).all(axis=1)]
@@ -195,7 +195,7 @@ def distortion(content: ReportContent, _draw: Draw) -> str:
 
 
 def parameters(content: ReportContent, _draw: Draw) -> str:
-    """Return all parameters with their deviations."""
+    """Return all parameters with their standard deviations."""
     diagonal = np.diag(np.array(content.calibration.covariance)).tolist()
     rows: list[tuple[Cell, ...]] = []
     place = 0
@@ -211,7 +211,7 @@ def parameters(content: ReportContent, _draw: Draw) -> str:
 
 
 def provenance(content: ReportContent, _draw: Draw) -> str:
-    """Return what is known of where the calibration comes from."""
+    """Return the calibration's settings and provenance."""
     rows = [*content.provenance.items(), *settings_rows(content.calibration)]
     return table(("", ""), rows, words=True)
 

@@ -41,7 +41,7 @@ class Submission:
         request: SubmittedRun,
         stored: Callable[[Session, DeviceRow], dict[str, Any]],
     ) -> Run:
-        """Store a run, have it computed, and say where it is followed.
+        """Store a run, wake the run manager, and answer with the run's location.
 
         Args:
             kind: what is computed.

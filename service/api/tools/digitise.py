@@ -145,14 +145,14 @@ class _Digitiser:
         raise type(error)(f"{told}: {error.detail}{self._others()}", **error.context)
 
     def _others(self) -> str:
-        """Return how many frames had no pose to use, in words."""
+        """Return a message with the number of frames without a usable pose."""
         without = sum(count for status, count in self._statuses.items() if status != "OK")
         if not without:
             return ""
         return f"; {without} frames had no pose to use, the last: {self._reason}"
 
     def _shared(self, moved: ToolPose) -> Array:
-        """Return what all places have in common: the errors of the tip and of the registration."""
+        """Return the covariance common to all positions: of the tip and of the registration."""
         assert moved.rotation is not None
         assert moved.tip_mm is not None
         shared = np.zeros((3, 3))

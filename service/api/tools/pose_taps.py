@@ -11,7 +11,7 @@ from service.pipeline.single_calibration_tap import SingleCalibrationTap
 
 
 class PoseTap(SingleCalibrationTap):
-    """Collects the poses of a tool that are OK, with one calibration in force all the time.
+    """Collects valid poses of a tool while one calibration is active.
 
     Args:
         tool: its id.
@@ -31,7 +31,7 @@ class PoseTap(SingleCalibrationTap):
         self._max_poses = max_poses
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take what is wanted of a batch; called in the compute thread."""
+        """Collect from a batch; called in the compute thread."""
         if not self._goes_on(batch) or batch.motion is None:
             return
         for frame in range(len(batch.frames)):
@@ -61,7 +61,7 @@ Pair = tuple[ToolPose, ToolPose | None]
 
 
 class TipTap(SingleCalibrationTap):
-    """Keeps the poses of a tool frame by frame, with one calibration in force all the time.
+    """Keeps the poses of a tool frame by frame while one calibration is active.
 
     Args:
         tool: its id.
@@ -76,7 +76,7 @@ class TipTap(SingleCalibrationTap):
         self._kept: deque[Pair] = deque(maxlen=MAX_KEPT)
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take what is wanted of a batch; called in the compute thread."""
+        """Collect from a batch; called in the compute thread."""
         if not self._goes_on(batch) or batch.motion is None:
             return
         for frame in range(len(batch.frames)):

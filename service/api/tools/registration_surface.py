@@ -113,7 +113,7 @@ def refine_by_surface(
 
 
 def _within(max_s: float) -> Callable[[], None]:
-    """Return what raises InvalidParameter when it is called after so long [s]."""
+    """Return a callable that raises InvalidParameter once a time limit [s] has passed."""
     end = time.monotonic() + max_s
 
     def check() -> None:
@@ -127,7 +127,7 @@ def _within(max_s: float) -> Callable[[], None]:
 
 
 def stored_request(request: NewSurface) -> dict[str, Any]:
-    """Return what is kept of a request: the surface as its size and hash."""
+    """Return the request as it is stored: the surface replaced by its size and hash."""
     given = request.surface
     arrays = _arrays(given)
     summary = {
@@ -140,7 +140,7 @@ def stored_request(request: NewSurface) -> dict[str, Any]:
 
 
 def _arrays(given: MeshInput | PointCloudInput) -> list[NDArray[Any]]:
-    """Return the numbers of a surface: places, then triangles or normals."""
+    """Return a surface's arrays: vertices, then triangles or normals."""
     if isinstance(given, MeshInput):
         return [np.array(given.vertices_mm, "<f8"), np.array(given.triangles, "<i8")]
     points = np.array(given.points_mm, "<f8")

@@ -14,7 +14,7 @@ from service.database.models import ToolRow
 
 
 def body_of(row: ToolRow) -> RigidBody:
-    """Return a tool as what is tracked; its name is its id."""
+    """Return a stored tool as a rigid body; its name is the tool's id."""
     return RigidBody(
         name=row.id,
         markers_mm=np.array(row.markers_mm, dtype=np.float64),

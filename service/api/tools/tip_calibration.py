@@ -56,7 +56,7 @@ def calibrate_tip(
 
 
 def subsample(poses: list[ToolPose], max_poses: int) -> list[ToolPose]:
-    """Return at most so many poses, evenly from all."""
+    """Return at most ``max_poses`` poses, evenly spaced."""
     if len(poses) <= max_poses:
         return poses
     return [

@@ -38,7 +38,7 @@ class StoredTool(ResponseModel):
     max_tip_sd_mm: float | None
 
     def body(self) -> RigidBody:
-        """Return it as what is tracked."""
+        """Return the tool as a rigid body."""
         return RigidBody(
             self.name,
             np.array(self.markers_mm, dtype=np.float64),

@@ -128,7 +128,7 @@ def compute(
 
 
 def _shared(points_mm: np.ndarray, made_from_mm: np.ndarray) -> bool:
-    """Tell whether the calibration was made from some of these very points."""
+    """Return whether any of these points was a control point of the calibration."""
     if not len(made_from_mm):
         return False
     from scipy.spatial import cKDTree

@@ -25,7 +25,7 @@ class Provenance:
     table: str | None
 
     def invalid_reason(self, calibration: str | None, table: str | None) -> str | None:
-        """Return why the frame is invalid with this active calibration; None: it is valid."""
+        """Return why the frame is invalid with this active calibration; None: it is valid.
 
         A frame that goes with a tool outlives another calibration, whose error is in the
         covariance of every pose. It does not outlive another table: what a table corrects was

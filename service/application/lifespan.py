@@ -66,6 +66,7 @@ async def running(
         manager = _live_manager(settings) if live is None else live
         closed_at_the_end(manager)
         app.state.live = manager
+        app.state.streams = manager.streams
         stack.callback(setattr, app.state, "live", None)
         app.state.device_service = DeviceService(
             database,
@@ -94,7 +95,7 @@ async def running(
         closed_at_the_end(watch)
         watch.start()
         app.state.metrics.add(
-            LiveCollector(manager),
+            LiveCollector(manager, app.state.streams),
             DatabaseCollector(database, runs.durations),
             RecordingsCollector(recordings),
         )
@@ -108,4 +109,4 @@ async def running(
 def _live_manager(settings: Settings) -> PipelineManager:
     own = partial(find_profile, profiles_dir=settings.folders.profiles)
     hub = Hub(settings.stream_kept_messages, settings.stream_lag_s)
-    return PipelineManager(settings.compute_device, own, hub)
+    return PipelineManager(hub, settings.compute_device, own)

@@ -67,7 +67,7 @@ class ShutdownServer(uvicorn.Server):
         self._app.state.stopping = True
         for server in self.servers:
             server.close()
-        hub = self._app.state.live.hub
+        hub = self._app.state.streams
         hub.close(REASON)
         end = asyncio.get_running_loop().time() + STREAMS_S
         while hub.clients and asyncio.get_running_loop().time() < end:

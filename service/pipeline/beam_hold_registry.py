@@ -1,19 +1,19 @@
-"""BeamHoldRegistry: all beam holds of all devices, stepped with frames and watched where none come."""
+"""BeamHoldRegistry: the beam holds of all devices; BeamHoldWatchdog holds when no frames come."""
 
 import logging
 import time
 from collections.abc import Callable, Sequence
-from threading import Condition
-from typing import Any
+from threading import Condition, Thread
+from typing import Final
 
 from service.pipeline.beam_hold_monitor import BeamHoldMonitor
 from service.pipeline.beam_hold_spec import BeamHoldConfig
-from service.pipeline.beam_hold_state import BeamHoldMessage, BeamHoldState
+from service.pipeline.beam_hold_state import BeamHoldState
 from service.pipeline.frame_batch import FrameBatch
 
 _log = logging.getLogger(__name__)
 
-Publish = Callable[[str, dict[str, Any]], None]
+Publish = Callable[[str, BeamHoldState], None]
 """Tells the clients of a device."""
 Told = Callable[[str, BeamHoldState, bool], None]
 """Takes a device, one of its holds, and whether it is the last of that hold."""
@@ -266,10 +266,46 @@ class BeamHoldRegistry:
             self._told[hold_id] = now
             for listener in self._listeners:
                 listener(device_id, now, last)
-            self._publish(device_id, BeamHoldMessage(device_id, now))
+            self._publish(device_id, now)
         if last:
             del self._watches[hold_id], self._told[hold_id]
 
 
 def _failed(error: Exception) -> str:
     return f"it cannot be watched: {type(error).__name__}: {error}"
+
+
+_AGAIN_S: Final = 0.05
+"""Until a check that failed is tried again."""
+
+
+class BeamHoldWatchdog:
+    """Checks a board at each deadline, from ``start`` to ``close``."""
+
+    def __init__(self, board: BeamHoldRegistry) -> None:
+        self._board = board
+        self._closing = False
+        self._thread = Thread(target=self._run, name="hold-watchdog", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End it."""
+        with self._board.changed:
+            self._closing = True
+            self._board.changed.notify_all()
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        while not self._closing:
+            # One hold of the lock for both: what is released in between would be waited for.
+            with self._board.changed:
+                try:
+                    wait_s = self._board.check()
+                except Exception:  # noqa: BLE001 - it must go on
+                    _log.exception("beam holds could not be checked")
+                    wait_s = _AGAIN_S
+                if not self._closing:
+                    self._board.changed.wait(wait_s)

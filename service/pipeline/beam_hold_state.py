@@ -1,9 +1,9 @@
-"""BeamHoldState: whether a beam is held now, and why; as the stream sends it."""
+"""BeamHoldState: whether a beam is held after a frame, and why; BeamEnableToken."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,39 +132,3 @@ def _vector(values: NDArray[np.float64] | None) -> Vector | None:
         return None
     x, y, z = values.tolist()
     return x, y, z
-
-
-def hold_part(now: BeamHoldState) -> dict[str, Any]:
-    """Return a hold as frames and hello have it: held, where it was held since."""
-    now = now.standing
-    return {
-        "hold": now.hold_id,
-        "held": now.held,
-        "cause": now.cause.value,
-        "reason": now.reason,
-        "since_ns": now.since_ns,
-        "shift_mm": now.shift_mm,
-        "rotation_rad": now.rotation_rad,
-        "probability": now.probability,
-    }
-
-
-class BeamHoldMessage(dict[str, Any]):
-    """The message that tells of a change; ``sent`` says it as it is when it is sent."""
-
-    def __init__(self, device_id: str, now: BeamHoldState) -> None:
-        super().__init__(
-            {
-                "type": "hold",
-                "device": device_id,
-                **hold_part(now),
-                "exposure_ns": now.exposure_ns,
-                "sequence": now.sequence,
-            }
-        )
-        self.now = now
-
-    @property
-    def sent(self) -> dict[str, Any]:
-        """Its members, held where the beam was held since it was told."""
-        return {**self, **hold_part(self.now)}

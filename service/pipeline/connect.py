@@ -1,4 +1,4 @@
-"""DeviceConnector: opens a driver, for a device that may not be there again and again until it is."""
+"""DeviceConnector: opens a driver; an unplugged device is tried again until it is there."""
 
 import logging
 from collections.abc import Callable

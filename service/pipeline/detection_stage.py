@@ -69,8 +69,8 @@ class DetectionStage:
     10.1103/PhysRev.40.207); behind the windows of the profile coda-mpx30 the errors are then 0.7
     deviations RMS, and 2.7 at most. The positions are those of the calibrations: a Gaussian at a
     whole light line's centre of gravity; what it misses of that in lines with coma is part of the
-    error (printed by tests/service/pipeline/test_peak_methods.py). Widths are those at a third of the
-    height, by whatever method.
+    error (printed by tests/service/pipeline/test_peak_methods.py). Widths are those at a third of
+    the height, by whatever method.
 
     Loads Warp and its kernels for light lines, and takes what time they need: make it and use it
     in one thread.

@@ -149,8 +149,8 @@ class LitMarkerObserver:
         if len(gone):
             listed = ", ".join(str(row + 1) for row in gone)
             why = (
-                f"not seen within {self._spec.search_radius_mm:g} mm of its place, or not alone there: "
-                f"marker {listed}"
+                f"not seen within {self._spec.search_radius_mm:g} mm of its place, or not alone "
+                f"there: marker {listed}"
             )
         return HoldObservation(None, places, spread, why)
 

@@ -1,4 +1,4 @@
-"""PipelineMeasurements: the peaks of frames as what follows takes them: doubtless ones, with deviations."""
+"""PipelineMeasurements: the usable peaks of frames with their standard deviations."""
 
 from dataclasses import dataclass
 

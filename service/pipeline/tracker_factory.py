@@ -1,7 +1,7 @@
-"""Followers: the trackers of markers and of tools, as the live path makes and calls them."""
+"""TrackerFactory: makes the trackers of markers and of tools that the tracking stage calls."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,8 @@ from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import ToolPose
 from compute.reconstruction.point_batch import PointBatch
 from compute.tracking.track_batch import TrackBatch
-from service.pipeline.point_stage import CalibrationSolver
+from service.pipeline.active_calibration import PreparedCalibration
 from service.pipeline.tracking_config import TrackingConfig
-
-if TYPE_CHECKING:
-    from compute.mapping.table import CorrectionTable
 
 Array = NDArray[np.float64]
 
@@ -63,13 +60,15 @@ class ToolTrackerProtocol(Protocol):
 class TrackerFactory(Protocol):
     """Makes them of a calibration; a test puts its own in their place."""
 
-    def markers(self, active: CalibrationSolver, tracked: TrackingConfig) -> MarkerTrackerProtocol:
+    def markers(
+        self, active: PreparedCalibration, tracked: TrackingConfig
+    ) -> MarkerTrackerProtocol:
         """Return what follows markers."""
         ...
 
     def tools(
         self,
-        active: CalibrationSolver,
+        active: PreparedCalibration,
         tracked: TrackingConfig,
         tools: Sequence[RigidBody],
         before: ToolTrackerProtocol | None,
@@ -84,24 +83,25 @@ class TrackerFactory(Protocol):
 class DefaultTrackerFactory:
     """Those of compute; loaded when a device first needs them."""
 
-    def markers(self, active: CalibrationSolver, tracked: TrackingConfig) -> MarkerTrackerProtocol:
+    def markers(
+        self, active: PreparedCalibration, tracked: TrackingConfig
+    ) -> MarkerTrackerProtocol:
         """Return what follows markers."""
         from compute.tracking.factory import create_tracker
         from compute.tracking.settings import TrackerSettings
 
-        covariance, table = calibration_covariance(active)
         models = active.calibration.models
         return create_tracker(
             CameraStack.of(models),
             TrackerSettings() if tracked.tracker is None else tracked.tracker,
-            covariance,
-            table,
+            active.covariance,
+            active.table,
             tuple(model.pixels for model in models),
         )
 
     def tools(
         self,
-        active: CalibrationSolver,
+        active: PreparedCalibration,
         tracked: TrackingConfig,
         tools: Sequence[RigidBody],
         before: ToolTrackerProtocol | None,
@@ -110,29 +110,15 @@ class DefaultTrackerFactory:
         from compute.pose.settings import ToolTrackerSettings
         from compute.pose.tool_tracking.tool_tracker import ToolTracker
 
-        covariance, table = calibration_covariance(active)
         models = active.calibration.models
         made = ToolTracker(
             CameraStack.of(models),
             tools,
             ToolTrackerSettings() if tracked.tool_tracker is None else tracked.tool_tracker,
-            covariance,
-            table,
+            active.covariance,
+            active.table,
             tuple(model.pixels for model in models),
         )
         if isinstance(before, ToolTracker):
             made.adopt_state(before)
         return made
-
-
-def calibration_covariance(
-    active: CalibrationSolver,
-) -> "tuple[Array | None, CorrectionTable | None]":
-    """Return the parameters' covariance and the table that go with a calibration.
-
-    A table's variance is that of the whole reading, the calibration's share included: with one
-    there is no covariance beside it.
-    """
-    if active.table is not None:
-        return None, active.table
-    return np.array(active.calibration.covariance), None

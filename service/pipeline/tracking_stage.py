@@ -15,8 +15,9 @@ from compute.reconstruction.point_batch import PointBatch
 from compute.tracking.blink_identification import BlinkIdentifier
 from compute.tracking.track_batch import TrackBatch
 from hardware.line_frame import LineFrame
+from service.pipeline.active_calibration import PreparedCalibration
+from service.pipeline.frame_batch import TrackingResult
 from service.pipeline.measurements import PipelineMeasurements
-from service.pipeline.point_stage import CalibrationSolver
 from service.pipeline.tracker_factory import (
     DefaultTrackerFactory,
     MarkerTrackerProtocol,
@@ -24,7 +25,6 @@ from service.pipeline.tracker_factory import (
     TrackerFactory,
 )
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
-from service.pipeline.tracking_result import TrackingResult
 
 _log = logging.getLogger(__name__)
 
@@ -88,7 +88,7 @@ class TrackingStage:
         self._reads = reads
         self._make: TrackerFactory = DefaultTrackerFactory() if make is None else make
         self._tracked = NO_TRACKING
-        self._active: CalibrationSolver | None = None
+        self._active: PreparedCalibration | None = None
         self._markers: MarkerTrackerProtocol | None = None
         self._names: BlinkIdentifier | None = None
         self._groups: list[_Group] = []
@@ -117,7 +117,7 @@ class TrackingStage:
         same = tracked.tool_tracker == before.tool_tracker
         self._groups = self._tool_groups(active, tracked.tools, known if same else None)
 
-    def set_calibration(self, active: CalibrationSolver | None) -> None:
+    def set_calibration(self, active: PreparedCalibration | None) -> None:
         """Follow with another calibration; tracks and tools are found anew."""
         self._active = active
         self._markers, self._groups = None, []
@@ -129,7 +129,7 @@ class TrackingStage:
         self._groups = self._tool_groups(active, self._tracked.tools, None)
 
     @property
-    def _is_tracking(self) -> CalibrationSolver | None:
+    def _is_tracking(self) -> PreparedCalibration | None:
         """The calibration, where there is one and lines are read."""
         return self._active if self._reads else None
 
@@ -175,12 +175,12 @@ class TrackingStage:
             poses.append(self._track_tools(frame, *readings, own))
         return TrackingResult.of(tracks, poses, self._sensors)
 
-    def _start_marker_tracker(self, active: CalibrationSolver) -> None:
+    def _start_marker_tracker(self, active: PreparedCalibration) -> None:
         """Follow markers anew; their numbers go on where those before ended."""
         self._restarts = 0
         self._markers = self._marker_tracker(active)
 
-    def _marker_tracker(self, active: CalibrationSolver) -> MarkerTrackerProtocol | None:
+    def _marker_tracker(self, active: PreparedCalibration) -> MarkerTrackerProtocol | None:
         self._first_number = self._highest_number
         blinking = self._tracked.blinking
         self._names = None if blinking is None else BlinkIdentifier(*blinking)
@@ -192,7 +192,7 @@ class TrackingStage:
 
     def _tool_groups(
         self,
-        active: CalibrationSolver,
+        active: PreparedCalibration,
         tools: Sequence[RigidBody],
         before: ToolTrackerProtocol | None,
     ) -> list[_Group]:
@@ -206,7 +206,7 @@ class TrackingStage:
             return [self._single_tool_group(active, tool) for tool in tools]
 
     def _single_tool_group(
-        self, active: CalibrationSolver, tool: RigidBody, faults: int = 0
+        self, active: PreparedCalibration, tool: RigidBody, faults: int = 0
     ) -> _Group:
         try:
             tracker = self._make.tools(active, self._tracked, [tool], None)

@@ -20,7 +20,6 @@ from service.pipeline.beam_hold_spec import (
     WatchedStrobedMarkers,
     WatchedTool,
 )
-from service.pipeline.collect import collect
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.hold_observer import (
     HoldObserver,
@@ -30,7 +29,7 @@ from service.pipeline.hold_observer import (
     lit_places,
 )
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.single_calibration_tap import SingleCalibrationTap
+from service.pipeline.taps import SingleCalibrationTap, collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
 Array = NDArray[np.float64]

@@ -29,7 +29,7 @@ from service.api.devices.sensor import Sensor, check_sensors, listed, sensors_ma
 from service.database.engine import Database
 from service.database.models import CalibrationRow, DeviceRow, HoldRow
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.device_session import DeviceStatus
+from service.pipeline.device_status import DeviceStatus
 from service.pipeline.pipeline_manager import Accept, PipelineManager
 from service.pipeline.tracking_config import TrackingConfig
 from service.problems.errors import SensorsChanged

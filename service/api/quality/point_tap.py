@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from compute.quality.point_to_point import MarkerTrack
 from compute.reconstruction.point_batch import PointFlag
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.single_calibration_tap import SingleCalibrationTap
+from service.pipeline.taps import SingleCalibrationTap
 
 Array = NDArray[np.float64]
 

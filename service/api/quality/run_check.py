@@ -10,8 +10,8 @@ from compute.quality.point_to_point import PointToPoint, point_to_point
 from compute.quality.single_point import SinglePoint, single_point
 from service.api.quality.point_tap import PointTap
 from service.api.quality.schema import NewPointToPoint, NewSinglePoint
-from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.taps import collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration
 
 _GAPS: Final = 2.5

@@ -55,7 +55,7 @@ def _provenance(session: DeviceSession, request: NewRecording, begin: datetime) 
         "version": package_version(),
         "started_at": begin.isoformat(),
         "request": request.model_dump(mode="json"),
-        "peaks": session.processor.finding.settings(),
+        "peaks": session.processor.detection.settings(),
     }
 
 

@@ -143,7 +143,7 @@ def compare(
         points += len(block.points)
         done(frames)
     then: dict[str, Any] = reader.info.provenance.get("peaks") or {}
-    now = processor.finding.settings()
+    now = processor.detection.settings()
     changed = tuple(f"{name} was {then.get(name)}, is {now[name]}"
                     for name in now if name in then and then[name] != now[name])  # fmt: skip
     return Comparison(frames, peaks, points, peaks_differ, points_differ, first_difference, changed)

@@ -17,8 +17,8 @@ from service.api.tools.point_schema import NewPoint
 from service.api.tools.pose_query import Frame
 from service.api.tools.pose_taps import TipTap
 from service.api.tools.tip_limit import TipLimit
-from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.taps import collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
 Array = NDArray[np.float64]

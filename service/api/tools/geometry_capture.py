@@ -16,8 +16,8 @@ from compute.pose.tool_calibration.digitising import (
 from compute.quality.point_to_point import MarkerTrack
 from service.api.quality.point_tap import PointTap
 from service.api.tools.schema import NewCapturedTool, Origin
-from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.taps import collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
 Array = NDArray[np.float64]

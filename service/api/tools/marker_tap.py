@@ -10,7 +10,7 @@ from compute.pose.tool_pose import ToolPose
 from compute.pose.transform import Transform
 from compute.reconstruction.point_batch import PointFlag
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.single_calibration_tap import SingleCalibrationTap
+from service.pipeline.taps import SingleCalibrationTap
 
 Array = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ from service.api.tools.registrations import frame_from_measured
 from service.api.tools.rigid_bodies import tip_of
 from service.api.tools.schema import TRACKER, Pose
 from service.database.models import RegistrationRow, ToolRow
+from service.pipeline.frame_batch import pose_members
 from service.pipeline.latest_poses import PoseEntry
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.pose_message import pose_message
 from service.problems.errors import UnknownTool
 
 STALE_S: Final = 1.0
@@ -108,7 +108,7 @@ def newest_pose(live: PipelineManager, tool: ToolRow, frame: Frame, max_tip_sd_m
         if why is not None:
             moved = ToolPose(tool.id, PoseStatus.INVALID, why, moved.exposure_ns, moved.sequence)
     seen = entry is not None
-    members: dict[str, Any] = pose_message(moved) | {
+    members: dict[str, Any] = pose_members(moved) | {
         "device": tool.device_id,
         "frame": frame.name,
         "exposure_ns": moved.exposure_ns if seen else None,

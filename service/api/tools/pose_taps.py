@@ -7,7 +7,7 @@ from typing import Final
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.api.tools.frame_conversion import pose_in_frame
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.single_calibration_tap import SingleCalibrationTap
+from service.pipeline.taps import SingleCalibrationTap
 
 
 class PoseTap(SingleCalibrationTap):

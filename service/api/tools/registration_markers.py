@@ -17,8 +17,8 @@ from service.api.tools.marker_tap import MarkerObservation, MarkerTap
 from service.api.tools.registration_schema import NewThreeMarkers
 from service.api.tools.registrations import NewRegistrationRecord
 from service.api.tools.target_errors import target_errors
-from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.taps import collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
 Array = NDArray[np.float64]

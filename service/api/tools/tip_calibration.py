@@ -9,8 +9,8 @@ from compute.errors import TooFewPoses
 from compute.pose.tool_pose import ToolPose
 from service.api.tools.pose_taps import PoseTap
 from service.api.tools.schema import NewToolCalibration
-from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.taps import collect
 from service.problems.errors import CalibrationSwitched
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from fastapi import FastAPI
 from numpy.typing import NDArray
 
 from service.allow_list import AllowList
-from service.protocols.metrics.ndi import NdiCollector
+from service.protocols.ndi.metrics_collector import NdiCollector
 from service.protocols.ndi.pose_feed import PoseFeed
 from service.protocols.ndi.server import NdiOptions, NdiServer
 from service.protocols.ndi.tool_cache import ToolCache

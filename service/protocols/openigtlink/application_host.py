@@ -19,11 +19,11 @@ from service.api.tools.provenance import provenance
 from service.api.tools.registrations import measured_points
 from service.api.tools.rigid_bodies import body_of
 from service.api.tools.tip_limit import tip_limit_of
-from service.api.tools.transform_name import frame_name
 from service.database.audited_session import entry
 from service.database.engine import Database
 from service.database.models import RegistrationRow, ToolRow
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.transform_names import frame_name
 from service.principal import Act, Principal, current_act
 from service.problems.errors import UnknownRecording
 from service.protocols.openigtlink.host import Caller, Landmark, WireTool

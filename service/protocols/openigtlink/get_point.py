@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.api.tools.transform_name import frame_name
+from service.pipeline.transform_names import frame_name
 from service.protocols.openigtlink.host import Landmark, WireTool
 from service.protocols.openigtlink.pose_bodies import Point
 from service.protocols.openigtlink.snapshot import Snapshot, WirePose

@@ -5,7 +5,7 @@ import struct
 from dataclasses import dataclass
 from typing import Final
 
-from service.api.tools.transform_name import NAME_BYTES
+from service.pipeline.transform_names import NAME_BYTES
 from service.protocols.openigtlink.errors import BadMessage
 
 HEADER_BYTES: Final = 58

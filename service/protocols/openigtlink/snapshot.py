@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.api.tools.frame_conversion import POSE_STATUSES, status_rank
 from service.api.tools.tip_limit import TipLimit, exceeded_reason, tip_sd_mm
-from service.api.tools.transform_name import TRACKER, TransformName, frame_name
 from service.pipeline.latest_poses import PoseEntry
+from service.pipeline.transform_names import TRACKER, TransformName, frame_name
 from service.protocols.openigtlink.errors import BadMessage
 from service.protocols.openigtlink.message import Message, write_message
 from service.protocols.openigtlink.named_transforms import inverse_of

@@ -1,11 +1,11 @@
-"""What a tool's transform is called on the wire: ``probeToTracker``, ``probeToPatient``."""
+"""Names of the transforms of all tools of a device, unique on the wire."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from service.api.tools.transform_name import NAME_BYTES, TO, TRACKER, TransformName, wire_name
+from service.pipeline.transform_names import NAME_BYTES, TO, TRACKER, TransformName, wire_name
 from service.protocols.openigtlink.host import WireTool
 
 

@@ -87,15 +87,15 @@ def frame(sequence: int) -> LineFrame:
 
 @pytest.fixture
 def live() -> Iterator[PipelineManager]:
-    manager = PipelineManager("cpu")
-    manager.hub = Told()
+    manager = PipelineManager(Hub(), "cpu")
+    manager.streams = Told()
     yield manager
     manager.close()
 
 
 def states(live: PipelineManager) -> list[tuple[str, str | None, str | None]]:
-    assert isinstance(live.hub, Told)
-    return [(one["state"], one["reason"], one["link"]) for one in live.hub.messages]
+    assert isinstance(live.streams, Told)
+    return [(one["state"], one["reason"], one["link"]) for one in live.streams.messages]
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:

@@ -384,7 +384,7 @@ def test_no_more_wait_at_once_than_may(sqlite_client: Any, running: FakePipeline
 def test_a_server_that_stops_says_so_at_once(sqlite_client: Any, running: FakePipeline):
     """It would wait for two minutes."""
     assert made(sqlite_client, POINTER).status_code == 201
-    running.hub.close("the server is stopping")
+    running.streams.close("the server is stopping")
     path = "/api/v1/tools/pointer/pivot-calibrations"
     answer = sqlite_client.post(path, json={"seconds": 120})
     assert code(answer) == (503, "not-ready"), answer.text

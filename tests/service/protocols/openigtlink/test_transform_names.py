@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.api.tools.transform_name import TO, wire_name
+from service.pipeline.transform_names import TO, wire_name
 from service.protocols.openigtlink.host import WireTool
 from service.protocols.openigtlink.transform_names import name_tools
 

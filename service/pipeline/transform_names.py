@@ -1,10 +1,10 @@
-"""Name of a tool's transform for OpenIGTLink and Slicer: ``probeToTracker``, ``probeToPatient``."""
+"""Names of tool transforms: ``probeToTracker``, ``probeToPatient``, cut to what fits a header."""
 
 from dataclasses import dataclass
 from typing import Final
 
 NAME_BYTES: Final = 20
-"""Length of a device name in OpenIGTLink's header."""
+"""Longest name in a header of OpenIGTLink, and so in the sequence files that are like it."""
 TRACKER: Final = "Tracker"
 """The frame of the device's own coordinates."""
 TO: Final = "To"

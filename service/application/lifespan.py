@@ -1,4 +1,4 @@
-"""What runs as long as the application: opened in order, closed in reverse."""
+"""Lifespan of the application: parts are opened in order and closed in reverse."""
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -8,7 +8,9 @@ from typing import Protocol
 from anyio.to_thread import run_sync
 from fastapi import FastAPI
 
-from service.api.devices.device_service import DeviceService
+from service.api.beam_holds.monitor_config import tracking_config_of
+from service.api.correction_tables.store import active_calibration
+from service.api.devices.device_service import DeviceService, StoredContent
 from service.api.devices.profiles import find_profile
 from service.api.exports.repository import ExportRepository
 from service.api.quality.drift_monitor import DriftMonitor
@@ -66,7 +68,12 @@ async def running(
         app.state.live = manager
         app.state.streams = manager.streams
         stack.callback(setattr, app.state, "live", None)
-        app.state.operation = DeviceService(database, manager, settings.folders)
+        app.state.device_service = DeviceService(
+            database,
+            manager,
+            settings.folders,
+            StoredContent(active_calibration, tracking_config_of),
+        )
         recordings = RecordingManager(
             manager,
             settings.folders.recordings,
@@ -75,7 +82,7 @@ async def running(
         )
         closed_at_the_end(recordings)
         app.state.recordings = recordings
-        await run_sync(app.state.operation.autostart, *named)
+        await run_sync(app.state.device_service.autostart, *named)
         exports = ExportRepository(settings.folders.exports, settings.recording_free_bytes)
         app.state.exports = exports
         kinds = kinds_with(exports, settings.folders.recordings)

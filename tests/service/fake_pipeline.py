@@ -11,8 +11,7 @@ from service.api.beam_holds.reference_capture import ReferenceTap
 from service.api.quality.interval_statistics_tap import IntervalStatisticsTap
 from service.api.quality.point_tap import PointTap
 from service.api.tools.marker_tap import MarkerTap
-from service.api.tools.pose_tap import PoseTap
-from service.api.tools.tip_tap import TipTap
+from service.api.tools.pose_taps import PoseTap, TipTap
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.pipeline.detection_stage import DetectionStage

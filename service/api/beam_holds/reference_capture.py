@@ -1,4 +1,4 @@
-"""A hold's reference from what a running device sees of the patient, set up and at rest."""
+"""Captures a beam hold's reference from a running device, the patient set up and at rest."""
 
 from typing import Any, Final
 
@@ -41,7 +41,7 @@ _NO_LIMIT: Final = 1e9
 
 
 class ReferenceTap(SingleCalibrationTap):
-    """Collects what frames show of what is watched, with one calibration in force all the time.
+    """Collects observations of the watched object while one calibration is active.
 
     Args:
         spec: what is watched.
@@ -65,7 +65,7 @@ class ReferenceTap(SingleCalibrationTap):
             self._sight = StrobedMarkerObserver(spec, np.iinfo(np.int64).max)
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take what is wanted of a batch; called in the compute thread."""
+        """Collect from a batch; called in the compute thread."""
         if not self._goes_on(batch):
             return
         for index in range(len(batch.frames)):
@@ -118,7 +118,7 @@ class ReferenceTap(SingleCalibrationTap):
 def capture_reference(
     live: PipelineManager, device_id: str, spec: Spec, asked: NewReference
 ) -> tuple[dict[str, Any], str, str | None]:
-    """Look at what is watched; return what was measured, and the calibration and table in force.
+    """Measure the watched object; return the reference with the active calibration and table.
 
     Raises:
         DeviceNotRunning: the device does not run, or ends meanwhile.

@@ -1,4 +1,4 @@
-"""A quality check: some seconds of a running device's points, and what they say."""
+"""Runs a quality check on a running device's points of some seconds."""
 
 from dataclasses import dataclass
 from typing import Final

@@ -1,4 +1,4 @@
-"""What a process is to record that is asked to record a running device."""
+"""RecordingJob of a running device: what its writer process is told."""
 
 from datetime import datetime
 from pathlib import Path
@@ -49,7 +49,7 @@ def writer_job(
 
 
 def _provenance(session: DeviceSession, request: NewRecording, begin: datetime) -> dict[str, Any]:
-    """Return what is to be known of how results were made."""
+    """Return the provenance of results: software versions and settings."""
     return {
         "program": "lumiline",
         "version": package_version(),

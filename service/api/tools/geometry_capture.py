@@ -1,4 +1,4 @@
-"""A tool's geometry from the points that a running device sees of it while it is held still."""
+"""Captures a tool's geometry from the points of a running device while the tool is held still."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -94,7 +94,7 @@ def _wanted(asked: NewCapturedTool, strobes: int) -> tuple[tuple[int, ...] | Non
 
 
 def check_strobed(device_id: str, numbers: Sequence[int], strobes: int) -> None:
-    """Raise InvalidParameter when a device that strobes so many markers has not got these."""
+    """Raise InvalidParameter when a marker's number exceeds the device's strobed markers."""
     unknown = next((number for number in numbers if number >= strobes), None)
     if unknown is not None:
         known = f"0 to {strobes - 1}" if strobes else "none: they are lit together"

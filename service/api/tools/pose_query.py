@@ -29,7 +29,7 @@ STALE_FRAMES: Final = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame that poses may be given in.
+    """A frame of reference in which poses can be expressed.
 
     Args:
         name: of it.
@@ -81,7 +81,7 @@ def frame_of(session: Session, tool: ToolRow, wanted: str | None) -> Frame:
 
 
 def newest_pose(live: PipelineManager, tool: ToolRow, frame: Frame, max_tip_sd_mm: float) -> Pose:
-    """Return the newest pose of a tool, or why there is none; what is stale is none.
+    """Return the newest pose of a tool, or the reason why there is none; a stale one is none.
 
     Args:
         live: the running devices.

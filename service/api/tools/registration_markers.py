@@ -1,4 +1,4 @@
-"""Registration by three markers: given, or measured while a running device strobes them."""
+"""Registration by three markers: given, or measured on a running device."""
 
 from typing import Final
 
@@ -28,7 +28,7 @@ _TOLD_TURN_RAD: Final = float(np.radians(0.5))
 
 
 def of_markers(live: PipelineManager, request: NewThreeMarkers) -> NewRegistrationRecord:
-    """Return the frame of three markers that were given, or are looked at now.
+    """Return the frame of three markers, whose positions are given or measured now.
 
     Raises:
         CollinearPoints, DuplicatePoint, UndeterminedParameters: they make no frame.
@@ -98,7 +98,7 @@ def _given_covariances(request: NewThreeMarkers) -> Array:
 def _looked_at(
     live: PipelineManager, request: NewThreeMarkers
 ) -> tuple[list[StationaryPoint], tuple[str | None, str | None]]:
-    """Return the markers' places, and the calibration and table that they were measured with."""
+    """Return the markers' measured positions with the active calibration and table."""
     numbers = request.strobe_markers
     assert numbers is not None
     if request.measured_sigma_mm is not None or request.measured_covariance_mm2 is not None:

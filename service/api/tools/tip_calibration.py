@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from compute.errors import TooFewPoses
 from compute.pose.tool_pose import ToolPose
-from service.api.tools.pose_tap import PoseTap
+from service.api.tools.pose_taps import PoseTap
 from service.api.tools.schema import NewToolCalibration
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.taps import collect
@@ -56,7 +56,7 @@ def calibrate_tip(
 
 
 def subsample(poses: list[ToolPose], max_poses: int) -> list[ToolPose]:
-    """Return at most so many poses, evenly from all."""
+    """Return at most ``max_poses`` poses, evenly spaced."""
     if len(poses) <= max_poses:
         return poses
     return [

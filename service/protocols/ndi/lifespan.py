@@ -9,7 +9,7 @@ import numpy as np
 from fastapi import FastAPI
 from numpy.typing import NDArray
 
-from service.protocols.allow_list import AllowList
+from service.allow_list import AllowList
 from service.protocols.ndi.metrics_collector import NdiCollector
 from service.protocols.ndi.pose_feed import PoseFeed
 from service.protocols.ndi.server import NdiOptions, NdiServer

@@ -10,6 +10,7 @@ from starlette.datastructures import State
 
 from compute.errors import LumilineError
 from service.pipeline.pipeline_manager import PipelineManager
+from service.principal import Principal
 from service.problems.catalogue import problem_type_of
 from service.problems.errors import NotReady, UpgradeRequired
 from service.problems.handlers import problem_response
@@ -20,7 +21,6 @@ from service.protocols.stream.stream_batch import hold_members
 from service.protocols.stream.subscription import StreamEnded, StreamRequest, Subscription
 from service.security.credential import SUBPROTOCOL, subprotocols
 from service.security.guard import ACT
-from service.security.principal import Principal
 
 if TYPE_CHECKING:
     from service.security.authenticator import Authenticator
@@ -43,7 +43,7 @@ async def stream(websocket: WebSocket) -> None:
     with ExitStack() as stack:
         try:
             request = parse_stream_request(websocket.query_params)
-            await run_sync(websocket.app.state.operation.status, request.device_id)
+            await run_sync(websocket.app.state.device_service.status, request.device_id)
             stack.enter_context(websocket.app.state.open_streams.opened(principal))
         except LumilineError as error:
             path = websocket.url.path

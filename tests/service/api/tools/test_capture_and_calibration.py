@@ -367,7 +367,7 @@ def test_no_more_wait_at_once_than_may(sqlite_client: Any, running: FakePipeline
     request = body | {"seconds": 0.05}
     with ExitStack() as others:
         for _ in range(concurrency_limits.MAX_CONCURRENT):
-            others.enter_context(concurrency_limits.capture_slot())
+            others.enter_context(concurrency_limits.captures)
         refused = sqlite_client.post(f"/api/v1/{path}", json=request)
         assert code(refused) == (503, "busy"), refused.text
         assert (

@@ -12,10 +12,10 @@ from prometheus_client.parser import text_string_to_metric_families as plain
 
 from compute.pose.tool_pose import PoseStatus
 from hardware.link import LinkCounters, LinkState
-from service.api.recordings.write_counters import WriteCounters
+from service.api.recordings.recorder import WriteCounters
 from service.database.models import RunRow
 from service.jobs.duration_histogram import DurationHistogram
-from service.logs.request_record import RequestRecord
+from service.logs.context import RequestRecord
 from service.pipeline.device_session import BOUNDS_S, LatencyHistogram, ToolCounts
 from service.pipeline.device_status import DeviceStatus
 from tests.service.fake_pipeline import FakePipeline

@@ -92,6 +92,11 @@ class Missed:
     messages: int
     first: int
 
+    @property
+    def last(self) -> int:
+        """Number of the last of them."""
+        return self.first + self.messages - 1
+
 
 @dataclass(frozen=True, slots=True)
 class Point:

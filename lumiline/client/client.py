@@ -2,13 +2,16 @@
 
 import asyncio
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any, Generic, TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, Generic, TypeVar
 
 import httpx
 
 from lumiline.client.beam_holds import BeamHoldMethods
 from lumiline.client.devices import DeviceMethods
+from lumiline.client.errors import ServerUnreachable, UnreadableMessage, server_problem
 from lumiline.client.exchange import (
     AsyncRunner,
     BlockingRunner,
@@ -20,7 +23,6 @@ from lumiline.client.exchange import (
 )
 from lumiline.client.recordings import RecordingMethods
 from lumiline.client.registrations import RegistrationMethods
-from lumiline.client.response import check, connection_errors, json_of, whole_file
 from lumiline.client.server import KeyBy, Server
 from lumiline.client.stream import AsyncStream, Stream
 from lumiline.client.stream_state import Content, Mode, StreamRequest, StreamState
@@ -38,7 +40,7 @@ class _SharedClient(
     RecordingMethods,
     Generic[Http, AnyStream],
 ):
-    """What both clients have in common: all but input and output."""
+    """Settings, requests and streams of a client; its subclasses add input and output."""
 
     _http_type: type[Http]
     _stream_type: type[AnyStream]
@@ -147,17 +149,17 @@ class Client(_SharedClient[httpx.Client, Stream], BlockingRunner):
         match step:
             case HttpRequest():
                 what = f"{step.method} {step.path}"
-                with connection_errors(what):
+                with _connection_errors(what):
                     response = self._http.request(**self._http_arguments(step))
-                return json_of(response, what)
+                return _json_of(response, what)
             case Download():
                 with (
-                    connection_errors(f"GET {step.source}"),
+                    _connection_errors(f"GET {step.source}"),
                     self._http.stream("GET", step.source) as response,
                 ):
                     if not response.is_success:
-                        check(response, response.read())
-                    with whole_file(step.path) as file:
+                        _check(response, response.read())
+                    with _whole_file(step.path) as file:
                         for piece in response.iter_bytes():
                             file.write(piece)
                 return step.path
@@ -184,18 +186,57 @@ class AsyncClient(_SharedClient[httpx.AsyncClient, AsyncStream], AsyncRunner):
         match step:
             case HttpRequest():
                 what = f"{step.method} {step.path}"
-                with connection_errors(what):
+                with _connection_errors(what):
                     response = await self._http.request(**self._http_arguments(step))
-                return json_of(response, what)
+                return _json_of(response, what)
             case Download():
-                with connection_errors(f"GET {step.source}"):
+                with _connection_errors(f"GET {step.source}"):
                     async with self._http.stream("GET", step.source) as response:
                         if not response.is_success:
-                            check(response, await response.aread())
-                        with whole_file(step.path) as file:
+                            _check(response, await response.aread())
+                        with _whole_file(step.path) as file:
                             async for piece in response.aiter_bytes():
                                 file.write(piece)
                 return step.path
             case Pause():
                 await asyncio.sleep(step.seconds)
         return None
+
+
+def _check(response: httpx.Response, body: bytes) -> None:
+    """Raise ServerProblem where the server refused."""
+    if not response.is_success:
+        retry_after = response.headers.get("Retry-After")
+        raise server_problem(response.status_code, body, retry_after)
+
+
+def _json_of(response: httpx.Response, what: str) -> Any:
+    """Return the JSON of a response that has been read; None where it is empty."""
+    _check(response, response.content)
+    if not response.content:
+        return None
+    try:
+        return response.json()
+    except ValueError as error:
+        raise UnreadableMessage(f"{what} did not answer JSON") from error
+
+
+@contextmanager
+def _connection_errors(what: str) -> Iterator[None]:
+    """Raise ServerUnreachable where the connection fails or is lost."""
+    try:
+        yield
+    except httpx.TransportError as error:
+        raise ServerUnreachable(f"{what}: {error or type(error).__name__}") from error
+
+
+@contextmanager
+def _whole_file(path: Path) -> Iterator[IO[bytes]]:
+    """Open a temporary file, which takes its name only when all of it is written."""
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            yield file
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)

@@ -151,11 +151,13 @@ class ClientMethod(Generic[P, T]):
         async def awaitable(client: AsyncRunner, *args: P.args, **named: P.kwargs) -> T:
             return await client._run(define(client, *args, **named))
 
-        # What help() and editors show: the result, not the exchange that leads to it.
+        # help() and Sphinx show the result, not the exchange that leads to it.
         signature = inspect.signature(define)
         result = get_args(signature.return_annotation)[-1]
         for function in (blocking, awaitable):
+            del vars(function)["__wrapped__"]
             vars(function)["__signature__"] = signature.replace(return_annotation=result)
+            function.__annotations__ = {**define.__annotations__, "return": result}
         self._blocking, self._awaitable = blocking, awaitable
 
     @overload

@@ -40,7 +40,7 @@ class Device(ResponseModel):
 
 
 class DeviceStatus(ResponseModel):
-    """What a device is doing."""
+    """State of a device and its counts of frames."""
 
     state: str
     reason: str | None = None
@@ -87,7 +87,7 @@ class Reconstruction(ResponseModel):
 
 
 class Tip(ResponseModel):
-    """Where a tool's working point is, in its coordinates."""
+    """Tip of a tool, in the tool's coordinates."""
 
     position_mm: Vector3 | None
     covariance_mm2: Matrix3 | None = None
@@ -107,7 +107,7 @@ class Tool(ResponseModel):
 
 
 class Pose(ResponseModel):
-    """The newest pose of a tool, or why there is none; only a pose that is OK is one to use."""
+    """The newest pose of a tool, or why there is none; use it only where ``status`` is OK."""
 
     tool: str
     device: str
@@ -129,7 +129,7 @@ class Pose(ResponseModel):
 
 
 class ToolCalibration(ResponseModel):
-    """What a pivot or spin calibration found."""
+    """Result of a pivot or spin calibration."""
 
     id: str
     tool: str
@@ -144,7 +144,7 @@ class ToolCalibration(ResponseModel):
 
 
 class MeasuredPoint(ResponseModel):
-    """A point that a tool's tip was held on."""
+    """A point measured with a tool's tip."""
 
     name: str | None
     tool: str
@@ -160,7 +160,7 @@ class MeasuredPoint(ResponseModel):
 
 
 class FiducialError(ResponseModel):
-    """How a fiducial fits."""
+    """Registration error at a fiducial."""
 
     name: str
     residual_mm: Vector3
@@ -168,7 +168,7 @@ class FiducialError(ResponseModel):
 
 
 class TargetError(ResponseModel):
-    """What to expect at a target."""
+    """Predicted registration error at a target."""
 
     name: str
     error_mm: float
@@ -185,7 +185,7 @@ class FrameMarker(ResponseModel):
 
 
 class SurfaceFit(ResponseModel):
-    """How points lie on a surface, and how well it holds them."""
+    """Fit of measured points to a surface, and how well it is conditioned."""
 
     rms_mm: float
     iterations: int
@@ -219,7 +219,7 @@ class Registration(ResponseModel):
 
 
 class FrameState(ResponseModel):
-    """A frame, and whether it is connected now; those with the same root are with one another."""
+    """A frame, and whether it is connected now; frames of one root are connected."""
 
     frame: str
     kind: str
@@ -231,7 +231,7 @@ class FrameState(ResponseModel):
 
 
 class Frames(ResponseModel):
-    """A device's frames at its newest frame."""
+    """A device's coordinate frames at its newest exposure."""
 
     device: str
     exposure_ns: int | None
@@ -272,7 +272,7 @@ class BeamHold(ResponseModel):
 
 
 class BeamHoldStatus(ResponseModel):
-    """Whether a beam is held now: only ``held`` false lets it go on."""
+    """State of a beam hold; the beam may be on only where ``held`` is false."""
 
     hold: str
     device: str
@@ -325,7 +325,7 @@ class RunProblem(ResponseModel):
 
 
 class Run(ResponseModel):
-    """A computation beside the requests: ``state`` ``queued`` or ``running`` is not its last."""
+    """A long computation of the server: an export, a calibration, a map."""
 
     id: str
     kind: str
@@ -339,5 +339,5 @@ class Run(ResponseModel):
 
     @property
     def ended(self) -> bool:
-        """Whether it changes no more."""
+        """Whether it has finished, in whatever way."""
         return self.state not in ("queued", "running")

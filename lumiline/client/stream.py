@@ -19,7 +19,7 @@ Step = Literal["open", "receive", "close"] | Pause
 
 
 class _SharedStream(Generic[Socket]):
-    """What both streams have in common: all but input and output."""
+    """State and messages of a stream; its subclasses add input and output."""
 
     def __init__(self, state: StreamState, open_timeout_s: float = 10.0) -> None:
         """Make a stream that is opened by its first message, or by entering it."""
@@ -102,13 +102,16 @@ class Stream(_SharedStream[blocking_client.ClientConnection], BlockingRunner):
         return self
 
     def __next__(self) -> Message:
-        """Return the next message.
+        """Wait for the next message and return it.
 
         Raises:
             StopIteration: the stream was closed, or its device deleted.
-            StreamEnded, ServerProblem, ServerUnreachable, UnreadableMessage: see those.
+            StreamEnded: the key was revoked or has expired.
+            ServerProblem: the server refused the stream.
+            ServerUnreachable: the connection was not made, or lost for too long.
+            UnreadableMessage: a message cannot be decoded.
         """
-        if not self._run(self._receive()):
+        if not self._received and not self._run(self._receive()):
             raise StopIteration
         return self._take()
 
@@ -152,13 +155,16 @@ class AsyncStream(_SharedStream[asyncio_client.ClientConnection], AsyncRunner):
         return self
 
     async def __anext__(self) -> Message:
-        """Return the next message.
+        """Wait for the next message and return it.
 
         Raises:
             StopAsyncIteration: the stream was closed, or its device deleted.
-            StreamEnded, ServerProblem, ServerUnreachable, UnreadableMessage: see those.
+            StreamEnded: the key was revoked or has expired.
+            ServerProblem: the server refused the stream.
+            ServerUnreachable: the connection was not made, or lost for too long.
+            UnreadableMessage: a message cannot be decoded.
         """
-        if not await self._run(self._receive()):
+        if not self._received and not await self._run(self._receive()):
             raise StopAsyncIteration
         return self._take()
 

@@ -15,6 +15,7 @@ from websockets.exceptions import (
 )
 
 from lumiline.client.errors import (
+    ServerProblem,
     ServerUnreachable,
     StreamEnded,
     UnreadableMessage,
@@ -44,7 +45,7 @@ MAX_MESSAGE_BYTES: Final = 2**26
 
 @dataclass(frozen=True)
 class StreamRequest:
-    """What a stream is to send.
+    """Query of a stream: device, content, mode and rate.
 
     Args:
         device: its id.
@@ -65,7 +66,7 @@ class StreamRequest:
     encoding: Literal["msgpack", "json"] = "msgpack"
 
     def query(self, stream: str | None, after: int | None) -> str:
-        """Return the query of a connection; a lossless one goes on after a message."""
+        """Return the URL query of a connection; a lossless one resumes after a message."""
         values: dict[str, Any] = {
             "device": self.device,
             "content": ",".join(self.content),
@@ -91,7 +92,7 @@ class StreamState:
         last: number of the last message that was received.
         last_taken: number of the last message that the program has taken.
         hello: the first message of the newest connection.
-        reconnections: how often the connection was lost and made again.
+        reconnections: connections that were made again after a loss.
         deleted: whether the device was, which ends the stream.
     """
 
@@ -228,7 +229,7 @@ CONNECTION_FAILURES: Final = (OSError, ConnectionClosed, InvalidHandshake, Inval
 """What the websocket library raises when a connection is lost or is not made."""
 
 
-def _problem_of(error: Exception) -> Any:
+def _problem_of(error: Exception) -> ServerProblem | None:
     if not isinstance(error, InvalidStatus):
         return None
     response = error.response

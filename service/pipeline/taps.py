@@ -29,7 +29,7 @@ class Tap(Protocol):
     """Takes the batches of a running device beside the streams."""
 
     def prepare(self, found: ActiveCalibration) -> None:
-        """Learn the calibration that is about to become active; called in a thread that may wait."""
+        """Learn the calibration that becomes active next; called in a thread that may wait."""
         ...
 
     def offer(self, batch: FrameBatch) -> None:

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class MarkerTrackerProtocol(Protocol):
-    """Follows markers from frame to frame; see compute/tracking/factory.py."""
+    """Follows markers from frame to frame; see compute/tracking/tracker.py."""
 
     def step(
         self,
@@ -86,12 +86,12 @@ class DefaultTrackerFactory:
 
     def markers(self, active: CalibrationSolver, tracked: TrackingConfig) -> MarkerTrackerProtocol:
         """Return what follows markers."""
-        from compute.tracking.factory import create_tracker
         from compute.tracking.settings import TrackerSettings
+        from compute.tracking.tracker import Tracker
 
         covariance, table = calibration_covariance(active)
         models = active.calibration.models
-        return create_tracker(
+        return Tracker(
             CameraStack.of(models),
             TrackerSettings() if tracked.tracker is None else tracked.tracker,
             covariance,

@@ -6,16 +6,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.factory import TrackingSettings
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.thesis.gap_filling import fill_gaps
 from validation.progress import report_progress
 from validation.result_tables import ResultTable, TablesCase
 from validation.section_6.live_methods import TrackFunction, live_methods, live_table
 from validation.section_6.rotating_bar import TURNING, cameras
 from validation.section_6.scans import MISSED, NARROW_PX, NOISE_COUNTS, WIDE_PX
 from validation.section_6.sensor_track_errors import SensorFigures, together
-from validation.section_6.spatial_tracks import SpaceTracks
+from validation.section_6.spatial_tracks import SpaceTracks, TrackingSettings
 from validation.section_6_1.kinematics import (
     JERK,
     SpaceFigures,
@@ -37,6 +35,7 @@ from validation.section_6_1.thesis_tracking import (
     track_pair,
 )
 from validation.section_6_2.track_quality import TrackQuality
+from validation.thesis_tracking.gap_filling import fill_gaps
 
 Array = NDArray[np.float64]
 

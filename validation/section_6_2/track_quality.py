@@ -7,9 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.thesis.probabilistic_tracker import AssociationSettings, ProbabilisticTracker
-from compute.tracking.thesis.sensor_track import SensorTrack
 from validation.section_6.spatial_tracks import SpaceTracks
+from validation.thesis_tracking.probabilistic_tracker import (
+    AssociationSettings,
+    ProbabilisticTracker,
+)
+from validation.thesis_tracking.sensor_track import SensorTrack
 
 Array = NDArray[np.float64]
 

@@ -5,10 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.thesis.intervals import IntervalSettings
-from compute.tracking.thesis.probabilistic_tracker import AssociationSettings, ProbabilisticTracker
-from compute.tracking.thesis.sensor_point import SensorPoint
-from compute.tracking.thesis.settings import ThesisSettings
+from validation.thesis_tracking.intervals import IntervalSettings
+from validation.thesis_tracking.probabilistic_tracker import (
+    AssociationSettings,
+    ProbabilisticTracker,
+)
+from validation.thesis_tracking.sensor_point import SensorPoint
+from validation.thesis_tracking.settings import ThesisSettings
 
 Array = NDArray[np.float64]
 

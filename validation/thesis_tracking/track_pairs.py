@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from compute.tracking.thesis.intervals import PositionInterval
-from compute.tracking.thesis.track_swap import (
+from validation.thesis_tracking.intervals import PositionInterval
+from validation.thesis_tracking.track_swap import (
     Density,
     Transition,
     swap_probability,

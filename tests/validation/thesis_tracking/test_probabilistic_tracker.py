@@ -8,17 +8,20 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from compute.errors import InvalidParameter
-from compute.tracking.thesis.intervals import (
+from validation.thesis_tracking.intervals import (
     IntervalSettings,
     PositionInterval,
     VelocityEstimate,
     position_interval,
     velocity_estimate,
 )
-from compute.tracking.thesis.probabilistic_tracker import AssociationSettings, ProbabilisticTracker
-from compute.tracking.thesis.sensor_track import SensorTrack, TrackEnd
-from compute.tracking.thesis.track_pairs import TrackPairs
-from compute.tracking.thesis.track_swap import (
+from validation.thesis_tracking.probabilistic_tracker import (
+    AssociationSettings,
+    ProbabilisticTracker,
+)
+from validation.thesis_tracking.sensor_track import SensorTrack, TrackEnd
+from validation.thesis_tracking.track_pairs import TrackPairs
+from validation.thesis_tracking.track_swap import (
     Transition,
     printed_6_10,
     swap_probability,

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from compute.reconstruction.correspondence import Correspondence
 from compute.tracking.measurements import Measurements
-from compute.tracking.thesis.point_reconstruction import SolvedPoints, SpacePoints
-from compute.tracking.thesis.settings import ThesisSettings
-from compute.tracking.thesis.track_report import TrackReport
+from validation.thesis_tracking.point_reconstruction import SolvedPoints, SpacePoints
+from validation.thesis_tracking.settings import ThesisSettings
+from validation.thesis_tracking.track_report import TrackReport
 
 Array = NDArray[np.float64]
 

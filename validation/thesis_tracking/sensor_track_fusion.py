@@ -8,19 +8,19 @@ from numpy.typing import NDArray
 
 from compute.reconstruction.triangulation import chi2_limit
 from compute.tracking.measurements import Measurements
-from compute.tracking.thesis.fused_marker import FusedMarker
-from compute.tracking.thesis.point_reconstruction import SolvedPoints, SpacePoints
-from compute.tracking.thesis.scan_clock import ScanClock
-from compute.tracking.thesis.sensor_point import SensorPoint, SensorTracker
-from compute.tracking.thesis.settings import MIN_SENSORS, ThesisSettings
-from compute.tracking.thesis.slot_tracker import (
+from compute.tracking.track_batch import TrackFlag
+from validation.thesis_tracking.fused_marker import FusedMarker
+from validation.thesis_tracking.point_reconstruction import SolvedPoints, SpacePoints
+from validation.thesis_tracking.scan_clock import ScanClock
+from validation.thesis_tracking.sensor_point import SensorPoint, SensorTracker
+from validation.thesis_tracking.settings import MIN_SENSORS, ThesisSettings
+from validation.thesis_tracking.slot_tracker import (
     AMBIGUOUS_CONFIRMATION_EXPOSURES,
     MIN_AGREEING_SENSORS,
     SlotTracker,
     packed_columns,
 )
-from compute.tracking.thesis.track_report import TrackReport
-from compute.tracking.track_batch import TrackFlag
+from validation.thesis_tracking.track_report import TrackReport
 
 Array = NDArray[np.float64]
 Running = list[dict[int, SensorPoint]]

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.tracking.thesis.dynamic_model import transition_along_sensor, transition_in_plane
-from compute.tracking.thesis.gap_filling import fill_gaps
-from compute.tracking.thesis.pair_tracker import Decision
-from compute.tracking.thesis.pair_tracking import PairTracking, PairTracks
-from compute.tracking.thesis.quadratic_window import QuadraticWindow
-from compute.tracking.thesis.subsets import order_by_detection
+from validation.thesis_tracking.dynamic_model import transition_along_sensor, transition_in_plane
+from validation.thesis_tracking.gap_filling import fill_gaps
+from validation.thesis_tracking.pair_tracker import Decision
+from validation.thesis_tracking.pair_tracking import PairTracking, PairTracks
+from validation.thesis_tracking.quadratic_window import QuadraticWindow
+from validation.thesis_tracking.subsets import order_by_detection
 
 Array = NDArray[np.float64]
 

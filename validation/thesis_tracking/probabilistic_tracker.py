@@ -10,16 +10,21 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
 from compute.errors import InvalidParameter
-from compute.tracking.thesis.intervals import (
+from validation.thesis_tracking.intervals import (
     IntervalSettings,
     PositionInterval,
     position_interval,
     velocity_estimate,
 )
-from compute.tracking.thesis.sensor_point import SensorPoint
-from compute.tracking.thesis.sensor_track import GrowingTrack, SensorTrack, TrackEnd
-from compute.tracking.thesis.track_pairs import PairState, TrackPairs
-from compute.tracking.thesis.track_swap import INTERVAL_SIGMA, SWAP_THRESHOLD, Density, Transition
+from validation.thesis_tracking.sensor_point import SensorPoint
+from validation.thesis_tracking.sensor_track import GrowingTrack, SensorTrack, TrackEnd
+from validation.thesis_tracking.track_pairs import PairState, TrackPairs
+from validation.thesis_tracking.track_swap import (
+    INTERVAL_SIGMA,
+    SWAP_THRESHOLD,
+    Density,
+    Transition,
+)
 
 Array = NDArray[np.float64]
 Pairs = Mapping[tuple[int, int], PairState]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.tracking.thesis.pair_tracker import Decision, PairTracker
-from compute.tracking.thesis.quadratic_window import THESIS_POINTS, QuadraticWindow
+from validation.thesis_tracking.pair_tracker import Decision, PairTracker
+from validation.thesis_tracking.quadratic_window import THESIS_POINTS, QuadraticWindow
 
 Array = NDArray[np.float64]
 

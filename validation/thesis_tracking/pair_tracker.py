@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.thesis.quadratic_window import QuadraticWindow
+from validation.thesis_tracking.quadratic_window import QuadraticWindow
 
 Array = NDArray[np.float64]
 

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.thesis.pair_tracker import PairTracker
-from compute.tracking.thesis.quadratic_window import QuadraticWindow
-from compute.tracking.thesis.sensor_point import SensorPoint
-from compute.tracking.thesis.settings import ThesisSettings
-from compute.tracking.thesis.subsets import SubsetOrder
+from validation.thesis_tracking.pair_tracker import PairTracker
+from validation.thesis_tracking.quadratic_window import QuadraticWindow
+from validation.thesis_tracking.sensor_point import SensorPoint
+from validation.thesis_tracking.settings import ThesisSettings
+from validation.thesis_tracking.subsets import SubsetOrder
 
 Array = NDArray[np.float64]
 

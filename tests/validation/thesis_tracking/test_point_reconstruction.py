@@ -5,9 +5,9 @@ import pytest
 
 from compute.camera.stack import CameraStack
 from compute.reconstruction.correspondence import Correspondence
-from compute.tracking.thesis.point_reconstruction import SolvedPoints, SpacePoints
-from compute.tracking.thesis.slot_tracker import SlotTracker
 from tests.compute.tracking.moving_markers import MIDDLE_MM, PIXELS, ring
+from validation.thesis_tracking.point_reconstruction import SolvedPoints, SpacePoints
+from validation.thesis_tracking.slot_tracker import SlotTracker
 
 PLACE = MIDDLE_MM + np.array([30.0, -20.0, 50.0])
 

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.thesis.finite_difference_kinematics import FiniteDifferenceKinematics
-from compute.tracking.thesis.sensor_point import SensorPoint
-from compute.tracking.thesis.settings import ThesisSettings
+from validation.thesis_tracking.finite_difference_kinematics import FiniteDifferenceKinematics
+from validation.thesis_tracking.sensor_point import SensorPoint
+from validation.thesis_tracking.settings import ThesisSettings
 
 Array = NDArray[np.float64]
 

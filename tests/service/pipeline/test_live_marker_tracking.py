@@ -1,4 +1,4 @@
-"""Markers of a device followed by a method of the thesis: live, switched, streamed, exported."""
+"""Markers of a device tracked live: by each motion model, switched, streamed, exported."""
 
 import json
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import numpy as np
 import pytest
 
-from compute.tracking.thesis.settings import ThesisMethod
+from compute.tracking.settings import MotionModel
 from compute.tracking.track_batch import TrackBatch, TrackState
 from hardware.recording.reader import RecordingReader
 from hardware.simulated.driver import SimulatedDriver
@@ -38,15 +38,15 @@ from tests.service.protocols.stream.test_stream import streaming
 
 __all__ = ["taken"]
 
-METHODS: tuple[ThesisMethod, ...] = ("window", "probabilistic", "eight-state")
+MODELS: tuple[MotionModel, ...] = ("velocity", "acceleration", "interacting")
 BAR = RotatingBar()
 SLOW = RotatingBar(period_s=6.0)
 BEGUN = 8
-"""Exposures until both markers are followed by whatever method."""
+"""Exposures until both markers are tracked, whatever the motion model."""
 
 
-def tracked(method: str) -> TrackingConfig:
-    how = Tracking.model_validate({"method": method, "interval_velocity": "curve"})
+def tracked(motion_model: str) -> TrackingConfig:
+    how = Tracking.model_validate({"motion": motion_model})
     return TrackingConfig(True, (), how.tracker(), how.tool_tracker())
 
 
@@ -99,16 +99,16 @@ def refuse(constant: str) -> NoReturn:
     raise AssertionError(f"{constant} in a message")
 
 
-def followed(method: str, seconds: float, size: int) -> list[FrameBatch]:
+def followed(motion_model: str, seconds: float, size: int) -> list[FrameBatch]:
     processor, frames = exposures(seconds, BAR)
-    processor.set_tracking_config(tracked(method))
+    processor.set_tracking_config(tracked(motion_model))
     return [processor.process(frames[at : at + size]) for at in range(0, len(frames), size)]
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_both_ends_of_the_bar_keep_their_numbers(method: ThesisMethod) -> None:
+@pytest.mark.parametrize("motion_model", MODELS)
+def test_both_ends_of_the_bar_keep_their_numbers(motion_model: MotionModel) -> None:
     """Half a turn: through a crossing along each sensor; and JSON has a number everywhere."""
-    batches = followed(method, 1.05, 15)
+    batches = followed(motion_model, 1.05, 15)
     ends = ends_at(batches, BAR)
     assert sorted(ends[BEGUN].values()) == [0, 1]
     assert all(frame == ends[BEGUN] for frame in ends[BEGUN:])
@@ -118,21 +118,23 @@ def test_both_ends_of_the_bar_keep_their_numbers(method: ThesisMethod) -> None:
         told = json.loads(encode(message, "json"), parse_constant=refuse)
         assert len(told["tracks"]) == 2
         for track in told["tracks"]:
-            assert len(track["velocity_mm_s"]) == len(track["acceleration_mm_s2"]) == 3
+            assert len(track["velocity_mm_s"]) == 3
+            acceleration = track["acceleration_mm_s2"]
+            assert acceleration is None if motion_model == "velocity" else len(acceleration) == 3
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_batches_of_any_size_give_the_same_bits(method: ThesisMethod) -> None:
-    few, many = (followed(method, 0.2, size) for size in (3, 20))
+@pytest.mark.parametrize("motion_model", MODELS)
+def test_batches_of_any_size_give_the_same_bits(motion_model: MotionModel) -> None:
+    few, many = (followed(motion_model, 0.2, size) for size in (3, 20))
     assert len(motion(many[-1]).tracks) > 20
     assert bits(few) == bits(many)
 
 
-def test_a_device_goes_over_to_another_method() -> None:
+def test_a_change_of_the_motion_model_starts_new_tracks() -> None:
     processor, frames = exposures(0.65, SLOW)
     batches, highest = [], []
-    for number, method in enumerate(("readings", "window", "eight-state")):
-        processor.set_tracking_config(tracked(method))
+    for number, motion_model in enumerate(MODELS):
+        processor.set_tracking_config(tracked(motion_model))
         part = [processor.process([frame]) for frame in frames[20 * number : 20 * (number + 1)]]
         ends = ends_at(part, SLOW)
         assert sorted(ends[BEGUN].values()) == [0, 1]
@@ -143,16 +145,16 @@ def test_a_device_goes_over_to_another_method() -> None:
     assert highest[0][1] < highest[1][0]
     assert highest[1][1] < highest[2][0]
     # What is the same goes on.
-    processor.set_tracking_config(tracked("eight-state"))
+    processor.set_tracking_config(tracked("interacting"))
     (last,) = ends_at([processor.process(frames[60:61])], SLOW)
     assert last == ends_at(batches[-1:], SLOW)[0]
 
 
-def test_a_recording_is_followed_again_by_the_method_that_is_asked_for(
+def test_a_recording_is_tracked_again_with_the_settings_given(
     taken: Taken, tmp_path: Path
 ) -> None:
     """As live, bit by bit; and otherwise than by default, or nothing would be shown."""
-    how = Tracking(method="probabilistic", interval_velocity="curve")
+    how = Tracking(motion="velocity")
     processor = FrameProcessor("sim", taken.description, "cpu")
     processor.set_calibration("c1", taken.calibration.calibration)
     processor.set_tracking_config(TrackingConfig(True, (), how.tracker(), how.tool_tracker()))
@@ -177,7 +179,7 @@ def test_a_recording_is_followed_again_by_the_method_that_is_asked_for(
     assert texts[0] != texts[1]
 
 
-def test_a_running_device_goes_over_to_the_window_and_streams_both_ends(server: str) -> None:
+def test_a_running_device_takes_another_motion_model_and_streams_both_ends(server: str) -> None:
     """No track ever goes from one end of the bar to the other, whatever the machine loses."""
     api = f"{server}/api/v1/devices/sim"
     scene = {"kind": "rotating-bar", "period_s": SLOW.period_s}
@@ -187,25 +189,25 @@ def test_a_running_device_goes_over_to_the_window_and_streams_both_ends(server: 
     sent("POST", f"{api}/start")
     with streaming(server, "device=sim&content=tracks") as socket:
         before = next_frame(socket, lambda one: len(one["tracks"]) == 2)
-        changed = sent("PATCH", api, json={"tracking": {"method": "window"}})
-        assert changed["tracking"]["method"] == "window"
+        changed = sent("PATCH", api, json={"tracking": {"motion": "velocity"}})
+        assert changed["tracking"]["motion"] == "velocity"
         assert changed["tracking"]["tracks"] == "always"
         highest = max(track["id"] for track in before["tracks"])
 
-        def by_window(frame: dict[str, Any]) -> bool:
-            # Our own tracker has the innovation of whatever it saw.
+        def by_velocity(frame: dict[str, Any]) -> bool:
+            # This model has no acceleration.
             tracks = frame["tracks"]
             return len(tracks) == 2 and all(
-                track["id"] > highest and track["nis"] is None and track["dof"] >= 3
+                track["id"] > highest and track["acceleration_mm_s2"] is None
                 for track in tracks
             )
 
-        first = next_frame(socket, by_window)
+        first = next_frame(socket, by_velocity)
         at: dict[int, int] = {}
         since_s = 0.0
         # Half a turn: along every sensor the ends change sides.
         while since_s < 0.55 * SLOW.period_s:
-            frame = next_frame(socket, by_window)
+            frame = next_frame(socket, by_velocity)
             since_s = (frame["device_ns"] - first["device_ns"]) * 1e-9
             ends = SLOW.points(frame["device_ns"] * 1e-9)
             for track in frame["tracks"]:
@@ -213,4 +215,4 @@ def test_a_running_device_goes_over_to_the_window_and_streams_both_ends(server: 
                 if apart.min() < 30.0:
                     assert at.setdefault(track["id"], int(apart.argmin())) == int(apart.argmin())
         assert sorted(set(at.values())) == [0, 1]
-    sent("PATCH", api, json={"tracking": {"method": "readings", "tracks": "never"}})
+    sent("PATCH", api, json={"tracking": {"motion": "interacting", "tracks": "never"}})

@@ -10,15 +10,15 @@ from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.tracking.measurements import Measurements
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.thesis.point_reconstruction import SpacePoints
-from compute.tracking.thesis.point_tracker import PointTracker
-from compute.tracking.thesis.probabilistic_sensor_tracker import ProbabilisticSensorTracker
-from compute.tracking.thesis.sensor_track_fusion import SensorTrackFusion
-from compute.tracking.thesis.settings import MIN_SENSORS, ThesisSettings
-from compute.tracking.thesis.slot_tracker import SlotTracker
-from compute.tracking.thesis.track_report import reports_to_track_batch
-from compute.tracking.thesis.window_sensor_tracker import WindowSensorTracker
 from compute.tracking.track_batch import TrackBatch
+from validation.thesis_tracking.point_reconstruction import SpacePoints
+from validation.thesis_tracking.point_tracker import PointTracker
+from validation.thesis_tracking.probabilistic_sensor_tracker import ProbabilisticSensorTracker
+from validation.thesis_tracking.sensor_track_fusion import SensorTrackFusion
+from validation.thesis_tracking.settings import MIN_SENSORS, ThesisSettings
+from validation.thesis_tracking.slot_tracker import SlotTracker
+from validation.thesis_tracking.track_report import reports_to_track_batch
+from validation.thesis_tracking.window_sensor_tracker import WindowSensorTracker
 
 Array = NDArray[np.float64]
 

@@ -5,10 +5,10 @@ from math import isfinite
 from typing import Final, Literal, get_args
 
 from compute.errors import InvalidParameter
-from compute.tracking.thesis.intervals import Velocity
-from compute.tracking.thesis.pair_tracker import Decision
-from compute.tracking.thesis.quadratic_window import THESIS_POINTS, QuadraticWindow
-from compute.tracking.thesis.track_swap import SWAP_THRESHOLD
+from validation.thesis_tracking.intervals import Velocity
+from validation.thesis_tracking.pair_tracker import Decision
+from validation.thesis_tracking.quadratic_window import THESIS_POINTS, QuadraticWindow
+from validation.thesis_tracking.track_swap import SWAP_THRESHOLD
 
 ThesisMethod = Literal["window", "probabilistic", "eight-state"]
 """Section 6.1.3, section 6.2.2, or [6.11]."""

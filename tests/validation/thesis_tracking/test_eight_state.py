@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
-from compute.tracking.thesis.eight_state import EightState, EightStateModel
+from validation.thesis_tracking.eight_state import EightState, EightStateModel
 
 
 @given(st.floats(1e-4, 2.0))

@@ -8,18 +8,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from compute.tracking.thesis.finite_difference_kinematics import FiniteDifferenceKinematics
-from compute.tracking.thesis.intervals import IntervalSettings
-from compute.tracking.thesis.pair_tracker import Decision
-from compute.tracking.thesis.pair_tracking import PairTracking
-from compute.tracking.thesis.probabilistic_sensor_tracker import ProbabilisticSensorTracker
-from compute.tracking.thesis.probabilistic_tracker import AssociationSettings, ProbabilisticTracker
-from compute.tracking.thesis.quadratic_window import QuadraticWindow
-from compute.tracking.thesis.scan_clock import ScanClock
-from compute.tracking.thesis.sensor_point import SensorPoint
-from compute.tracking.thesis.settings import ThesisSettings
-from compute.tracking.thesis.subsets import order_by_detection
-from compute.tracking.thesis.window_sensor_tracker import WindowSensorTracker
+from validation.thesis_tracking.finite_difference_kinematics import FiniteDifferenceKinematics
+from validation.thesis_tracking.intervals import IntervalSettings
+from validation.thesis_tracking.pair_tracker import Decision
+from validation.thesis_tracking.pair_tracking import PairTracking
+from validation.thesis_tracking.probabilistic_sensor_tracker import ProbabilisticSensorTracker
+from validation.thesis_tracking.probabilistic_tracker import (
+    AssociationSettings,
+    ProbabilisticTracker,
+)
+from validation.thesis_tracking.quadratic_window import QuadraticWindow
+from validation.thesis_tracking.scan_clock import ScanClock
+from validation.thesis_tracking.sensor_point import SensorPoint
+from validation.thesis_tracking.settings import ThesisSettings
+from validation.thesis_tracking.subsets import order_by_detection
+from validation.thesis_tracking.window_sensor_tracker import WindowSensorTracker
 
 Array = NDArray[np.float64]
 

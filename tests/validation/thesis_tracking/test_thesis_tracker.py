@@ -12,13 +12,10 @@ from scipy.stats import chi2
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.signal.peaks import PeakFlag
-from compute.tracking.factory import create_tracker
-from compute.tracking.settings import TrackerSettings
-from compute.tracking.thesis.settings import ThesisMethod, ThesisSettings
-from compute.tracking.thesis.thesis_tracker import ThesisTracker
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
-from compute.tracking.tracker import Tracker
 from tests.compute.tracking.moving_markers import MIDDLE_MM, PIXELS, Sensing, peaks_of, ring
+from validation.thesis_tracking.settings import ThesisMethod, ThesisSettings
+from validation.thesis_tracking.thesis_tracker import ThesisTracker
 
 Array = NDArray[np.float64]
 
@@ -280,12 +277,6 @@ def test_frames_without_peaks() -> None:
         assert len(batch) == 2
         after = one.step(115_000_000, nothing, nothing, np.empty((4, 0), np.int32), None)
         assert after.state.tolist() == [TrackState.COASTING] * 2
-
-
-def test_methods_are_chosen_by_the_settings() -> None:
-    cameras = CameraStack.of(ring())
-    assert isinstance(create_tracker(cameras, TrackerSettings()), Tracker)
-    assert isinstance(create_tracker(cameras, given("window")), ThesisTracker)
 
 
 @pytest.mark.parametrize(

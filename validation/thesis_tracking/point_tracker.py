@@ -10,21 +10,21 @@ from scipy.optimize import linear_sum_assignment
 
 from compute.reconstruction.triangulation import chi2_limit
 from compute.tracking.measurements import Measurements
-from compute.tracking.thesis.eight_state import EightState, EightStateModel
-from compute.tracking.thesis.finite_difference_kinematics import (
+from compute.tracking.track_batch import TrackFlag
+from validation.thesis_tracking.eight_state import EightState, EightStateModel
+from validation.thesis_tracking.finite_difference_kinematics import (
     START_ACCELERATION_MM_S2,
     START_SPEED_MM_S,
 )
-from compute.tracking.thesis.point_reconstruction import SolvedPoints, SpacePoints
-from compute.tracking.thesis.settings import MIN_SENSORS, ThesisSettings
-from compute.tracking.thesis.slot_tracker import (
+from validation.thesis_tracking.point_reconstruction import SolvedPoints, SpacePoints
+from validation.thesis_tracking.settings import MIN_SENSORS, ThesisSettings
+from validation.thesis_tracking.slot_tracker import (
     AMBIGUOUS_CONFIRMATION_EXPOSURES,
     MIN_AGREEING_SENSORS,
     SlotTracker,
     packed_columns,
 )
-from compute.tracking.thesis.track_report import TrackReport
-from compute.tracking.track_batch import TrackFlag
+from validation.thesis_tracking.track_report import TrackReport
 
 Array = NDArray[np.float64]
 

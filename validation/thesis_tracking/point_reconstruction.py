@@ -11,7 +11,7 @@ from compute.mapping.table import CorrectionTable
 from compute.reconstruction.correspondence import Correspondence, Predictor, group_peaks
 from compute.reconstruction.point_batch import PointFlag
 from compute.tracking.measurement_model import MeasurementModel
-from compute.tracking.thesis.settings import MIN_SENSORS
+from validation.thesis_tracking.settings import MIN_SENSORS
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 from scipy.special import ndtr
 
-from compute.tracking.thesis.intervals import PositionInterval
+from validation.thesis_tracking.intervals import PositionInterval
 
 Density = Literal["normal", "even"]
 """The probability density of a target's position: ``swap_probability`` says what each is."""

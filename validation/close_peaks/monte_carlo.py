@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.fit.cramer_rao import position_bounds
+from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_reference import fit_lines
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.peaks import PeakBatch, PeakFlag
@@ -126,7 +126,7 @@ def pair_figures(pair: Pair, count: int, chain_count: int, seed: int = 3) -> Pai
     bounds, errors = [], []
     for one in settings:
         sample = place[:: max(count // 64, 1)]
-        covariance = position_bounds(sample, pair.lights, AMBIENT, PIXELS, one, noise)
+        covariance = joint_position_bounds(sample, pair.lights, AMBIENT, PIXELS, one, noise)
         bounds.append(np.sqrt(np.diagonal(covariance.mean(axis=0))))
         found = fit_lines(lines, one, noise, candidates=find(lines, one.search, READ_NOISE))
         errors.append(_fit_errors(found, place, bounds[-1]))

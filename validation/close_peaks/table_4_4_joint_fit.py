@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from compute.signal.fit.cramer_rao import position_bounds
+from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_reference import fit_lines
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.sensor_noise import SensorNoise
@@ -62,7 +62,7 @@ def markers_bound_px(noise_counts: float) -> np.ndarray:
     light = PEAK_COUNTS * GAIN * SIGMA_PX * np.sqrt(2.0 * np.pi)
     settings = FitSettings(width_px=SIGMA_PX, width_log_sigma=0.0)
     noise = SensorNoise.of(GAIN, noise_counts * GAIN)
-    covariance = position_bounds([TRUE_PX], [light] * _MARKERS, 0.0, 512, settings, noise)[0]
+    covariance = joint_position_bounds([TRUE_PX], [light] * _MARKERS, 0.0, 512, settings, noise)[0]
     return np.asarray(np.sqrt(np.diag(covariance)))
 
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from compute.signal.fit.cramer_rao import position_bounds
+from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
@@ -111,7 +111,7 @@ def bias_figures(setting: Setting, name: str, count: int, seed: int = 1) -> Bias
     near = np.abs(error) < _NEAR_WIDTHS * max(width, 1.0)
     some_found = PeakBatch(**{key: values[near] for key, values in vars(found).items()})
     places = MIDDLE_PX + (np.arange(_PLACES) + 0.5) / (2 * _PLACES)
-    strict = position_bounds(
+    strict = joint_position_bounds(
         places[:, None], [setting.light], AMBIENT, PIXELS, fit_settings(KNOWN_SIGMA, width), noise,
         only_positions=True,
     )  # fmt: skip

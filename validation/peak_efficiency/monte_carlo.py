@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.signal.centroid_settings import CentroidSettings, Weighting
-from compute.signal.fit.cramer_rao import position_bounds
+from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_reference import fit_lines
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
@@ -129,7 +129,7 @@ def efficiency(setting: Setting, count: int, seed: int = 1) -> Efficiency:
     lines = expose(electrons, read, rng)
     noise, known = line_noise(read), fit_settings(KNOWN_SIGMA, width)
     strict, nuisance = (
-        position_bounds(
+        joint_position_bounds(
             place[:: max(count // 64, 1), None], [light], AMBIENT, PIXELS,
             fit_settings(FITTED, width), noise, only_positions=only,
         ).mean()

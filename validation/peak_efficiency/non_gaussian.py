@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from compute.optics.stripe_optics.stripe_profile import CELLS, Blur
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
-from compute.signal.fit.cramer_rao import position_bounds
+from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_reference import fit_lines
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
@@ -173,7 +173,7 @@ def shape_figures(optics: Optics, light: float, count: int, seed: int = 2) -> Sh
         ALLOWING: (replace(gaussian, shape_error=SHAPE_ERROR), LineSpreadFunction.gaussian()),
         AS_MEASURED: (own, line.shape),
     }
-    bound = position_bounds(
+    bound = joint_position_bounds(
         place[::count, None], [light], AMBIENT, PIXELS, own, noise, line.shape
     ).mean()
     start = nearest(

@@ -152,3 +152,14 @@ class DeviceProfile:
                     f"{one.plate.tracks} tracks, with a detector behind each",
                     pixels=self.pixels.count,
                 )
+
+    @property
+    def limitations(self) -> tuple[str, ...]:
+        """What a device of this profile cannot do here, one sentence each."""
+        if any(isinstance(one, PlateOptics) for one in self.optics.values()):
+            return (
+                "The outputs of the Gray tracks are simulated and not decoded: a device of this "
+                "profile streams frames without peaks, points, tracks or tools, and cannot be "
+                "calibrated.",
+            )
+        return ()

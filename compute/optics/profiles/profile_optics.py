@@ -7,8 +7,7 @@ import numpy as np
 
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow
-from compute.optics.coded_aperture.gray_plate import GrayPlate
-from compute.optics.coded_aperture.gray_plate_optics import TrackOptics
+from compute.optics.coded_aperture.gray_plate import GrayPlate, TrackOptics
 from compute.optics.coded_aperture.mask_optics import MaskOptics
 from compute.optics.light.emission import CosinePower, TabulatedEmission
 from compute.optics.light.led import Led

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from compute.errors import InvalidParameter
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.fit.cramer_rao import position_bounds
+from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_reference import fit_lines
 from compute.signal.fit.fit_settings import FitSettings
@@ -113,7 +113,7 @@ def test_single_peaks_are_at_the_bound_and_honest(width_px, electrons, read):
     light = rng.poisson(electrons_at) + rng.normal(0.0, read, electrons_at.shape)
     lines = np.clip(np.rint(light / 4.0 + 100.0), 0, 65535).astype(np.uint16)
     options = FitSettings(width_px=width_px, width_log_sigma=0.0)
-    bounds = position_bounds(
+    bounds = joint_position_bounds(
         position[:2000, None], [electrons], 80.0, pixels, options, noise, only_positions=True
     )
     bound = np.sqrt(bounds.mean())
@@ -143,9 +143,9 @@ def test_pairs_are_at_their_joint_bound_and_honest(options):
     height = electrons / GAIN / (width_px * np.sqrt(2.0 * np.pi))
     counts = sum(gaussian_counts(pixels, place[:, k], width_px, height) for k in range(2))
     lines = measured(counts, rng)
-    bound = position_bounds(place[:500], [electrons] * 2, 20.0 * GAIN, pixels, options, noise).mean(
-        axis=0
-    )
+    bound = joint_position_bounds(
+        place[:500], [electrons] * 2, 20.0 * GAIN, pixels, options, noise
+    ).mean(axis=0)
 
     found = fitted(lines, options, noise)
     two = found.count == 2

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from compute.errors import InvalidParameter
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.fit.cramer_rao import position_bounds
+from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_reference import fit_lines
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.group_fit import fit_line
@@ -111,7 +111,9 @@ def test_one_peak_is_at_the_bound_and_says_so(height, options):
     found = fit_lines(measured(scene(place, [height]), rng, AMBIENT), options, NOISE)
     assert (found.count == 1).all()
     error = found.position_px[:, 0] - place[:, 0]
-    bounds = position_bounds(place[:50], [light(height)], AMBIENT * GAIN, PIXELS, KNOWN, NOISE)
+    bounds = joint_position_bounds(
+        place[:50], [light(height)], AMBIENT * GAIN, PIXELS, KNOWN, NOISE
+    )
     bound = np.sqrt(bounds.mean())
     # The standard error of an RMS of 3000 is 1.3 %, of the mean square 2.6 %.
     assert np.sqrt(np.mean(error**2)) < 1.03 * bound * (1 + 4 / np.sqrt(2 * lines))
@@ -133,7 +135,7 @@ def test_pairs_have_their_joint_covariance(apart):
     assert (found.flags[:, :2] == PeakFlag.JOINT).mean() > 0.998
     error = found.position_px[:, :2] - place
     covariance = np.stack([found.covariance(line) for line in range(lines)])
-    bounds = position_bounds(
+    bounds = joint_position_bounds(
         place[:50], [light(height)] * 2, AMBIENT * GAIN, PIXELS, KNOWN, NOISE
     ).mean(axis=0)
     np.testing.assert_allclose(covariance.mean(axis=0), bounds, rtol=0.05, atol=0.02 * bounds.max())

@@ -1,48 +1,13 @@
-"""The Cramer-Rao bound of a shift, and how far from it plain correlation is."""
+"""Standard deviation of plain correlation against the Cramer-Rao bound."""
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow, maximal_length_code
 from compute.optics.coded_aperture.correlation_decoding import decode_mask
-from compute.optics.coded_aperture.cramer_rao import shift_bound_px
 from compute.optics.coded_aperture.mask_optics import MaskOptics
+from compute.signal.cramer_rao import position_bound
 from tests.compute.optics.coded_aperture.mask_sensors import sensor_behind
-
-
-def gaussian(width: float, electrons: float) -> tuple[np.ndarray, np.ndarray]:
-    place = np.arange(401) - 200.3
-    light = electrons * np.exp(-(place**2) / (2 * width**2)) / (width * np.sqrt(2 * np.pi))
-    return light, light * place / width**2
-
-
-@given(width=st.floats(1.5, 20.0), electrons=st.floats(10.0, 1e7))
-def test_a_gaussian_line_in_photon_noise_alone(width: float, electrons: float) -> None:
-    bound = shift_bound_px(*gaussian(width, electrons), 0.0)
-    assert float(bound) == pytest.approx(width / np.sqrt(electrons), rel=1e-3)
-
-
-@given(width=st.floats(1.5, 20.0), electrons=st.floats(10.0, 1e4))
-def test_a_gaussian_line_in_read_noise_alone(width: float, electrons: float) -> None:
-    read = 1e5
-    expected = read * np.sqrt(4.0 * width**3 * np.sqrt(np.pi)) / electrons
-    bound = shift_bound_px(*gaussian(width, electrons), read)
-    assert float(bound) == pytest.approx(expected, rel=1e-3)
-
-
-def test_nothing_tells_nothing() -> None:
-    assert np.isinf(shift_bound_px(np.zeros(9), np.zeros(9), 0.0))
-
-
-@pytest.mark.parametrize(
-    ("electrons", "read"), [(-1.0, 1.0), (1.0, -1.0), (1.0, np.nan), (np.nan, 1)]
-)
-def test_noise_without_meaning_is_refused(electrons: float, read: float) -> None:
-    with pytest.raises(InvalidParameter, match=r"it must be zero or positive"):
-        shift_bound_px(np.full(5, electrons), np.ones(5), read)
 
 
 @pytest.mark.parametrize("read", [10.0, 60.0])
@@ -70,7 +35,7 @@ def test_how_far_plain_correlation_is_from_the_bound(read: float) -> None:
         slope = (
             scale * (lines[place, 2] - lines[place, 0]) / (readings[place, 2] - readings[place, 0])
         )
-        bound = float(shift_bound_px(mean, slope, read))
+        bound = float(position_bound(mean, slope, read**2, known_brightness=True))
         noisy = rng.poisson(mean, (400, mean.size)) + read * rng.standard_normal((400, mean.size))
         shift = decode_mask(noisy, template).shift_px
         ratio = float(shift.std(ddof=1)) / bound

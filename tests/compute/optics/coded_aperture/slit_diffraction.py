@@ -1,4 +1,4 @@
-"""Fresnel diffraction at the bars of a mask: the light behind a set of slits, in closed form."""
+"""Fresnel diffraction at a set of slits in closed form: the oracle of the coded shadow."""
 
 import numpy as np
 from numpy.typing import NDArray

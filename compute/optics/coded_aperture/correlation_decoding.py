@@ -8,6 +8,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.mask_optics import MaskOptics
+from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 
 Array = NDArray[np.float64]
 
@@ -28,24 +29,7 @@ class MaskShift:
     second_ratio: Array
 
 
-@dataclass(frozen=True, eq=False)
-class MaskTemplate:
-    """The software model of a mask: the shadow of a reference point at one distance.
-
-    Args:
-        shadow_sr: light of the pixels, shape (P,) [sr].
-        reading_px: where the code's middle falls [px].
-    """
-
-    shadow_sr: Array
-    reading_px: float
-
-    def read(self, lines: ArrayLike) -> Array:
-        """Return the readings of lines (..., P), shape (...) [px]; see ``decode_mask``."""
-        return decode_mask(lines, self.shadow_sr).shift_px + self.reading_px
-
-
-def mask_template(optics: MaskOptics, point_mm: ArrayLike, sensor: int) -> MaskTemplate:
+def mask_template(optics: MaskOptics, point_mm: ArrayLike, sensor: int) -> ShadowTemplate:
     """Return the template for markers about as far as a reference point.
 
     Args:
@@ -73,7 +57,21 @@ def mask_template(optics: MaskOptics, point_mm: ArrayLike, sensor: int) -> MaskT
             "give a point in front of it, near its axis",
             point_mm=point.tolist(),
         )
-    return MaskTemplate(shadow, float(readings[sensor]))
+    return ShadowTemplate(shadow, 1, 0, float(readings[sensor]), dark_beyond=False)
+
+
+def read_by_correlation(lines: ArrayLike, template: ShadowTemplate) -> Array:
+    """Return the readings of scans by ``decode_mask``, shape (...) [px].
+
+    Args:
+        lines: counts or electrons, shape (..., P).
+        template: the shadow of a reference point.
+
+    Raises:
+        InvalidParameter: a scan that is too short, not finite, or of no contrast.
+    """
+    shift = decode_mask(lines, template.pixel_values).shift_px - template.first_px
+    return np.asarray(shift + template.reading_px)
 
 
 def decode_mask(lines: ArrayLike, template: ArrayLike) -> MaskShift:

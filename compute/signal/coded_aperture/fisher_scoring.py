@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from compute.signal.coded_aperture.shifted_template import ShiftedTemplate
-from compute.signal.sensor_noise import SensorNoise
+from compute.signal.sensor_noise import ScanNoise
 
 Array = NDArray[np.float64]
 
@@ -26,33 +26,7 @@ _LEAST_DETERMINANT: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class ScanNoise:
-    """Noise of each of L lines, all of shape (L, 1)."""
-
-    dark: Array
-    photon: Array
-    offset: Array
-
-    @classmethod
-    def of(cls, noise: SensorNoise, sensor: NDArray[np.int64]) -> "ScanNoise":
-        """Return that of lines of these sensors, shape (L,)."""
-        return cls(
-            noise.dark_variance[sensor][:, None],
-            noise.photon_variance[sensor][:, None],
-            noise.offset_counts[sensor][:, None],
-        )
-
-    def variance(self, counts: Array) -> Array:
-        """Return the variance of pixels of mean counts, shape (L, P) [counts^2]."""
-        return self.dark + self.photon * np.maximum(counts - self.offset, 0.0)
-
-    def rows(self, kept: NDArray[np.int64]) -> "ScanNoise":
-        """Return that of some of the lines."""
-        return ScanNoise(self.dark[kept], self.photon[kept], self.offset[kept])
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
+class ShadowSolution:
     """Fits of L lines; all of shape (L,), NaN where the steps did not come to an end."""
 
     shift_px: Array
@@ -63,9 +37,9 @@ class Solution:
     chi2: Array
     dof: Array
 
-    def rows(self, kept: NDArray[np.int64]) -> "Solution":
+    def rows(self, kept: NDArray[np.int64]) -> "ShadowSolution":
         """Return those of some of the lines."""
-        return Solution(*(getattr(self, field.name)[kept] for field in fields(self)))
+        return ShadowSolution(*(getattr(self, field.name)[kept] for field in fields(self)))
 
 
 class ShadowModel:
@@ -133,7 +107,7 @@ class _State:
 
 def solve(
     model: ShadowModel, counts: Array, good: NDArray[np.bool_], noise: ScanNoise, start_px: Array
-) -> Solution:
+) -> ShadowSolution:
     """Fit lines from shifts to begin with.
 
     Args:
@@ -145,7 +119,7 @@ def solve(
     """
     zero = np.zeros(len(counts))
     state = _State(start_px.astype(np.float64), zero, zero, np.ones(len(counts)), zero.copy())
-    done = Solution(*(np.full(len(counts), np.nan) for _ in fields(Solution)))
+    done = ShadowSolution(*(np.full(len(counts), np.nan) for _ in fields(ShadowSolution)))
     moving = np.arange(len(counts))
     for turn in range(_ITERATIONS):
         value, by_shift, by_scale, known = model.at(state.shift[moving], state.scale[moving])
@@ -154,7 +128,7 @@ def solve(
             state.brightness, state.ambient = _level(value, counts, used)
         light = state.brightness[moving][:, None]
         mean = state.ambient[moving][:, None] + light * value
-        weight = used / noise.rows(moving).variance(mean)
+        weight = used / noise[moving].variance(mean)
         rest = counts[moving] - mean
         columns = [light * by_shift, value, np.ones_like(value)]
         if model.fit_scale:

@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 from scipy.stats import norm
 
 from compute.errors import InvalidParameter
-from compute.signal.coded_aperture.fisher_scoring import ScanNoise, ShadowModel, Solution, solve
+from compute.signal.coded_aperture.fisher_scoring import ShadowModel, ShadowSolution, solve
 from compute.signal.coded_aperture.shadow_search import ShadowSearch
 from compute.signal.coded_aperture.shadow_settings import ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
@@ -143,14 +143,14 @@ class ShadowFitter:
     ) -> None:
         """Fit a few lines and write what comes out from the place ``start`` on."""
         counts = lines.astype(np.float64)
-        noise = ScanNoise.of(self._noise, sensor)
+        noise = self._noise.of_scans(sensor)
         first = self.search.find(counts)
         mean_variance = noise.variance(counts.mean(axis=1, keepdims=True))[:, 0]
         kept = np.flatnonzero(first.height > self.threshold_sigma * np.sqrt(mean_variance))
         if not len(kept):
             return
         full = counts[kept] >= self._noise.full_scale_counts[sensor[kept]][:, None]
-        solution = solve(self._model, counts[kept], ~full, noise.rows(kept), first.shift_px[kept])
+        solution = solve(self._model, counts[kept], ~full, noise[kept], first.shift_px[kept])
         lead = (first.height[kept] ** 2 - first.second_height[kept] ** 2) / (
             2.0 * mean_variance[kept]
         )
@@ -172,7 +172,7 @@ class ShadowFitter:
             values[name][place] = value
 
     def _flags(
-        self, solution: Solution, saturated: NDArray[np.bool_], lead: Array
+        self, solution: ShadowSolution, saturated: NDArray[np.bool_], lead: Array
     ) -> NDArray[np.int32]:
         flags = np.zeros(len(lead), dtype=np.int32)
         flags[saturated.any(axis=1)] |= int(PeakFlag.SATURATED)

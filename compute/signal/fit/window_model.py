@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.sensor_noise import SensorNoise
+from compute.signal.sensor_noise import ScanNoise, SensorNoise
 
 Array = NDArray[np.float64]
 
@@ -57,9 +57,7 @@ class Windows:
         first_px: first pixels, shape (N,).
         last_px: last pixels, shape (N,).
         sensor: numbers of the sensors, shape (N,).
-        dark: variance of a pixel without light, shape (N, 1) [counts^2].
-        photon: variance that a count of light adds, shape (N, 1) [counts].
-        offset: count without light, shape (N, 1).
+        noise: of the windows' scans.
     """
 
     values: Array
@@ -67,9 +65,7 @@ class Windows:
     first_px: NDArray[np.int64]
     last_px: NDArray[np.int64]
     sensor: NDArray[np.int64]
-    dark: Array
-    photon: Array
-    offset: Array
+    noise: ScanNoise
 
     @classmethod
     def cut(
@@ -92,9 +88,7 @@ class Windows:
             first_px,
             last_px,
             sensor,
-            noise.dark_variance[sensor][:, None],
-            noise.photon_variance[sensor][:, None],
-            noise.offset_counts[sensor][:, None],
+            noise.of_scans(sensor),
         )
 
     def __len__(self) -> int:
@@ -159,7 +153,7 @@ def evaluate(
     mean = lit + parameters[:, :1]
     if layout.slope:
         mean += parameters[:, 1:2] * jacobian[:, 1]
-    variance = windows.dark + windows.photon * np.maximum(mean - windows.offset, 0.0)
+    variance = windows.noise.variance(mean)
     variance += (settings.shape_error * lit) ** 2
     return ModelPrediction(mean, variance, jacobian)
 

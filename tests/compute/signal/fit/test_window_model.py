@@ -138,5 +138,5 @@ def test_windows_leave_saturated_pixels_out():
     windows = Windows.cut(lines, np.array([0, 1]), np.array([10, 18]), np.array([30, 22]), noise)
     assert windows.values.shape == (2, 21)
     np.testing.assert_array_equal(windows.count, [21, 4])
-    np.testing.assert_array_equal(windows.offset[:, 0], [100.0, 90.0])
+    np.testing.assert_array_equal(windows.noise.offset[:, 0], [100.0, 90.0])
     np.testing.assert_array_equal(windows.offset_from_centre[1, :5], [-2, -1, 0, 1, 2])

@@ -100,41 +100,6 @@ class BumpBackground:
 
 
 @dataclass(frozen=True)
-class TabulatedBackground:
-    """A measured background, linear between its pixels and even beyond them.
-
-    Args:
-        positions_px: ascending [px].
-        levels_electrons: mean electrons there.
-
-    Raises:
-        InvalidParameter: no or unequal numbers of values, values not finite, positions that do
-            not ascend.
-    """
-
-    positions_px: tuple[float, ...]
-    levels_electrons: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        _check_finite(self, "positions_px", "levels_electrons")
-        if not self.positions_px or not (np.diff(self.positions_px) > 0.0).all():
-            raise InvalidParameter(
-                f"positions_px is {self.positions_px}; it must have one or more, ascending",
-                positions_px=self.positions_px,
-            )
-        if len(self.levels_electrons) != len(self.positions_px):
-            raise InvalidParameter(
-                f"levels_electrons has {len(self.levels_electrons)} values; it must have "
-                f"{len(self.positions_px)}, one for each position",
-                levels_electrons=self.levels_electrons,
-            )
-
-    def electrons(self, pixels: int) -> Array:
-        """Return mean electrons, shape (pixels,)."""
-        return np.asarray(np.interp(np.arange(pixels), self.positions_px, self.levels_electrons))
-
-
-@dataclass(frozen=True)
 class SumBackground:
     """Several backgrounds at once.
 

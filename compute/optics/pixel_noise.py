@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.optics.dark_counts import TABLE_SIZE, random_indices
 from compute.optics.detector import Detector
-from compute.optics.random_indices import TABLE_SIZE, random_indices
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.width_prior import width_prior
+from compute.signal.fit.score_information import width_prior
 from compute.signal.fit.window_model import Windows, evaluate
 from compute.signal.peaks import PeakBatch
 from validation.peak_efficiency.monte_carlo import (

@@ -43,19 +43,6 @@ class ParaxialSystem:
         height, angle = self.trace(1.0, 0.0)
         return float(-height[-1] / angle[-1]) if angle[-1] != 0.0 else np.inf
 
-    @property
-    def front_focal_distance_mm(self) -> float:
-        """Distance from the first vertex to the focus in front [mm], negative if before it."""
-        return -self.reversed().back_focal_distance_mm
-
-    @property
-    def principal_planes_mm(self) -> tuple[float, float]:
-        """Places of the front and the rear principal plane on the axis [mm]."""
-        front_focal_length = self.focal_length_mm * self.index[0] / self.index[-1]
-        front = self.vertex_mm[0] + self.front_focal_distance_mm + front_focal_length
-        rear = self.vertex_mm[-1] + self.back_focal_distance_mm - self.focal_length_mm
-        return float(front), float(rear)
-
     def trace(self, height_mm: float, angle: float) -> tuple[Array, Array]:
         """Trace one ray by y-nu from the plane of the first vertex.
 

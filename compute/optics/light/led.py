@@ -54,25 +54,6 @@ class Led:
         if self.pulse_s is not None:
             check_positive(self, "pulse_s")
 
-    @classmethod
-    def of_power(
-        cls,
-        radiant_power_w: float,
-        *,
-        wavelength_nm: float,
-        emission: AngularEmission,
-        spectral_width_nm: float = 0.0,
-        emitter_width_mm: float = 0.0,
-    ) -> Self:
-        """Return the LED whose pattern adds up to a radiant power [W]."""
-        return cls(
-            radiant_power_w / emission.solid_angle_sr,
-            wavelength_nm,
-            emission,
-            spectral_width_nm,
-            emitter_width_mm,
-        )
-
     @property
     def width_mm(self) -> float:
         """Width of the part that shines [mm]."""

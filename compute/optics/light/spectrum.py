@@ -16,14 +16,6 @@ Array = NDArray[np.float64]
 _REACH_FWHM: Final = 2.5  # of a Gaussian, 4e-9 lie farther out
 
 
-class Spectrum(Protocol):
-    """How photons are distributed over the wavelengths."""
-
-    def nodes(self) -> tuple[Array, Array]:
-        """Return wavelengths [nm] and shares of the photons, adding up to 1, shape (K,)."""
-        ...
-
-
 @dataclass(frozen=True)
 class LineSpectrum:
     """The Gaussian spectrum of an LED.
@@ -48,44 +40,6 @@ class LineSpectrum:
         offset = np.linspace(-_REACH_FWHM, _REACH_FWHM, 501)
         share = np.exp2(-((2.0 * offset) ** 2))
         return self.wavelength_nm + self.width_nm * offset, share / share.sum()
-
-
-@dataclass(frozen=True)
-class BlackBodySpectrum:
-    """Ambient light of a glowing body (daylight is near 5800 K, a lamp near 2800 K).
-
-    Args:
-        temperature_k: of the body [K].
-        from_nm: shortest wavelength that reaches the sensor [nm].
-        to_nm: longest wavelength that counts [nm]; silicon ends near 1100.
-
-    Raises:
-        InvalidParameter: a value that is not positive, or wavelengths in the wrong order.
-    """
-
-    temperature_k: float
-    from_nm: float = 350.0
-    to_nm: float = 1150.0
-
-    def __post_init__(self) -> None:
-        check_positive(self, "temperature_k", "from_nm", "to_nm")
-        if not self.from_nm < self.to_nm:
-            raise InvalidParameter(
-                f"to_nm is {self.to_nm}; it must be above from_nm, {self.from_nm}",
-                to_nm=self.to_nm,
-            )
-
-    def nodes(self) -> tuple[Array, Array]:
-        """Return wavelengths [nm] and shares of the photons, adding up to 1, shape (K,).
-
-        Planck's law divided by the energy of a photon, as 1/wavelength^4.
-        """
-        wavelength = np.linspace(self.from_nm, self.to_nm, 2001)
-        exponent = h * c / (wavelength * 1e-9 * k * self.temperature_k)
-        # By logarithms, against the overflow of a cold body; the largest share is 1.
-        log = -4.0 * np.log(wavelength) - exponent - np.log(-np.expm1(-exponent))
-        share = np.exp(log - log.max())
-        return wavelength, share / share.sum()
 
 
 @dataclass(frozen=True)
@@ -166,7 +120,7 @@ class QuantumEfficiency:
 
 
 def electrons_per_photon(
-    spectrum: Spectrum, efficiency: QuantumEfficiency, bandpass: BandpassFilter | None = None
+    spectrum: LineSpectrum, efficiency: QuantumEfficiency, bandpass: BandpassFilter | None = None
 ) -> float:
     """Return the electrons that a photon of a spectrum makes on average behind a filter."""
     wavelength, share = spectrum.nodes()

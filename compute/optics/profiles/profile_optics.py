@@ -9,6 +9,7 @@ from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.coded_aperture.gray_plate import GrayPlate, TrackOptics
 from compute.optics.coded_aperture.mask_optics import MaskOptics
+from compute.optics.coded_aperture.template_from_optics import template_from_optics
 from compute.optics.light.emission import CosinePower, TabulatedEmission
 from compute.optics.light.led import Led
 from compute.optics.light.light_source import LightSource
@@ -24,10 +25,12 @@ from compute.optics.stripe_optics.stripe_profile import Blur
 from compute.optics.stripe_optics.tabulated_optics import TabulatedOptics
 from compute.optics.stripe_optics.traced_stripes import ExactOptics
 from compute.optics.tracing.assembly import Assembly
+from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 
 OpticsMode = Literal["tabulated", "exact"]
 
 _BESIDE: Final = 0.02  # what the tables reach beyond the volume, relative or in tangents
+
 _NEAREST_MM: Final = 50.0
 
 
@@ -205,3 +208,22 @@ def profile_optics(profile: DeviceProfile, mode: OpticsMode) -> SolidAngleOptics
         lines = TabulatedOptics(sensors, blur, profile_field(profile, sensors))
     plate = gray_plate(profile)
     return lines if plate is None else TrackOptics(lines, plate)
+
+
+def window_shadows(profile: DeviceProfile) -> tuple[ShadowTemplate, ...]:
+    """Return the shadow of a marker in the middle of the volume on each sensor.
+
+    Empty where the profile has no coded windows. Takes tenths of a second.
+    """
+    optics = mask_optics(profile, light_source(profile))
+    if optics is None:
+        return ()
+    return tuple(
+        template_from_optics(
+            optics,
+            np.array(profile.volume.centre_mm),
+            sensor=number,
+            direction=sensor.measured_direction,
+        )
+        for number, sensor in enumerate(profile.sensors)
+    )

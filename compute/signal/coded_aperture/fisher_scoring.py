@@ -6,8 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.coded_aperture.shadow_template import ShadowTemplate
-from compute.signal.coded_aperture.shifted_template import ShiftedTemplate
+from compute.signal.coded_aperture.shadow_template import ShadowTemplate, ShiftedTemplate
 from compute.signal.sensor_noise import ScanNoise
 
 Array = NDArray[np.float64]

@@ -17,8 +17,7 @@ from compute.signal.thesis_pipeline.filters import ButterworthFilter
 from compute.signal.thesis_pipeline.output import PeakOutput
 from compute.signal.thesis_pipeline.peak_separation import PeakSegment, Separation, SlopeExtension
 from compute.signal.thesis_pipeline.result import ChainResult, PipelinePeak, to_peak_batch
-from compute.signal.thesis_pipeline.scan_averaging import average_scans
-from compute.signal.thesis_pipeline.state import PipelineState, filter_adjoint
+from compute.signal.thesis_pipeline.state import PipelineState, average_scans, filter_adjoint
 from compute.signal.thesis_pipeline.steps import (
     Array,
     Background,

@@ -15,6 +15,8 @@ Compensation = Literal["none", "delay", "phase"]
 """What is done about a filter's delay: nothing; positions are moved back by the delay at zero
 frequency; or the filter's phase is removed, so that there is no delay."""
 
+MAX_TAPS: Final = 1024
+"""Longest aperture or impulse response of a filter [px]."""
 _LEAST_PIXELS: Final = 8
 
 

@@ -14,9 +14,8 @@ from compute.flags import flag_names
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import LEVEL_UNIT, CentroidSettings
 from compute.signal.detection.background_estimate import estimate_background
-from compute.signal.detection.detection_batch import DetectionBatch
 from compute.signal.detection.matched_filter import MatchedFilter, gaussian_filter
-from compute.signal.detection.peak_detector import PeakDetector
+from compute.signal.detection.peak_detector import DetectionBatch, PeakDetector
 from compute.signal.fit.fit_reference import fit_lines
 from compute.signal.fit.group_fit import GroupFit, fit_line
 from compute.signal.peaks import PeakBatch, PeakFlag

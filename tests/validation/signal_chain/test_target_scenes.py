@@ -9,7 +9,7 @@ from compute.optics.background import background_scans
 from compute.optics.detector_array import DetectorArray
 from compute.optics.ideal_optics import IdealOptics
 from compute.optics.stripe_images import stripe_images
-from compute.optics.thesis_scenes import (
+from validation.signal_chain.target_scenes import (
     ACTIVE_PEAK,
     PEAK_CENTROIDS_PX,
     PEAK_MAXIMA_PX,

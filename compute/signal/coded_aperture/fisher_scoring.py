@@ -1,4 +1,4 @@
-"""Fisher's scoring for shift, brightness, ambient level and scale, line by line."""
+"""Fisher's scoring for shift, brightness, ambient level and scale, scan by scan."""
 
 from dataclasses import dataclass, fields
 from typing import Final
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 _ITERATIONS: Final = 30
 _CONVERGED: Final = 0.01
 """The last step is done when the next will be this part of the standard deviation; of the one
-that the misfit says, where the template does not explain the line and steps shrink slowly."""
+that the misfit says, where the template does not explain the scan and steps shrink slowly."""
 
 _SHIFT, _BRIGHTNESS, _AMBIENT = range(3)
 _LONGEST_PX: Final = 0.5
@@ -26,7 +26,7 @@ _LEAST_DETERMINANT: Final = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ShadowSolution:
-    """Fits of L lines; all of shape (L,), NaN where the steps did not come to an end."""
+    """Fits of L scans; all of shape (L,), NaN where the steps did not come to an end."""
 
     shift_px: Array
     sigma_px: Array
@@ -37,18 +37,18 @@ class ShadowSolution:
     dof: Array
 
     def rows(self, kept: NDArray[np.int64]) -> "ShadowSolution":
-        """Return those of some of the lines."""
+        """Return those of some of the scans."""
         return ShadowSolution(*(getattr(self, field.name)[kept] for field in fields(self)))
 
 
 class ShadowModel:
-    """A template on a line of pixels: ``c + a f``, with the derivatives of f.
+    """A template on a scan of pixels: ``c + a f``, with the derivatives of f.
 
     A pixel i sees the template f at ``r + (i - r - shift) / scale``, r the reference's reading.
 
     Args:
         template: the template.
-        pixels: pixels of a line.
+        pixels: pixels of a scan.
         fit_scale: the scale is a parameter.
     """
 
@@ -73,7 +73,7 @@ class ShadowModel:
 
 @dataclass(eq=False)
 class _State:
-    """Where the parameters of L lines have come to; all of shape (L,)."""
+    """Where the parameters of L scans have come to; all of shape (L,)."""
 
     shift: Array
     brightness: Array
@@ -81,8 +81,8 @@ class _State:
     scale: Array
     last_step_px: Array
 
-    def advance(self, model: ShadowModel, lines: NDArray[np.int64], step: Array) -> Array:
-        """Take a step of some lines' parameters, (L', K), the scale last; say what is left.
+    def advance(self, model: ShadowModel, scans: NDArray[np.int64], step: Array) -> Array:
+        """Take a step of some scans' parameters, (L', K), the scale last; say what is left.
 
         A long step is of a start far off: shortened, lest it leave the lobe. One that goes back
         is halved: in faint light steps would go to and fro for ever.
@@ -90,16 +90,16 @@ class _State:
         Returns:
             How long the next step will be at most, as steps have shrunk so far, (L',) [px].
         """
-        before, now = self.last_step_px[lines], step[:, _SHIFT]
+        before, now = self.last_step_px[scans], step[:, _SHIFT]
         turned = np.where(now * before < 0.0, 2.0, 1.0)
         longest = np.maximum(np.abs(now) / _LONGEST_PX, turned)
         if model.fit_scale:
             longest = np.maximum(longest, np.abs(step[:, -1]) / _LARGEST_SCALE_STEP)
-            self.scale[lines] += step[:, -1] / longest
-        self.shift[lines] += now / longest
-        self.brightness[lines] += step[:, _BRIGHTNESS]
-        self.ambient[lines] += step[:, _AMBIENT]
-        self.last_step_px[lines] = now
+            self.scale[scans] += step[:, -1] / longest
+        self.shift[scans] += now / longest
+        self.brightness[scans] += step[:, _BRIGHTNESS]
+        self.ambient[scans] += step[:, _AMBIENT]
+        self.last_step_px[scans] = now
         shrunk = np.minimum(np.abs(now) / np.maximum(np.abs(before), _LEAST_STEP_PX), 1.0)
         return np.asarray(np.abs(now) * np.maximum(shrunk, 1.0 - 1.0 / longest))
 
@@ -107,13 +107,13 @@ class _State:
 def solve(
     model: ShadowModel, counts: Array, good: NDArray[np.bool_], noise: ScanNoise, start_px: Array
 ) -> ShadowSolution:
-    """Fit lines from shifts to begin with.
+    """Fit scans from shifts to begin with.
 
     Args:
-        model: the template on the line.
+        model: the template on the scan.
         counts: values, shape (L, P).
         good: which pixels count, shape (L, P).
-        noise: of the lines.
+        noise: of the scans.
         start_px: shifts to begin with, within the main lobe of the true ones, shape (L,).
     """
     zero = np.zeros(len(counts))
@@ -166,7 +166,7 @@ def _level(value: Array, counts: Array, used: NDArray[np.bool_]) -> tuple[Array,
 def _step(columns: list[Array], weight: Array, rest: Array) -> tuple[Array, Array]:
     """Return the step of all parameters, (L, K), and the inverse of the information, (L, K, K).
 
-    NaN where the information is singular: a line without light tells no shift.
+    NaN where the information is singular: a scan without light tells no shift.
     """
     size = len(columns)
     information = np.empty((len(rest), size, size))

@@ -31,7 +31,7 @@ class ShadowTemplate:
     Args:
         cells: light of the pixels centred at ``first_px + j / per_px``, float64, shape (C,).
         per_px: cells per pixel.
-        first_px: place of the first cell on the line.
+        first_px: place of the first cell on the scan.
         reading_px: the reference point's reading; ``reading = reading_px + shift``.
         dark_beyond: nothing but ambient light beyond the cells; False: the pattern goes on there,
             but is not known, and pixels there are left out.
@@ -93,7 +93,7 @@ class ShadowTemplate:
     def at(self, position_px: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return value, slope [1/px] and whether they are known at places of any shape [px].
 
-        Places are on the line on which the reference point's reading is ``reading_px``. Beyond
+        Places are on the scan on which the reference point's reading is ``reading_px``. Beyond
         the cells the value is 0, and known where it is dark.
         """
         cell = (position_px - self.first_px) * self.per_px
@@ -115,7 +115,7 @@ class ShadowTemplate:
 
 
 def interleave_scans(
-    lines: ArrayLike,
+    scans: ArrayLike,
     shifts_px: ArrayLike,
     *,
     reading_px: float,
@@ -126,10 +126,10 @@ def interleave_scans(
 
     A pixel i of a shadow shifted by s says what a pixel at ``i - s`` of the template gets. Where
     several say it, the shadow with the least shift is believed, so that shadows shifted by
-    hundreds of pixels carry a pattern on that is longer than the line.
+    hundreds of pixels carry a pattern on that is longer than the scan.
 
     Args:
-        lines: light of the pixels, from the optics, shape (K, P).
+        scans: light of the pixels, from the optics, shape (K, P).
         shifts_px: their readings less ``reading_px``, multiples of ``1 / per_px`` (to a fiftieth
             of it), together of every phase, shape (K,) [px].
         reading_px: the reference point's reading [px].
@@ -140,7 +140,7 @@ def interleave_scans(
         InvalidParameter: shapes that do not agree, a shift beside the grid, or cells between the
             first and last that no shadow says.
     """
-    light = np.asarray(lines, dtype=np.float64)
+    light = np.asarray(scans, dtype=np.float64)
     shift = np.asarray(shifts_px, dtype=np.float64)
     if light.ndim != 2 or shift.shape != light.shape[:1] or light.size == 0:
         raise InvalidParameter(
@@ -185,17 +185,17 @@ def _has_gaps(cells: Array, per_px: int) -> bool:
 class ShiftedTemplate:
     """The cubics of a template, those of one phase side by side.
 
-    All pixels of a line lie at the same place in their cells, so that a shift picks one row of
+    All pixels of a scan lie at the same place in their cells, so that a shift picks one row of
     coefficients and one start in it. The result is that of ``ShadowTemplate.at``.
 
     Args:
         template: the template.
-        pixels: pixels of a line.
+        pixels: pixels of a scan.
     """
 
     def __init__(self, template: ShadowTemplate, pixels: int) -> None:
         self._template = template
-        # A line's length on each side: any shift that leaves something on the line.
+        # A scan's length on each side: any shift that leaves something on the scan.
         self._before = pixels
         self._last = pixels + template.pixels
         per_px = template.per_px

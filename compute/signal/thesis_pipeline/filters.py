@@ -22,7 +22,7 @@ from compute.signal.thesis_pipeline.phase_response import apply_magnitude, linea
 from compute.signal.thesis_pipeline.steps import (
     MAX_TAPS,
     Compensation,
-    as_lines,
+    as_scans,
     check_compensation,
     check_cutoff,
     check_whole,
@@ -37,10 +37,10 @@ MAX_ORDER: Final = 64
 class ButterworthFilter:
     """A Butterworth low pass in second-order sections, thesis 4.2.1 and [B.9]-[B.13].
 
-    With "none" and "delay" the line runs through the filter from the left, as if it had always
-    had the value of its first pixel before. With "phase" the line's discrete cosine transform
+    With "none" and "delay" the scan runs through the filter from the left, as if it had always
+    had the value of its first pixel before. With "phase" the scan's discrete cosine transform
     is multiplied by the magnitude response [B.10]: the same attenuation once, not twice as when
-    a line is filtered forwards and back, and no phase at all. The line goes on beyond its ends
+    a scan is filtered forwards and back, and no phase at all. The scan goes on beyond its ends
     as its mirror image.
 
     Args:
@@ -65,7 +65,7 @@ class ButterworthFilter:
     def delay_px(self) -> float:
         """The group delay [B.12] at zero frequency [px].
 
-        It is exactly by how much the filter moves a whole line's centre of gravity:
+        It is exactly by how much the filter moves a whole scan's centre of gravity:
         ``1 / (2 sin(pi/2n) tan(pi fc/2))``, the sum over the poles through the bilinear
         transform that maps the analogue filter to samples.
         """
@@ -75,14 +75,14 @@ class ButterworthFilter:
     def linearised_delay_px(self) -> float:
         """The delay as the thesis takes it [px]: slope of the phase's line over the pass band.
 
-        [B.13], section 4.2.2 and Figure 4.10; the line is fitted by least squares from zero to
-        the cut-off. It is no line's shift: the light is at low frequencies.
+        [B.13], section 4.2.2 and Figure 4.10; the scan is fitted by least squares from zero to
+        the cut-off. It is no scan's shift: the light is at low frequencies.
         """
         return linear_phase_slope(self.response, np.pi * self.cutoff)
 
     @property
     def shift_px(self) -> float:
-        """By how much the filtered line lies to the right [px]."""
+        """By how much the filtered scan lies to the right [px]."""
         return 0.0 if self.compensation == "phase" else self.delay_px
 
     @property
@@ -107,13 +107,13 @@ class ButterworthFilter:
         with np.errstate(over="ignore"):
             return np.asarray(1.0 / np.hypot(1.0, ratio**self.order))
 
-    def apply(self, lines: ArrayLike) -> Array:
-        """Filter lines (..., P)."""
-        values = as_lines(lines)
+    def apply(self, scans: ArrayLike) -> Array:
+        """Filter scans (..., P)."""
+        values = as_scans(scans)
         if self.compensation == "phase":
             return apply_magnitude(values, self.magnitude)
         start = sosfilt_zi(self._sections)
-        # One state per section and line, with the sections first.
+        # One state per section and scan, with the sections first.
         state = start.reshape(len(start), *(1,) * (values.ndim - 1), 2) * values[None, ..., :1]
         filtered, _ = sosfilt(self._sections, values, axis=-1, zi=state)
         return np.asarray(filtered)
@@ -134,10 +134,10 @@ class FirFilter:
     """A low pass of finite impulse response with linear phase, thesis 4.2.1 and [B.1]-[B.8].
 
     Designed with a Hamming window, and of unit gain at zero frequency. Its delay (N - 1)/2
-    [B.8] is the same at all frequencies. With "phase" the line's discrete cosine transform is
+    [B.8] is the same at all frequencies. With "phase" the scan's discrete cosine transform is
     multiplied by the response without its linear phase: what is moved back by the delay, half a
     pixel included, is exact. (That response is real; where it is negative, deep in the stop
-    band, it stays so: the changes of sign are no delay.) The line goes on beyond its ends with
+    band, it stays so: the changes of sign are no delay.) The scan goes on beyond its ends with
     its first value for "none" and "delay", as its mirror image for "phase".
 
     Args:
@@ -175,12 +175,12 @@ class FirFilter:
 
     @property
     def linearised_delay_px(self) -> float:
-        """The delay by the phase's line over the pass band [px]: the same, as it is a line."""
+        """The delay by the phase's line over the pass band [px]: the same, as it is a scan."""
         return self.delay_px
 
     @property
     def shift_px(self) -> float:
-        """By how much the filtered line lies to the right [px]."""
+        """By how much the filtered scan lies to the right [px]."""
         return 0.0 if self.compensation == "phase" else self.delay_px
 
     @property
@@ -203,9 +203,9 @@ class FirFilter:
         arms = np.arange(self.taps) - self.delay_px
         return np.asarray(np.cos(np.multiply.outer(omega, arms)) @ self._kernel)
 
-    def apply(self, lines: ArrayLike) -> Array:
-        """Filter lines (..., P)."""
-        values = as_lines(lines)
+    def apply(self, scans: ArrayLike) -> Array:
+        """Filter scans (..., P)."""
+        values = as_scans(scans)
         if self.compensation == "phase":
             return apply_magnitude(values, self._response_of_mirrored)
         state = lfilter_zi(self._kernel, [1.0]) * values[..., :1]
@@ -223,7 +223,7 @@ class FirFilter:
         )
 
     def _response_of_mirrored(self, omega: Array) -> Array:
-        """Return the amplitude at the angular frequencies of a mirrored line, shape (P,)."""
+        """Return the amplitude at the angular frequencies of a mirrored scan, shape (P,)."""
         period = 2 * len(omega)
         if self.taps > period:
             return self.amplitude(omega)

@@ -1,4 +1,4 @@
-"""The delays of filters: at zero frequency, and by the line that is fitted to the phase."""
+"""Delay of a filter by its phase response, and filtering without the phase."""
 
 from collections.abc import Callable
 from typing import Final
@@ -12,25 +12,25 @@ Array = NDArray[np.float64]
 _AXIS: Final = -1
 
 
-def apply_magnitude(lines: Array, magnitude: Callable[[Array], Array]) -> Array:
-    """Multiply the spectrum of lines by a real response.
+def apply_magnitude(scans: Array, magnitude: Callable[[Array], Array]) -> Array:
+    """Multiply the spectrum of scans by a real response.
 
-    The line is continued at both ends by its mirror image, which makes a period of 2 P pixels
-    without a step where it closes; its discrete Fourier transform is the line's cosine
-    transform of the second kind, at the angular frequencies ``pi k / P``. A constant line is
+    The scan is continued at both ends by its mirror image, which makes a period of 2 P pixels
+    without a step where it closes; its discrete Fourier transform is the scan's cosine
+    transform of the second kind, at the angular frequencies ``pi k / P``. A constant scan is
     unchanged if the response at zero is 1. As a matrix the filter is symmetric: it is its own
     adjoint.
 
     Args:
-        lines: shape (..., P).
+        scans: shape (..., P).
         magnitude: the response at angular frequencies (P,) [rad/px], below pi.
 
     Returns:
-        The filtered lines, shape (..., P).
+        The filtered scans, shape (..., P).
     """
-    pixels = lines.shape[_AXIS]
+    pixels = scans.shape[_AXIS]
     response = magnitude(np.pi * np.arange(pixels) / pixels)
-    spectrum = dct(lines, type=2, norm="ortho", axis=_AXIS) * response
+    spectrum = dct(scans, type=2, norm="ortho", axis=_AXIS) * response
     return np.asarray(idct(spectrum, type=2, norm="ortho", axis=_AXIS))
 
 

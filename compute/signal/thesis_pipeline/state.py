@@ -1,4 +1,4 @@
-"""Work: lines on their way through a chain, longer by what its filters delay them by."""
+"""Work: scans on their way through a chain, longer by what its filters delay them by."""
 
 from dataclasses import dataclass, field
 from math import ceil
@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from compute.errors import InvalidParameter
 from compute.signal.thesis_pipeline.result import Stage
-from compute.signal.thesis_pipeline.steps import Array, ScanFilter, as_lines, check_whole
+from compute.signal.thesis_pipeline.steps import Array, ScanFilter, as_scans, check_whole
 
 
 @dataclass
@@ -28,24 +28,24 @@ class PipelineState:
         self.add("raw", self.raw)
 
     @property
-    def lines(self) -> Array:
-        """The lines after the last step."""
+    def scans(self) -> Array:
+        """The scans after the last step."""
         return self.stages[-1].lines
 
-    def add(self, name: str, lines: Array, shift_px: float = 0.0) -> None:
-        """Add what a step made of the lines, and by how much it moved them."""
+    def add(self, name: str, scans: Array, shift_px: float = 0.0) -> None:
+        """Add what a step made of the scans, and by how much it moved them."""
         self.shift_px += shift_px
-        self.stages.append(Stage(name, lines, self.shift_px))
+        self.stages.append(Stage(name, scans, self.shift_px))
 
     def filter(self, through: ScanFilter) -> None:
-        """Filter the lines, which get longer by the delay that is to be compensated."""
+        """Filter the scans, which get longer by the delay that is to be compensated."""
         padding_px = _padding_px(through)
-        longer = np.pad(self.lines, ((0, 0), (0, padding_px)), mode="edge")
+        longer = np.pad(self.scans, ((0, 0), (0, padding_px)), mode="edge")
         self.add("filtered", through.apply(longer), through.shift_px)
 
 
 def filter_adjoint(through: ScanFilter, weights: Array) -> Array:
-    """Carry derivatives by K filtered lines' pixels back to those before ``PipelineState.filter``."""
+    """Carry derivatives by K filtered scans' pixels back to those before ``PipelineState.filter``."""
     back = through.adjoint(weights)
     pixels = back.shape[-1] - _padding_px(through)
     result = back[:, :pixels].copy()
@@ -54,27 +54,27 @@ def filter_adjoint(through: ScanFilter, weights: Array) -> Array:
 
 
 def _padding_px(through: ScanFilter) -> int:
-    """Return how much later light at the line's end comes out, in whole pixels.
+    """Return how much later light at the scan's end comes out, in whole pixels.
 
     Lines are continued by it with their last value.
     """
     return ceil(through.correction_px)
 
 
-def average_scans(lines: ArrayLike, count: int) -> Array:
-    """Average every ``count`` lines that follow one another; the pixels' noise falls by sqrt.
+def average_scans(scans: ArrayLike, count: int) -> Array:
+    """Average every ``count`` scans that follow one another; the pixels' noise falls by sqrt.
 
     Args:
-        lines: shape (..., L, P).
+        scans: shape (..., L, P).
         count: 1 to 1,000,000; it must divide L.
 
     Returns:
         The means, shape (..., L / count, P).
 
     Raises:
-        InvalidParameter: L is no multiple of count, or there is but one line without an axis.
+        InvalidParameter: L is no multiple of count, or there is but one scan without an axis.
     """
-    values = as_lines(lines)
+    values = as_scans(scans)
     check_whole("count", count, 1, 1_000_000)
     number = values.shape[-2] if values.ndim > 1 else 1
     if number % count:

@@ -1,4 +1,4 @@
-"""ScanFilter and Background: what a step of the chain must do, and checks of lines and settings."""
+"""ScanFilter and Background: what a step of the chain must do, and checks of scans and settings."""
 
 from math import isfinite
 from typing import Final, Literal, Protocol, get_args
@@ -21,11 +21,11 @@ _LEAST_PIXELS: Final = 8
 
 
 class ScanFilter(Protocol):
-    """A filter along lines."""
+    """A filter along scans."""
 
     @property
     def shift_px(self) -> float:
-        """By how much the filtered line lies to the right of the light [px]."""
+        """By how much the filtered scan lies to the right of the light [px]."""
         ...
 
     @property
@@ -35,11 +35,11 @@ class ScanFilter(Protocol):
 
     @property
     def reach_px(self) -> float:
-        """How near to an end the light must be for what lies beyond the line to weigh in [px]."""
+        """How near to an end the light must be for what lies beyond the scan to weigh in [px]."""
         ...
 
-    def apply(self, lines: ArrayLike) -> Array:
-        """Filter lines (..., P)."""
+    def apply(self, scans: ArrayLike) -> Array:
+        """Filter scans (..., P)."""
         ...
 
     def adjoint(self, weights: Array) -> Array:
@@ -50,23 +50,23 @@ class ScanFilter(Protocol):
 class Background(Protocol):
     """An estimate of the light that does not come from markers."""
 
-    def estimate(self, lines: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the background of lines (..., P), and which pixels it was taken from."""
+    def estimate(self, scans: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the background of scans (..., P), and which pixels it was taken from."""
         ...
 
     def adjoint(self, weights: Array, background_mask: NDArray[np.bool_]) -> Array:
-        """Carry derivatives by a line less its background back to its pixels, shape (..., P)."""
+        """Carry derivatives by a scan less its background back to its pixels, shape (..., P)."""
         ...
 
 
-def as_lines(lines: ArrayLike) -> Array:
-    """Return lines as float64, shape (..., P).
+def as_scans(scans: ArrayLike) -> Array:
+    """Return scans as float64, shape (..., P).
 
     Raises:
-        InvalidParameter: lines of fewer than 8 or more than 65536 pixels.
+        InvalidParameter: scans of fewer than 8 or more than 65536 pixels.
         NonFiniteValue: a value is NaN or infinite.
     """
-    values = np.asarray(lines, dtype=np.float64)
+    values = np.asarray(scans, dtype=np.float64)
     pixels = values.shape[-1] if values.ndim else 0
     if not _LEAST_PIXELS <= pixels <= MAX_PIXELS:
         raise InvalidParameter(

@@ -61,7 +61,7 @@ def test_newton_and_pupils() -> None:
     f = system.focal_length_mm
     image, magnification = system.image_of(-700.0)
     behind = image - (t + paraxial_system(lens_stack(shapes, t)).back_focal_distance_mm)
-    before = -700.0 - system.front_focal_distance_mm
+    before = -700.0 - -system.reversed().back_focal_distance_mm
     assert before * behind == pytest.approx(-(f**2), rel=1e-12)
     assert magnification == pytest.approx(f / before, rel=1e-12)
     pupil = system.entrance_pupil_mm(2)

@@ -1,4 +1,4 @@
-"""The definition of CentroidSettings written out in NumPy: the oracle that the kernel must match.
+"""Threshold and centre of gravity in NumPy: the definition that the kernel must match.
 
 It shares no code with the kernel, looks at every candidate on its own, and is slow.
 """
@@ -22,7 +22,13 @@ Row = tuple[float, float, float, float, int]
 def find_peaks_reference(
     scans: NDArray[np.uint16], settings: CentroidSettings, noise: SensorNoise
 ) -> PeakBatch:
-    """Find the peaks of scans of shape (L, P), uint16, as ``CentroidFinder.find`` does."""
+    """Find the peaks of scans as ``CentroidFinder.find`` does, plainly and slowly.
+
+    Args:
+        scans: counts, uint16, shape (L, P); scan l is of sensor ``l % len(noise)``.
+        settings: what counts as a peak, and where it is cut.
+        noise: noise of the sensors.
+    """
     room = settings.max_peaks
     batch = PeakBatch.empty(len(scans), room)
     for number, scan in enumerate(scans):

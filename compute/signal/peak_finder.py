@@ -1,4 +1,4 @@
-"""PeakFinder: what finds the peaks of batches of lines, by a kernel on one device."""
+"""Interface of the peak finders: batches of scans in, batches of peaks out, on one device."""
 
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class PeakFinder(ABC):
-    """A kernel with its buffers, and how its records become peaks.
+    """A compiled kernel with its buffers; its records become peaks.
 
     Args:
         runner: runs the kernel.
@@ -28,7 +28,7 @@ class PeakFinder(ABC):
         return self._runner.device
 
     def find(self, lines: NDArray[np.uint16]) -> PeakBatch:
-        """Find the peaks of lines, uint16, shape (L, P), with L at most the finder's ``lines``.
+        """Find the peaks of scans, uint16, shape (L, P), L at most the finder's ``lines``.
 
         Only the returned arrays are allocated (and a copy, where the rows do not lie one after
         another in memory).
@@ -39,14 +39,14 @@ class PeakFinder(ABC):
         return self._collect(self._runner.find(lines))
 
     def upload(self, lines: NDArray[np.uint16]) -> None:
-        """Bring lines to the device; on the CPU they stay where they are, until ``launch``.
+        """Copy scans to the device; on the CPU they stay where they are, until ``launch``.
 
         ``find`` is upload, launch and download; apart, they time the kernel alone.
         """
         self._runner.upload(lines)
 
     def launch(self, count: int) -> None:
-        """Start the kernel on the first ``count`` of the uploaded lines.
+        """Start the kernel on the first ``count`` of the uploaded scans.
 
         Raises:
             InvalidParameter: there are not so many.
@@ -54,7 +54,7 @@ class PeakFinder(ABC):
         self._runner.launch(count)
 
     def download(self, count: int) -> PeakBatch:
-        """Wait for the kernel and return the peaks of the first ``count`` lines."""
+        """Wait for the kernel and return the peaks of the first ``count`` scans."""
         return self._collect(self._runner.download(count))
 
     @abstractmethod

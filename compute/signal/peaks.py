@@ -1,4 +1,4 @@
-"""Peaks found in line scans: a batch as arrays, one peak as a value."""
+"""Peaks of scans: a batch as arrays, one peak as a value, and their flags."""
 
 from dataclasses import dataclass
 from enum import IntFlag
@@ -14,7 +14,7 @@ MAX_JOINT_PEAKS: Final = 4
 
 
 class PeakFlag(IntFlag):
-    """Why a peak is to be used with care."""
+    """Reasons to use a peak with care."""
 
     NONE = 0
     SATURATED = 1
@@ -37,7 +37,7 @@ class PeakFlag(IntFlag):
 
 @dataclass(frozen=True)
 class Peak:
-    """One peak of one line.
+    """One peak of one scan.
 
     Args:
         sensor: name of the sensor whose line it is in.
@@ -61,7 +61,7 @@ class Peak:
 
 @dataclass(frozen=True, eq=False)
 class PeakBatch:
-    """The peaks of L lines, at most K a line, ordered by position; NaN where there is none.
+    """Peaks of L scans, at most K a scan, ordered by position; NaN where there is none.
 
     Args:
         count: number of peaks of each line, int32, shape (L,).
@@ -76,9 +76,9 @@ class PeakBatch:
         reduced_chi2: misfit of the fitted shape, chi-square per degree of freedom, float32,
             shape (L, K); NaN for a centre of gravity, and where no degree of freedom is left.
         covariance_px2: covariance of a peak's position with those of the next MAX_JOINT_PEAKS - 1
-            peaks of the line [px^2], float32, shape (L, K, MAX_JOINT_PEAKS - 1); zero but among peaks
-            that were fitted together. With the squares of ``sigma_px`` it is the whole covariance
-            of a line's positions; ``covariance`` puts it together.
+            peaks of the line [px^2], float32, shape (L, K, MAX_JOINT_PEAKS - 1); zero but among
+            peaks that were fitted together. With the squares of ``sigma_px`` it is the whole
+            covariance of a line's positions; ``covariance`` puts it together.
     """
 
     count: NDArray[np.int32]
@@ -92,7 +92,12 @@ class PeakBatch:
 
     @classmethod
     def empty(cls, lines: int, room: int) -> "PeakBatch":
-        """Return the batch of lines without any peak, with room for K peaks in each."""
+        """Return a batch without peaks.
+
+        Args:
+            lines: L, the number of scans.
+            room: K, the peaks that each has room for.
+        """
         shape = (lines, room)
         return cls(
             np.zeros(lines, np.int32),
@@ -110,7 +115,7 @@ class PeakBatch:
         return len(self.count)
 
     def covariance(self, line: int) -> NDArray[np.float64]:
-        """Return the covariance of the positions of one line's k peaks, shape (k, k) [px^2]."""
+        """Return the covariance of the positions of one scan's k peaks, shape (k, k) [px^2]."""
         count = int(self.count[line])
         whole = np.diag(self.sigma_px[line, :count].astype(np.float64) ** 2)
         for ahead in range(1, min(MAX_JOINT_PEAKS, count)):
@@ -120,7 +125,12 @@ class PeakBatch:
         return whole
 
     def peaks(self, line: int, sensor: str) -> tuple[Peak, ...]:
-        """Return one line's peaks as values; ``sensor`` is the name to give them."""
+        """Return one scan's peaks as values.
+
+        Args:
+            line: number of the scan.
+            sensor: name of its sensor.
+        """
         return tuple(
             Peak(
                 sensor,
@@ -136,5 +146,5 @@ class PeakBatch:
 
 
 def no_peaks(lines: int) -> PeakBatch:
-    """Return the batch of lines without any peak and without room for one."""
+    """Return a batch of scans without peaks and without room for one."""
     return PeakBatch.empty(lines, 0)

@@ -1,4 +1,4 @@
-"""SensorNoise: the conversion and noise of the sensors that the lines come from."""
+"""Noise model of the sensors: gain, read noise, offset, full scale."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ QUANTISATION_VARIANCE = 1.0 / 12.0
 
 @dataclass(frozen=True, eq=False)
 class SensorNoise:
-    """Noise of S sensors, one row each; line number l belongs to sensor ``l % S``.
+    """Noise of S sensors; scan l belongs to sensor ``l % S``.
 
     A pixel of v counts has the variance ``read^2/gain^2 + (v - offset)/gain + 1/12`` [counts^2]:
     read noise, photon noise and quantisation.
@@ -39,6 +39,12 @@ class SensorNoise:
         full_scale_counts: ArrayLike = 65535,
     ) -> "SensorNoise":
         """Make it from numbers or sequences; one number serves all sensors.
+
+        Args:
+            electrons_per_count: gain of the conversion.
+            read_noise_electrons: standard deviation of the read noise.
+            offset_counts: count without light.
+            full_scale_counts: count at which a pixel is saturated.
 
         Raises:
             InvalidParameter: shapes that do not agree, or a value outside its range.

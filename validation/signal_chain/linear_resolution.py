@@ -90,7 +90,7 @@ class Laboratory:
         peaks = result.peaks
         best = np.nanargmax(np.nan_to_num(peaks.amplitude, nan=-1.0), axis=1)
         centroid = peaks.position_px[np.arange(len(lines)), best]
-        top = result.stages[-1].lines.argmax(axis=1).astype(np.float64)
+        top = result.stages[-1].scans.argmax(axis=1).astype(np.float64)
         return top, centroid
 
 

@@ -40,7 +40,8 @@ class Scores:
         nees: normalised errors squared of the poses, NaN without, shape (N,).
         off_mm2: squared errors of the tips, likewise [mm^2].
         stated_mm2: their variances in space, likewise [mm^2].
-        cycles_since_change: since the motion changed [turns of the strobe]; NaN where it never does.
+        cycles_since_change: since the motion changed [turns of the strobe]; NaN where it never
+            does.
     """
 
     ok: NDArray[np.bool_]

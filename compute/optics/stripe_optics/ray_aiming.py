@@ -329,8 +329,8 @@ class _Guide:
         reach_mm: half its width [mm].
         y_mm: coefficients, shape (K, N, 1).
         slope: coefficients, shape (K, N, 1).
-        unreliable: fans of which rays are lost or not aimed, so that the series is not to be relied on,
-            shape (N,).
+        unreliable: fans of which rays are lost or not aimed, so that the series is not to be relied
+            on, shape (N,).
     """
 
     centre_mm: float

@@ -85,8 +85,8 @@ class StripeTable:
         Points outside of the field, and those at the edge of what the row can see, are traced.
 
         Returns:
-            Quantiles at QUANTILE_LEVELS, shape (N, K) [px], and the total light, shape (N,) [sr]; zero
-            for a point that the row does not see.
+            Quantiles at QUANTILE_LEVELS, shape (N, K) [px], and the total light, shape (N,) [sr];
+            zero for a point that the row does not see.
         """
         in_field = self.field.contains(points_mm)
         z = np.where(in_field, points_mm[:, 2], 1.0)

@@ -1,4 +1,4 @@
-"""Fisher's scoring for shift, brightness, ambient level and scale, scan by scan."""
+"""Fisher scoring for shift, brightness, ambient level and scale of a shadow, scan by scan."""
 
 from dataclasses import dataclass, fields
 from typing import Final
@@ -26,7 +26,7 @@ _LEAST_DETERMINANT: Final = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ShadowSolution:
-    """Fits of L scans; all of shape (L,), NaN where the steps did not come to an end."""
+    """Fits of L scans; arrays of shape (L,), NaN where the iterations did not converge."""
 
     shift_px: Array
     sigma_px: Array
@@ -37,12 +37,12 @@ class ShadowSolution:
     dof: Array
 
     def rows(self, kept: NDArray[np.int64]) -> "ShadowSolution":
-        """Return those of some of the scans."""
+        """Return the fits of some of the scans."""
         return ShadowSolution(*(getattr(self, field.name)[kept] for field in fields(self)))
 
 
 class ShadowModel:
-    """A template on a scan of pixels: ``c + a f``, with the derivatives of f.
+    """Model of a scan: ambient level plus brightness times the template, with derivatives.
 
     A pixel i sees the template f at ``r + (i - r - shift) / scale``, r the reference's reading.
 
@@ -60,7 +60,12 @@ class ShadowModel:
         self._place = np.arange(float(pixels))
 
     def at(self, shift_px: Array, scale: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Return f, its derivatives by shift and scale, and what is known, each (L, P)."""
+        """Return the template, its derivatives by shift and scale, and where known, each (L, P).
+
+        Args:
+            shift_px: shifts of the scans, shape (L,) [px].
+            scale: magnifications against the template's, shape (L,).
+        """
         reading = self._template.reading_px
         if not self.fit_scale:
             value, slope, known = self._shifted.at(shift_px)
@@ -107,7 +112,7 @@ class _State:
 def solve(
     model: ShadowModel, counts: Array, good: NDArray[np.bool_], noise: ScanNoise, start_px: Array
 ) -> ShadowSolution:
-    """Fit scans from shifts to begin with.
+    """Fit scans from initial shifts.
 
     Args:
         model: the template on the scan.

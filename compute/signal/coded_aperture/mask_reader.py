@@ -1,4 +1,4 @@
-"""MaskReader: scans behind coded windows to readings, one peak a scan."""
+"""Readings of the shadows behind coded windows, at most one a scan."""
 
 from collections.abc import Sequence
 
@@ -55,7 +55,7 @@ class MaskReader:
         )
 
     def read(self, scans: NDArray[np.uint16]) -> PeakBatch:
-        """Read scans of counts, uint16, shape (L, P); K is 1.
+        """Read scans of counts, uint16, shape (L, P), as a batch of one peak a scan (K = 1).
 
         Positions are readings, ``template.reading_px + shift``, which may lie beyond the scan's
         ends; widths are those of the lit patterns, as magnified.

@@ -1,4 +1,4 @@
-"""ShadowFitter: shift, brightness and ambient level of a known shadow, weighted by the noise."""
+"""Maximum-likelihood fit of a known shadow: shift, brightness and ambient level."""
 
 from dataclasses import dataclass
 from typing import Final

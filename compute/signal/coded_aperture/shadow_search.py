@@ -1,4 +1,4 @@
-"""ShadowSearch: where in scans a pattern is, to the pixel, by correlation with all its shifts."""
+"""Search for a known pattern in scans, to the pixel, by cross-correlation."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -18,7 +18,7 @@ MIN_CONTRAST_FRACTION: Final = 0.1
 
 @dataclass(frozen=True, eq=False)
 class CorrelationPeak:
-    """Best shifts of L scans.
+    """Shifts of the highest correlation in L scans.
 
     Args:
         shift_px: shift with the highest correlation, refined by a parabola, shape (L,) [px].
@@ -77,11 +77,11 @@ class ShadowSearch:
 
     @property
     def count(self) -> int:
-        """Number of shifts that are looked at."""
+        """Number of shifts that are searched."""
         return self.highest_px - self.lowest_px + 1
 
     def share(self, shift_px: Array) -> Array:
-        """Return the share of the contrast that is on the scan, nearest whole shift, (L,)."""
+        """Return the share of the contrast on the scan at the nearest whole shift, shape (L,)."""
         first, last = float(self._shifts[0]), float(self._shifts[-1])
         index = np.rint(np.clip(shift_px, first, last) - first).astype(np.int64)
         return np.asarray(self.shares[index])
@@ -92,7 +92,7 @@ class ShadowSearch:
         return int(self._shifts[0])
 
     def heights(self, values: Array) -> Array:
-        """Return what ``CorrelationPeak.height`` is at every whole shift, shape (L, M); 0 beyond the seen.
+        """Return ``CorrelationPeak.height`` at every whole shift, (L, M); 0 where not searched.
 
         Args:
             values: scans, shape (L, P) [counts].

@@ -1,4 +1,4 @@
-"""ShadowSettings: what counts as a shadow found, and what is fitted to it."""
+"""Settings of the search and the fit of shadows."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""ShadowTemplate: the shadow of a reference point on a grid finer than pixels."""
+"""Template of a coded shadow, on a grid finer than pixels."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +21,7 @@ _LIT: Final = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ShadowTemplate:
-    """What a pixel gets whose centre lies anywhere in the shadow of a reference point.
+    """Light of a pixel at any position in the shadow of a reference point.
 
     Between the cells a cubic spline through them is read. A template that is known pixel by
     pixel alone (``per_px`` 1) makes that spline guess what the pixels have averaged, and the
@@ -64,14 +64,14 @@ class ShadowTemplate:
 
     @cached_property
     def spline(self) -> Array:
-        """Cubics between the cells, by powers of the place [cells] from 0 up, (C - 1, 4)."""
+        """Cubic polynomials between the cells, by powers of the position [cells], (C - 1, 4)."""
         # Natural ends: no more is made of the first and last cells than they say.
         cubic = CubicSpline(np.arange(len(self.cells)), self.cells, bc_type="natural")
         return np.ascontiguousarray(cubic.c[::-1].T)
 
     @property
     def pixels(self) -> int:
-        """Whole pixels that the cells reach over."""
+        """Whole pixels that the cells cover."""
         return -(-len(self.cells) // self.per_px)
 
     @cached_property
@@ -81,17 +81,17 @@ class ShadowTemplate:
 
     @cached_property
     def height(self) -> float:
-        """From the darkest to the brightest cell."""
+        """Difference of the darkest and the brightest cell."""
         return float(np.ptp(self.cells))
 
     @cached_property
     def lit_width_px(self) -> float:
-        """From the first to the last cell that is half lit [px]."""
+        """Distance of the first from the last cell that is half lit [px]."""
         lit = np.flatnonzero(self.cells - self.cells.min() >= _LIT * self.height)
         return float(lit[-1] - lit[0]) / self.per_px
 
     def at(self, position_px: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return value, slope [1/px] and whether they are known at places of any shape [px].
+        """Return value, derivative [1/px] and whether they are known at positions [px].
 
         Places are on the scan on which the reference point's reading is ``reading_px``. Beyond
         the cells the value is 0, and known where it is dark.
@@ -122,7 +122,7 @@ def interleave_scans(
     per_px: int,
     dark_beyond: bool,
 ) -> ShadowTemplate:
-    """Make a template of shadows that lie parts of a pixel apart.
+    """Interleave shadows that lie fractions of a pixel apart to one template.
 
     A pixel i of a shadow shifted by s says what a pixel at ``i - s`` of the template gets. Where
     several say it, the shadow with the least shift is believed, so that shadows shifted by
@@ -183,7 +183,7 @@ def _has_gaps(cells: Array, per_px: int) -> bool:
 
 
 class ShiftedTemplate:
-    """The cubics of a template, those of one phase side by side.
+    """The template's polynomials, arranged by phase for whole scans.
 
     All pixels of a scan lie at the same place in their cells, so that a shift picks one row of
     coefficients and one start in it. The result is that of ``ShadowTemplate.at``.
@@ -210,7 +210,7 @@ class ShiftedTemplate:
         )
 
     def at(self, shift_px: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return value, slope [1/px] and what is known, shape (L, P), at shifts (L,) [px]."""
+        """Return value, derivative [1/px] and where they are known, (L, P), at shifts (L,) [px]."""
         per_px = self._template.per_px
         cell = -(shift_px + self._template.first_px) * per_px
         whole = np.floor(cell)

@@ -1,4 +1,4 @@
-"""BackgroundEstimate: background and noise of a scan from the scan itself, by a few groups of its pixels.
+"""Background level and noise of a scan, estimated from a few groups of its pixels.
 
 A scan is sampled where the centroid finder samples it: up to 32 groups of 8 pixels. Each group
 gives the sum of squares about its own straight line, which knows no background and no slope; the
@@ -32,7 +32,7 @@ SQUARES_UNIT: Final = 168
 
 @dataclass(frozen=True, eq=False)
 class BackgroundEstimate:
-    """Background and spread of L scans, in whole numbers.
+    """Background and noise of L scans, in whole numbers.
 
     Args:
         background: first quartile of the groups' means [1/64 count], int64, shape (L,).
@@ -55,7 +55,7 @@ class BackgroundEstimate:
 
 
 def estimate_background(scans: NDArray[np.uint16]) -> BackgroundEstimate:
-    """Measure scans of shape (L, P), P at least 64.
+    """Estimate background and noise of scans of shape (L, P), P at least 64.
 
     With n pixels v and places k = -7, -5, ..., 7 the squares about the straight line are
     ``sum v^2 - (sum v)^2 / 8 - (sum k v)^2 / 168``, times 168 a whole number below 2^43.

@@ -1,4 +1,4 @@
-"""FalseAlarms: how many maxima above a threshold the noise of a scan makes, and the threshold."""
+"""False-alarm rate of a matched filter: expected maxima of noise above a threshold."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ _NODES = 64
 
 @dataclass(frozen=True, eq=False)
 class FalseAlarms:
-    """Expected number of local maxima of a filter's answer to a scan of noise, by their height.
+    """Expected number of local maxima of a filter's response to noise, by their height.
 
     Exact for independent Gaussian noise of even deviation: the answers at a place x and its
     neighbours are trivariate normal with the correlations of the taps. Given the answer z at x,
@@ -41,7 +41,11 @@ class FalseAlarms:
 
     @classmethod
     def of(cls, matched: MatchedFilter, pixels: int) -> "FalseAlarms":
-        """Work them out for scans of so many pixels.
+        """Compute the expected maxima for scans of a length.
+
+        Args:
+            matched: the filter.
+            pixels: pixels of a scan.
 
         Raises:
             InvalidParameter: a scan shorter than the filter.
@@ -80,7 +84,7 @@ class FalseAlarms:
         return float((probability * numbers).sum() / probability.sum())
 
     def threshold_sigma(self, per_line: float, dof: float = np.inf) -> float:
-        """Return the threshold that so many false alarms per scan are expected above.
+        """Return the threshold for an expected number of false alarms per scan.
 
         Args:
             per_line: expected number of false alarms in an empty scan.

@@ -1,4 +1,4 @@
-"""MatchedFilter: whole-number taps that answer to a peak's shape and to no even background."""
+"""Matched filter with integer taps for a peak's shape over an unknown background."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,7 +31,7 @@ _WIDTHS_PX: Final = (0.2, 100.0)
 
 @dataclass(frozen=True, eq=False)
 class MatchedFilter:
-    """Taps for the inside of a scan, and for the places near its ends; T = 2 H + 1 of them.
+    """Integer taps for the inside of a scan, and for positions near its ends; T = 2 H + 1 taps.
 
     The answer at a place is ``sum taps_k v_k`` over the pixels from H before to H behind. Near
     an end the window is cut there, and the taps are the matched filter of what is left, again
@@ -56,7 +56,7 @@ class MatchedFilter:
 
     @property
     def half_px(self) -> int:
-        """H, the pixels that the filter reaches to each side."""
+        """H, the number of pixels that the filter reaches to each side."""
         return len(self.taps) // 2
 
     @property
@@ -66,12 +66,12 @@ class MatchedFilter:
 
     @cached_property
     def norm(self) -> float:
-        """Standard deviation of the answer to white noise of one count."""
+        """Standard deviation of the response to white noise of one count."""
         return float(np.sqrt((self.taps.astype(np.float64) ** 2).sum()))
 
     @cached_property
     def gain(self) -> float:
-        """Answer to the shape, one count high, in the middle of the filter."""
+        """Response to the shape, one count high, in the middle of the filter."""
         return float(self.taps @ self.shape)
 
     @cached_property
@@ -82,7 +82,7 @@ class MatchedFilter:
 
     @property
     def snr_of_pixel_snr(self) -> float:
-        """Signal-to-noise ratio of the answer, relative to that of the shape's highest pixel."""
+        """Signal-to-noise ratio of the response, relative to that of the shape's highest pixel."""
         return self.gain / self.norm
 
     @property
@@ -91,7 +91,7 @@ class MatchedFilter:
         return self.snr_of_pixel_snr / float(np.sqrt((self.shape**2).sum()))
 
     def matrix(self, pixels: int) -> NDArray[np.int64]:
-        """Return all taps of a scan, shape (P, P): row x for the place x.
+        """Return all taps of a scan, shape (P, P): row x for the position x.
 
         Raises:
             InvalidParameter: the scan is shorter than the filter.
@@ -106,7 +106,7 @@ class MatchedFilter:
         return rows
 
     def gains(self, pixels: int) -> Array:
-        """Return the answers at all places to the shape there, one count high, shape (P,)."""
+        """Return the responses at all positions to the shape there, one count high, shape (P,)."""
         self._require_room(pixels)
         half, length = self.half_px, len(self.taps)
         gains = np.full(pixels, self.gain)
@@ -120,7 +120,7 @@ class MatchedFilter:
         return gains
 
     def respond(self, scans: NDArray[np.uint16]) -> NDArray[np.int64]:
-        """Return the answers at all places of scans of shape (L, P), int64, same shape.
+        """Return the responses at all positions of scans of shape (L, P), int64, same shape.
 
         Raises:
             InvalidParameter: scans shorter than the filter.

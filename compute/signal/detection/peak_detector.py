@@ -1,4 +1,4 @@
-"""PeakDetector: finds faint peaks in scans at a chosen expected number of false alarms."""
+"""Detection of faint peaks in scans at a chosen expected number of false alarms."""
 
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
@@ -23,7 +23,7 @@ from compute.signal.sensor_noise import SensorNoise
 
 @dataclass(frozen=True, eq=False)
 class DetectionBatch:
-    """The detections in L scans, at most K a scan, ordered by place.
+    """Detections in L scans, at most K a scan, ordered by position.
 
     Args:
         count: number of detections of each scan, int32, shape (L,).
@@ -60,7 +60,7 @@ _MAX_RESPONSE: Final = 2**31 - 1
 
 @dataclass(frozen=True)
 class DetectionSettings:
-    """What counts as detected.
+    """Settings of the detection: false alarms, noise, room.
 
     Args:
         false_alarms_per_line: expected number of detections in a scan of noise.
@@ -95,7 +95,7 @@ class DetectionSettings:
 
 
 class PeakDetector:
-    """Matched filter, threshold, local maxima: the definition, which a kernel must match.
+    """Matched filter, threshold and local maxima.
 
     - *Answer.* Whole numbers r, by the filter's taps.
     - *Noise.* Variance V of a pixel: of the scan itself (``BackgroundEstimate.variance``), or
@@ -112,10 +112,9 @@ class PeakDetector:
     Edgeworth's series): for peaks of 2 px at t = 4 that is 1.4 times at 100 electrons, 1.04 at
     10,000. The model's noise at b, which lies a quarter of a deviation below the mean, adds a
     sixth at 100 electrons. Rounding bends little from 0.6 counts of noise on; below, "line" and
-    "larger" have fewer than chosen, down to none, for BackgroundEstimate knows no noise below half a
-    count (both measured by tests/compute/signal/detection/test_false_alarm_rates.py). Where
-    the light varies along the scan, its noise does too: false alarms then come from the
-    brightest part.
+    "larger" have fewer than chosen, down to none, for BackgroundEstimate knows no noise below half
+    a count (both measured by tests/compute/signal/detection/test_false_alarm_rates.py). Where the
+    light varies along the scan, its noise does too: false alarms then come from the brightest part.
 
     Args:
         matched: the filter.

@@ -1,4 +1,4 @@
-"""Groups: which candidates are fitted together, in which pixels, and where their fit starts."""
+"""Groups of candidates that are fitted together, with their pixels and initial parameters."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,7 +19,7 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """G groups of candidates, in the order of lines and places.
+    """G groups of candidates, ordered by scan and position.
 
     Args:
         line: the lines they are in, shape (G,).
@@ -52,12 +52,17 @@ class Groups:
         return Groups(*(values[rows] for values in vars(self).values()))
 
     def candidate_indices(self) -> IntArray:
-        """Return the candidates of groups that have equally many, shape (G, K)."""
+        """Return the candidates of groups of equal size, shape (G, K)."""
         return self.first_candidate[:, None] + np.arange(int(self.count.max(initial=0)))
 
 
 def initial_widths(candidates: PeakBatch, settings: FitSettings) -> Array:
-    """Return the widths to start with, shape (L, K) [px]; see ``FitSettings``."""
+    """Return the initial widths of candidates, shape (L, K) [px]; see ``FitSettings``.
+
+    Args:
+        candidates: of L scans, at most K each.
+        settings: of the fit.
+    """
     if settings.width_log_sigma == 0.0:
         return np.full(candidates.width_px.shape, settings.width_px)
     fraction = settings.search.threshold_fraction
@@ -68,7 +73,13 @@ def initial_widths(candidates: PeakBatch, settings: FitSettings) -> Array:
 
 
 def form_groups(candidates: PeakBatch, pixels: int, settings: FitSettings) -> Groups:
-    """Put candidates whose windows overlap together, for lines of so many pixels."""
+    """Group candidates whose windows overlap.
+
+    Args:
+        candidates: of L scans.
+        pixels: pixels of a scan.
+        settings: of the fit.
+    """
     widths = initial_widths(candidates, settings)
     rows: list[tuple[int, ...]] = []
     for line in np.flatnonzero(candidates.count).tolist():
@@ -145,7 +156,7 @@ def initial_parameters(
     settings: FitSettings,
     shape: LineSpreadFunction,
 ) -> tuple[Layout, Array]:
-    """Return where the fits of groups with equally many candidates start.
+    """Return the initial parameters of groups of equal size.
 
     Args:
         groups: G groups of K candidates each.
@@ -170,7 +181,7 @@ def initial_parameters(
 
 
 def background_levels(lines: NDArray[np.uint16]) -> Array:
-    """Return the backgrounds that ``CentroidSettings`` defines, shape (L,) [counts]."""
+    """Return the backgrounds of scans (L, P) by ``CentroidSettings``, (L,) [counts]."""
     pixel = np.array(sample_starts(lines.shape[1]))[:, None] + np.arange(GROUP_PIXELS)
     sums = np.sort(lines[:, pixel].astype(np.int64).sum(axis=2), axis=1)
     quartile = sums[:, (sums.shape[1] - 1) // 4]

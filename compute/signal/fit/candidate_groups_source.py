@@ -1,4 +1,4 @@
-"""The native source of a line's groups: candidates that are fitted together, and their windows."""
+"""C++ source: groups of a scan's candidates that are fitted together, and their windows."""
 
 from typing import Final
 

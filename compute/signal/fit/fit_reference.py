@@ -1,4 +1,4 @@
-"""Fitted peaks of lines by the definition of FitSettings, in NumPy: what the kernel must match."""
+"""Weighted fit of peaks in NumPy: the definition that the kernel must match."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def fit_lines(
     shape: LineSpreadFunction | None = None,
     candidates: PeakBatch | None = None,
 ) -> PeakBatch:
-    """Fit the peaks of lines, as ``FitSettings`` defines it.
+    """Fit the peaks of scans, as ``FitSettings`` defines it.
 
     The search is written out plainly and slow; the fits of all lines go together.
 
@@ -85,7 +85,15 @@ def fit_groups(
     noise: SensorNoise,
     shape: LineSpreadFunction,
 ) -> list[tuple[NDArray[np.int64], list[SelectedFits]]]:
-    """Fit groups, those with equally many candidates together.
+    """Fit groups, those of equal size together.
+
+    Args:
+        lines: counts of the scans, uint16, shape (L, P).
+        groups: of the candidates.
+        candidates: of all scans.
+        settings: of the fit.
+        noise: noise of the sensors.
+        shape: the line-spread function.
 
     Returns:
         The numbers of such groups, and their fits, whose rows count these.
@@ -121,7 +129,7 @@ def _marginalise(
 
 
 def check_lines(lines: NDArray[np.uint16]) -> None:
-    """See that lines are what a sensor gives.
+    """Check type, shape and length of scans.
 
     Raises:
         InvalidParameter: another type or shape, or a length outside MIN_PIXELS .. MAX_PIXELS.

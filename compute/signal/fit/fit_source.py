@@ -1,4 +1,4 @@
-"""The native source of the fit: from a line's candidates to its fitted peaks, in C++ for both.
+"""C++ source: from a scan's candidates to its fitted peaks, for the CPU and CUDA.
 
 One source serves the CPU and CUDA, and both round alike: no fused multiply-adds, no library
 functions but the exact ones, sums in the order of the pixels. So both take the same decisions.

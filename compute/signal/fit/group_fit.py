@@ -1,4 +1,4 @@
-"""GroupFit: all that is known about one fitted group of a line, for people who look at it."""
+"""Details of one fitted group of peaks: pixels, model, residuals, covariance."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ from compute.signal.sensor_noise import SensorNoise
 
 @dataclass(frozen=True, eq=False)
 class GroupFit:
-    """Lines that were fitted together, K of them in n pixels; NaN where no fit was possible.
+    """K peaks that were fitted together in n pixels; NaN where no fit was possible.
 
     Args:
         first_px: first pixel of the window.
@@ -76,7 +76,7 @@ def fit_line(
     shape: LineSpreadFunction | None = None,
     sensor: int = 0,
 ) -> tuple[GroupFit, ...]:
-    """Fit the peaks of one line as ``fit_lines`` does, and tell everything.
+    """Fit the peaks of one scan as ``fit_lines`` does, and return all details.
 
     Peaks beyond the room of ``settings.search`` that were found by fits are all told.
 

@@ -1,4 +1,4 @@
-"""The native source of the joint fit, in float64, and of the choice of the number of peaks.
+"""C++ source: the joint fit of several peaks in float64, and the choice of their number.
 
 It takes the same steps as the reference, so that hard cases end alike.
 """

@@ -1,4 +1,4 @@
-"""How many lines a window holds: one more is tried where chance does not explain the misfit."""
+"""Number of peaks in a window: a further one is tried where noise does not explain the misfit."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ _ADDED = 2  # parameters of a line: light and position
 
 @dataclass(frozen=True, eq=False)
 class SelectedFits:
-    """The groups that hold so many lines, with their fits.
+    """Groups that hold the same number of peaks, with their fits.
 
     Args:
         layout: the order of the parameters.

@@ -1,4 +1,4 @@
-"""Fitted peaks as a batch: flags, order, room, and the covariances of neighbours."""
+"""Fitted peaks as a batch: flags, order, room, and covariances of neighbours."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ _CLIPPED_WIDTHS = 2.0
 
 @dataclass(frozen=True, eq=False)
 class FlatPeaks:
-    """Peaks of many lines in no order.
+    """Peaks of many scans in no order.
 
     Args:
         line: shape (M,).
@@ -127,7 +127,14 @@ def collect_fitted_peaks(
 def collect_unfitted_peaks(
     selected: SelectedFits, number: NDArray[np.int64], groups: Groups, candidates: PeakBatch
 ) -> FlatPeaks:
-    """Return the candidates of the groups whose fits failed; see ``fitted_peaks``."""
+    """Return the candidates of the groups whose fits failed.
+
+    Args:
+        selected: fits of groups of equal size; the failed ones count.
+        number: numbers of the groups, shape (M,).
+        groups: these groups.
+        candidates: of all scans.
+    """
     rows = selected.rows[~selected.solution.good]
     groups, number = groups[rows], number[rows]
     member = groups.candidate_indices()

@@ -1,4 +1,4 @@
-"""Score and information of models over their windows, what every step of a fit is made of."""
+"""Score and Fisher information of the window models, with the prior of the width."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from compute.signal.fit.window_model import Array, Layout, Windows, evaluate
 
 
 class WidthPrior(NamedTuple):
-    """What beliefs add to fits, for N logarithms of widths; shape (N,) each.
+    """The prior's contributions to N fits, arrays of shape (N,).
 
     Args:
         score: slope of the prior's logarithm.
@@ -27,7 +27,12 @@ class WidthPrior(NamedTuple):
 
 
 def width_prior(log_width: Array, settings: FitSettings) -> WidthPrior:
-    """Return what ``settings`` believes of widths of these logarithms, shape (N,)."""
+    """Return the contributions of the prior of the width; see ``FitSettings``, *Prior*.
+
+    Args:
+        log_width: logarithms of the widths, shape (N,).
+        settings: of the fit.
+    """
     nothing = np.zeros_like(log_width)
     if settings.width_log_sigma == 0.0:
         return WidthPrior(nothing, nothing, nothing, nothing)
@@ -45,7 +50,7 @@ def width_prior(log_width: Array, settings: FitSettings) -> WidthPrior:
 
 @dataclass(frozen=True, eq=False)
 class ScoreInformation:
-    """ScoreInformation of N models over the pixels that count, with the width's prior.
+    """Score, information and deviance of N models, with the width's prior.
 
     Args:
         score: derivative of the likelihood's logarithm by each parameter, shape (N, Q).
@@ -68,7 +73,15 @@ class ScoreInformation:
         settings: FitSettings,
         shape: LineSpreadFunction,
     ) -> "ScoreInformation":
-        """Work out the sums of models with the given parameters, shape (N, Q)."""
+        """Compute the sums over the pixels that count.
+
+        Args:
+            windows: N windows.
+            parameters: shape (N, Q).
+            layout: their order.
+            settings: of the fit.
+            shape: the line-spread function.
+        """
         with np.errstate(over="ignore", invalid="ignore"):
             model = evaluate(windows, parameters, layout, settings, shape)
             weight = windows.used / model.variance

@@ -1,4 +1,4 @@
-"""The native source of the fit of one peak alone, in float32: nearly all peaks are that.
+"""C++ source: the fit of one isolated peak in float32, which nearly all peaks are.
 
 It gives an answer only where there is no doubt: the fit has converged in few steps, the peak is
 whole and not so bright that float32 would tell, and the misfit is clear of its limit: below, or

@@ -1,4 +1,4 @@
-"""Faint lines: their covariance is averaged over the widths that their pixels leave open."""
+"""Covariances of faint peaks, marginalised over the unknown width."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -31,7 +31,7 @@ def marginalise_width(
     settings: FitSettings,
     shape: LineSpreadFunction,
 ) -> Solution:
-    """Return fits whose covariances are averages over the width where it is open.
+    """Return fits whose covariances are averaged over the width where it is not determined.
 
     At a given width the other parameters' errors are all but normal, yet their deviations change
     with it: so each of a row of widths has its own best parameters, their covariance, and a

@@ -1,4 +1,4 @@
-"""The native source of faint lines' covariances: means over the widths that are open, in float64.
+"""C++ source: covariances of faint peaks, marginalised over the width, in float64.
 
 It takes the same steps as ``compute.signal.fit.width_marginalisation``.
 """

@@ -1,4 +1,4 @@
-"""The model of a window: what each pixel shows by background, lines and width; its Jacobian."""
+"""Model of a window: expected counts by background, peaks and width; its Jacobian."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the parameters of K lines stand: level, [slope], lights, positions, ln width.
+    """Order of the parameters of K peaks: level, [slope], lights, positions, ln width.
 
     The width always has its place, known or not.
 
@@ -49,7 +49,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """N windows of W pixels at most; shorter ones are filled up with pixels that do not count.
+    """N windows of at most W pixels; shorter ones are padded with pixels that do not count.
 
     Args:
         values: counts, shape (N, W).
@@ -76,7 +76,15 @@ class Windows:
         last_px: NDArray[np.int64],
         noise: SensorNoise,
     ) -> "Windows":
-        """Cut windows, pixels ``first_px`` to ``last_px``, out of lines of shape (L, P)."""
+        """Cut windows out of scans.
+
+        Args:
+            lines: counts of the scans, uint16, shape (L, P).
+            line: scan of each window, shape (N,).
+            first_px: first pixels, shape (N,).
+            last_px: last pixels, shape (N,).
+            noise: noise of the sensors.
+        """
         width = int((last_px - first_px).max(initial=0)) + 1
         pixel = first_px[:, None] + np.arange(width)
         values = lines[line[:, None], np.minimum(pixel, lines.shape[1] - 1)]
@@ -114,7 +122,7 @@ class Windows:
 
 @dataclass(frozen=True, eq=False)
 class ModelPrediction:
-    """What a model says about N windows.
+    """Expected counts, variances and Jacobian of the models of N windows.
 
     Args:
         mean: expected counts, shape (N, W).
@@ -134,7 +142,15 @@ def evaluate(
     settings: FitSettings,
     shape: LineSpreadFunction,
 ) -> ModelPrediction:
-    """Work the model of ``FitSettings`` out for parameters of shape (N, Q)."""
+    """Evaluate the model of ``FitSettings``.
+
+    Args:
+        windows: N windows.
+        parameters: shape (N, Q).
+        layout: their order.
+        settings: of the fit.
+        shape: the line-spread function.
+    """
     pixels = windows.values.shape[1]
     position, light = parameters[:, layout.position], parameters[:, layout.light]
     width = np.exp(parameters[:, -1:])
@@ -161,6 +177,13 @@ def evaluate(
 def central_pixel_fraction(
     shape: LineSpreadFunction, width_px: Array, sensor: NDArray[np.int64], position_px: Array
 ) -> Array:
-    """Return the share of a line's light in a pixel about its middle; all arguments broadcast."""
+    """Return the share of a peak's light in a pixel centred on it; all arguments broadcast.
+
+    Args:
+        shape: the line-spread function.
+        width_px: widths of the peaks [px].
+        sensor: numbers of the sensors.
+        position_px: positions of the peaks [px].
+    """
     upper, lower = (shape.at(half / width_px, sensor, position_px)[0] for half in (0.5, -0.5))
     return np.asarray(upper - lower)

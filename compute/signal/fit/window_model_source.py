@@ -1,4 +1,4 @@
-"""The native source of the model of a window: its shape, what it says of a pixel, its score."""
+"""C++ source: the model of a window, its line-spread function and its score."""
 
 from typing import Final
 

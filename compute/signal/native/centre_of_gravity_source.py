@@ -1,4 +1,4 @@
-"""Native source: the run of pixels around a maximum, and its centre of gravity."""
+"""C++ source: the run of pixels around a maximum, and its centre of gravity."""
 
 from typing import Final
 

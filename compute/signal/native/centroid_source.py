@@ -1,4 +1,4 @@
-"""Native source of the whole kernel: threshold and centre of gravity."""
+"""C++ source of the whole kernel of threshold and centre of gravity."""
 
 from typing import Final, Literal
 

@@ -1,4 +1,4 @@
-"""Native source for the CPU: one thread takes a line from its first pixel to its last."""
+"""C++ source for the CPU: one thread takes a scan from its first pixel to its last."""
 
 from typing import Final
 

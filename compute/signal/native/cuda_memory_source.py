@@ -1,4 +1,4 @@
-"""Native source for CUDA: a warp's lines in shared memory, its queues, and the backgrounds."""
+"""C++ source for CUDA: a warp's scans in shared memory, its queues, and the backgrounds."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Native source for CUDA: which chunks of a line are bright, and which pixels are maxima."""
+"""C++ source for CUDA: bright chunks of a scan, and the pixels that are maxima."""
 
 from typing import Final
 

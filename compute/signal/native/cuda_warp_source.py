@@ -1,4 +1,4 @@
-"""Native source for CUDA: a warp takes a few lines, then their bright chunks, then their peaks.
+"""C++ source for CUDA: a warp takes a few scans, their bright chunks, then their peaks.
 
 Lines that a warp takes together are a batch; it may take several, one after another.
 """

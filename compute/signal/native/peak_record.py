@@ -1,4 +1,4 @@
-"""Native source: constants, the records, and the thresholds and variances of pixels."""
+"""C++ source: constants, the peak record, and thresholds and variances of pixels."""
 
 from typing import Final
 

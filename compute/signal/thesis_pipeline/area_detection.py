@@ -1,4 +1,4 @@
-"""WeightedAreas: areas above a low threshold, kept by maximum times sum; thesis 6.2.1."""
+"""Weighted areas above a low threshold, thesis 6.2.1."""
 
 from dataclasses import dataclass
 
@@ -31,7 +31,7 @@ class Area:
 
 @dataclass(frozen=True)
 class WeightedAreas:
-    """What is kept of a scan: the areas whose weight [6.5] is large.
+    """Detection of peaks by areas whose weight [6.5] is large.
 
     A low threshold keeps faint targets and much noise; the weights tell them apart. How large
     a weight is enough the text does not say: here a fraction of the largest on the scan.
@@ -75,7 +75,12 @@ class WeightedAreas:
 
 
 def areas_above(scan: Array, level: float) -> tuple[Area, ...]:
-    """Return the runs of pixels of a scan (P,) that lie above a level, from left to right."""
+    """Return the runs of pixels above a level, from left to right.
+
+    Args:
+        scan: values, shape (P,).
+        level: the level, in their unit.
+    """
     above = np.concatenate([[False], scan > level, [False]])
     ends = np.flatnonzero(above[1:] != above[:-1])
     return tuple(

@@ -1,4 +1,4 @@
-"""PolynomialBackground and InterpolatedBackground: ambient light between the peaks, thesis 4.4."""
+"""Ambient light between the peaks: polynomial and interpolated background, thesis 4.4."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ _SINGULAR: Final = 1e-11  # of an information of ones: polynomials that the pixe
 
 @dataclass(frozen=True)
 class PeakMask:
-    """Which pixels are peaks: those that stand out above a polynomial through the others.
+    """Peak pixels: those that stand out above a polynomial through the others.
 
     A polynomial is fitted to the scan; the pixels that lie higher above it than the noise
     explains are taken out with a margin, and it is fitted again to the rest, until no pixel is
@@ -122,6 +122,10 @@ class PolynomialBackground:
         """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
 
         Which pixels were fitted to is taken as given.
+
+        Args:
+            weights: derivatives by the scan less its background, shape (..., P).
+            background_mask: pixels that the background was fitted to, same shape.
         """
         basis = _basis(weights.shape[-1], self.degree)
         fitted = basis[background_mask]
@@ -138,7 +142,7 @@ class PolynomialBackground:
 
 @dataclass(frozen=True)
 class InterpolatedBackground:
-    """The scan with its peaks cut out and the gaps bridged, filtered: Test 4.1, thesis 4.4 (1)-(2).
+    """Background by cutting out peaks and bridging the gaps, filtered; thesis 4.4 (1)-(2).
 
     "Isolating the peaks and linearizing the rest of the signal; the profile was superimposed
     over the initial signal to fill the gaps between peaks and filtered again." Read as: between
@@ -171,7 +175,12 @@ class InterpolatedBackground:
         return _each(as_scans(scans), one)
 
     def adjoint(self, weights: Array, background_mask: Mask) -> Array:
-        """Carry derivatives by a scan less its background back to its pixels, shape (..., P)."""
+        """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
+
+        Args:
+            weights: derivatives by the scan less its background, shape (..., P).
+            background_mask: pixels that the background was taken from, same shape.
+        """
         spread = weights if self.smoothing is None else self.smoothing.adjoint(weights)
         count = weights.shape[-1]
         pixels = np.arange(count)

@@ -1,4 +1,4 @@
-"""centre_of_gravity: thesis [4.1] on a filtered scan, and its derivative by each pixel."""
+"""Centre of gravity [4.1] of a peak in a filtered scan, with its derivatives."""
 
 from dataclasses import dataclass
 

@@ -73,7 +73,7 @@ class ButterworthFilter:
 
     @property
     def linearised_delay_px(self) -> float:
-        """The delay as the thesis takes it [px]: slope of the phase's line over the pass band.
+        """Delay by the slope of the phase over the pass band, as the thesis takes it [px].
 
         [B.13], section 4.2.2 and Figure 4.10; the scan is fitted by least squares from zero to
         the cut-off. It is no scan's shift: the light is at low frequencies.
@@ -165,7 +165,13 @@ class FirFilter:
     def of_order(
         cls, order: int, cutoff: float, compensation: Compensation = "phase"
     ) -> "FirFilter":
-        """Make the filter of a polynomial of this order in 1/z, which has one tap more."""
+        """Make the filter of a polynomial of this order in 1/z, which has one tap more.
+
+        Args:
+            order: order of the polynomial.
+            cutoff: as of the class.
+            compensation: as of the class.
+        """
         return cls(order + 1, cutoff, compensation)
 
     @property
@@ -175,7 +181,7 @@ class FirFilter:
 
     @property
     def linearised_delay_px(self) -> float:
-        """The delay by the phase's line over the pass band [px]: the same, as it is a scan."""
+        """Delay by the slope of the phase over the pass band [px]: the group delay."""
         return self.delay_px
 
     @property

@@ -1,4 +1,4 @@
-"""Finish: from centroids on a chain's last scans to the peaks of the raw ones."""
+"""Peaks of the raw scans from centroids on a chain's last scans."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from compute.signal.thesis_pipeline.steps import Array
 
 @dataclass(frozen=True, eq=False)
 class PeakOutput:
-    """What makes peaks of the centroids on one scan.
+    """Conversion of the centroids of one scan to peaks.
 
     Args:
         pixels: of the raw scan.

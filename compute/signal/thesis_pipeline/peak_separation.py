@@ -1,4 +1,4 @@
-"""ValleyCut and SlopeExtension: close peaks taken apart, thesis 4.5 and Appendix D."""
+"""Separation of close peaks: valley cut and slope extension, thesis 4.5 and Appendix D."""
 
 import heapq
 from dataclasses import dataclass, replace
@@ -67,7 +67,7 @@ class ValleyCut:
         check_between("min_depth", self.min_depth, 0.0, 1.0)
 
     def separate(self, scan: ArrayLike) -> tuple[PeakSegment, ...]:
-        """Take the peaks of one scan (P,) without background apart, from left to right."""
+        """Separate the peaks of one scan (P,) without background, from left to right."""
         values = as_scans(scan)
         level = self.level_fraction * max(float(values.max()), 0.0)
         return _cut(np.maximum(values - level, 0.0), self.min_depth)
@@ -75,7 +75,7 @@ class ValleyCut:
 
 @dataclass(frozen=True)
 class SlopeExtension:
-    """Peaks are cut at the valleys, and cut slopes continued to zero: c2 of Table 4.4.
+    """Peaks are cut at the valleys, and the cut slopes are continued to zero: c2 of Table 4.4.
 
     Steps (I) to (IV) are ValleyCut's; then (V) each side that ends at a valley above zero is
     continued by segments. With P the peak's values from the valley's pixel on, P_max its
@@ -119,7 +119,7 @@ class SlopeExtension:
         self._cut()
 
     def separate(self, scan: ArrayLike) -> tuple[PeakSegment, ...]:
-        """Take the peaks of one scan (P,) without background apart, from left to right."""
+        """Separate the peaks of one scan (P,) without background, from left to right."""
         return tuple(self._extend_sides(piece) for piece in self._cut().separate(scan))
 
     def _cut(self) -> ValleyCut:

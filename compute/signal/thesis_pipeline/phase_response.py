@@ -44,6 +44,10 @@ def linear_phase_slope(
 
     [B.13]: the line is fitted by least squares, its intercept free; the delay is its slope,
     with the sign that makes it positive for a filter that comes late.
+
+    Args:
+        response: complex response at angular frequencies [rad/px].
+        to_omega: highest angular frequency of the fit [rad/px].
     """
     omega = np.linspace(0.0, to_omega, _POINTS)
     phase = np.unwrap(np.angle(response(omega)))

@@ -1,4 +1,4 @@
-"""ChainResult: what a chain found, and the scans after each of its steps."""
+"""Result of the signal chain: peaks, and the scans after each step."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from compute.signal.thesis_pipeline.steps import Array
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Lines after one step.
+    """Scans after one step.
 
     Args:
         name: the step.
@@ -22,13 +22,13 @@ class Stage:
     """
 
     name: str
-    lines: Array
+    scans: Array
     shift_px: float
 
 
 @dataclass(frozen=True, eq=False)
 class ChainResult:
-    """Peaks of L scans, and how they came about.
+    """Peaks of L scans, and the intermediate results.
 
     Args:
         stages: from the given scans to those whose peaks were measured.
@@ -59,7 +59,7 @@ class ChainResult:
 
 @dataclass(frozen=True)
 class PipelinePeak:
-    """One peak on its way into a batch: the fields of PeakBatch."""
+    """One peak of a chain: the fields of PeakBatch."""
 
     position_px: float
     sigma_px: float

@@ -1,4 +1,4 @@
-"""SignalChain: from raw scans to positions as chapter 4 of the thesis does it, step by step."""
+"""The signal chain of chapter 4 of the thesis: from raw scans to positions."""
 
 from dataclasses import dataclass, replace
 from typing import Final, get_args

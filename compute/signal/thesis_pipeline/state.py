@@ -1,4 +1,4 @@
-"""Work: scans on their way through a chain, longer by what its filters delay them by."""
+"""State of a signal chain: scans after each step, and the delay so far."""
 
 from dataclasses import dataclass, field
 from math import ceil
@@ -13,7 +13,7 @@ from compute.signal.thesis_pipeline.steps import Array, ScanFilter, as_scans, ch
 
 @dataclass
 class PipelineState:
-    """Lines on their way.
+    """Scans on their way through the chain.
 
     Args:
         raw: as given, shape (L, P).
@@ -30,22 +30,33 @@ class PipelineState:
     @property
     def scans(self) -> Array:
         """The scans after the last step."""
-        return self.stages[-1].lines
+        return self.stages[-1].scans
 
     def add(self, name: str, scans: Array, shift_px: float = 0.0) -> None:
-        """Add what a step made of the scans, and by how much it moved them."""
+        """Add the scans that a step gives.
+
+        Args:
+            name: of the step.
+            scans: shape (L, P).
+            shift_px: shift to the right by the step [px].
+        """
         self.shift_px += shift_px
         self.stages.append(Stage(name, scans, self.shift_px))
 
     def filter(self, through: ScanFilter) -> None:
-        """Filter the scans, which get longer by the delay that is to be compensated."""
+        """Filter the scans, which grow by the delay that is compensated."""
         padding_px = _padding_px(through)
         longer = np.pad(self.scans, ((0, 0), (0, padding_px)), mode="edge")
         self.add("filtered", through.apply(longer), through.shift_px)
 
 
 def filter_adjoint(through: ScanFilter, weights: Array) -> Array:
-    """Carry derivatives by K filtered scans' pixels back to those before ``PipelineState.filter``."""
+    """Carry derivatives by filtered pixels back to the pixels before ``PipelineState.filter``.
+
+    Args:
+        through: the filter.
+        weights: shape (K, P).
+    """
     back = through.adjoint(weights)
     pixels = back.shape[-1] - _padding_px(through)
     result = back[:, :pixels].copy()
@@ -62,7 +73,7 @@ def _padding_px(through: ScanFilter) -> int:
 
 
 def average_scans(scans: ArrayLike, count: int) -> Array:
-    """Average every ``count`` scans that follow one another; the pixels' noise falls by sqrt.
+    """Average every ``count`` consecutive scans.
 
     Args:
         scans: shape (..., L, P).

@@ -1,4 +1,4 @@
-"""ScanFilter and Background: what a step of the chain must do, and checks of scans and settings."""
+"""Interfaces of the steps of a chain (filter, background), and checks of their settings."""
 
 from math import isfinite
 from typing import Final, Literal, Protocol, get_args
@@ -25,7 +25,7 @@ class ScanFilter(Protocol):
 
     @property
     def shift_px(self) -> float:
-        """By how much the filtered scan lies to the right of the light [px]."""
+        """Shift of the filtered scan to the right of the light [px]."""
         ...
 
     @property
@@ -35,7 +35,7 @@ class ScanFilter(Protocol):
 
     @property
     def reach_px(self) -> float:
-        """How near to an end the light must be for what lies beyond the scan to weigh in [px]."""
+        """Distance from an end within which pixels beyond it matter [px]."""
         ...
 
     def apply(self, scans: ArrayLike) -> Array:
@@ -55,7 +55,12 @@ class Background(Protocol):
         ...
 
     def adjoint(self, weights: Array, background_mask: NDArray[np.bool_]) -> Array:
-        """Carry derivatives by a scan less its background back to its pixels, shape (..., P)."""
+        """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
+
+        Args:
+            weights: derivatives by the scan less its background, shape (..., P).
+            background_mask: pixels that the background was taken from, same shape.
+        """
         ...
 
 
@@ -82,6 +87,12 @@ def as_scans(scans: ArrayLike) -> Array:
 def check_whole(name: str, value: int, minimum: int, maximum: int) -> None:
     """Refuse a number that is not whole or lies outside its range.
 
+    Args:
+        name: name of the value, for the message.
+        value: the number.
+        minimum: least value that is allowed.
+        maximum: greatest value that is allowed.
+
     Raises:
         InvalidParameter: with the value and the range.
     """
@@ -94,6 +105,12 @@ def check_whole(name: str, value: int, minimum: int, maximum: int) -> None:
 
 def check_between(name: str, value: float, minimum: float, maximum: float) -> None:
     """Refuse a number outside its range; the ends belong to it.
+
+    Args:
+        name: name of the value, for the message.
+        value: the number.
+        minimum: least value that is allowed.
+        maximum: greatest value that is allowed.
 
     Raises:
         InvalidParameter: with the value and the range.
@@ -121,7 +138,11 @@ def check_cutoff(cutoff: float) -> None:
 def check_compensation(
     value: Compensation, allowed: tuple[Compensation, ...] | None = None
 ) -> None:
-    """Refuse a compensation that there is not.
+    """Refuse an unknown compensation.
+
+    Args:
+        value: the compensation.
+        allowed: the known ones; None: all.
 
     Raises:
         InvalidParameter: with the value and those that there are.

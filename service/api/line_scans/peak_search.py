@@ -285,7 +285,7 @@ def _window(group: GroupFit) -> FitWindow:
 def _stages(result: ChainResult) -> list[Stage]:
     return [
         Stage(
-            name=stage.name, unit="counts", shift_px=stage.shift_px, values=stage.lines[0].tolist()
+            name=stage.name, unit="counts", shift_px=stage.shift_px, values=stage.scans[0].tolist()
         )
         for stage in result.stages
     ]

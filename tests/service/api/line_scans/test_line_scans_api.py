@@ -121,7 +121,7 @@ def test_the_chain_is_compute_s_step_by_step(sqlite_client: Any) -> None:
         assert names == ["raw", "filtered", "background", "subtracted"]
         for stage, ours in zip(found["stages"], result.stages, strict=True):
             # One line at a time rounds differently from all at once.
-            assert stage["values"] == pytest.approx(ours.lines[line], rel=1e-12, abs=1e-9)
+            assert stage["values"] == pytest.approx(ours.scans[line], rel=1e-12, abs=1e-9)
 
 
 def test_detections_are_compute_s(sqlite_client: Any) -> None:

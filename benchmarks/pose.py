@@ -1,4 +1,4 @@
-"""Poses of tools beside SciPy: ``python -m benchmarks.pose [--json]``.
+"""Benchmark of tool poses, beside SciPy: ``python -m benchmarks.pose [--json]``.
 
 Ten tools of four markers before four sensors, as a tracking server has them each frame:
 

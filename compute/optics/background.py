@@ -1,4 +1,4 @@
-"""Background: ambient light along a line, as mean electrons in each pixel of an exposure."""
+"""Ambient light along a row of pixels, as mean electrons of an exposure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class Background(Protocol):
-    """The shape of ambient light along a line."""
+    """Ambient light along a row of pixels."""
 
     def electrons(self, pixels: int) -> Array:
         """Return mean electrons, shape (pixels,); parts of a sum may be negative."""
@@ -22,7 +22,7 @@ class Background(Protocol):
 
 @dataclass(frozen=True)
 class ConstantBackground:
-    """The same in every pixel.
+    """The same level in every pixel.
 
     Args:
         level_electrons: mean electrons.
@@ -43,7 +43,7 @@ class ConstantBackground:
 
 @dataclass(frozen=True)
 class PolynomialBackground:
-    """A polynomial along the line, as the thesis takes off in section 4.4.
+    """A polynomial along the row, which the thesis subtracts in section 4.4.
 
     Args:
         coefficients_electrons: of the powers 0, 1, 2, ... of x, which is -1 at the first pixel
@@ -71,7 +71,7 @@ class PolynomialBackground:
 
 @dataclass(frozen=True)
 class BumpBackground:
-    """A Gaussian bump: a window, a lamp, the reflection of one.
+    """A Gaussian bump: a window, a lamp, a reflection.
 
     Args:
         centre_px: its place, on the line or beside it [px].
@@ -101,7 +101,7 @@ class BumpBackground:
 
 @dataclass(frozen=True)
 class SumBackground:
-    """Several backgrounds at once.
+    """Sum of several backgrounds.
 
     Args:
         parts: the backgrounds; none: no light.
@@ -119,6 +119,10 @@ class SumBackground:
 
 def background_scans(backgrounds: Sequence[Background], pixels: int) -> Array:
     """Return the backgrounds of S sensors as ``DetectorArray`` takes them, shape (S, pixels).
+
+    Args:
+        backgrounds: of the S sensors.
+        pixels: pixels of a row.
 
     Raises:
         InvalidParameter: a background that is negative somewhere on its line.

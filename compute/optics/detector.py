@@ -1,4 +1,4 @@
-"""The detector's parameters, and exposures of nominal pixels."""
+"""Detector parameters, and exposures of nominal pixels."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +19,7 @@ _FULL_SIGMA: Final = 4.0  # of the read noise, below the mean count of a full we
 
 @dataclass(frozen=True)
 class Detector:
-    """The pixels of a line sensor and their converter.
+    """Pixels of a line sensor and their analogue-to-digital converter.
 
     Light makes a Poisson number of electrons in a pixel, its mean the pixel's response times
     the light, plus the mean dark signal. A pixel holds at most the full well; of what is

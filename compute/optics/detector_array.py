@@ -1,4 +1,4 @@
-"""The detectors of a device: pixels that differ, light of the background, blooming."""
+"""Detectors of a device: fixed pattern, background light, blooming, noise."""
 
 from dataclasses import dataclass
 from typing import Final, Protocol
@@ -19,7 +19,7 @@ _RESPONSE, _DARK, _OFFSET = range(3)
 
 @dataclass(frozen=True, eq=False)
 class FixedPattern:
-    """The pixels of S sensors, as they were made.
+    """Fixed pattern of the pixels of S sensors: response, dark signal, offset.
 
     Args:
         response: electrons per electron of a nominal pixel, shape (S, P).

@@ -1,4 +1,4 @@
-"""Ideal cylindrical lenses: the perspective of the camera model, one width, light by distance."""
+"""Ideal cylindrical lenses: perspective projection, constant width, light by distance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class GaussianStripes:
-    """The light lines of N points on S sensors, each of a Gaussian shape along the pixels.
+    """Stripes of N points on S sensors, each of a Gaussian shape along the pixels.
 
     Args:
         position_px: centre of the line, shape (N, S) [px]; NaN where the sensor sees nothing.
@@ -30,10 +30,10 @@ class GaussianStripes:
 
 
 class StripeOptics(Protocol):
-    """What forms the light lines; ideal lenses today, traced ones behind the same door."""
+    """Interface of optics that image points as Gaussian stripes."""
 
     def stripes(self, points_mm: Array) -> GaussianStripes:
-        """Return the spots of points (N, 3) in the world frame [mm]."""
+        """Return the stripes of points (N, 3) in the world frame [mm]."""
         ...
 
 
@@ -83,7 +83,7 @@ class IdealOptics:
         self._reference_mm = reference_distance_mm
 
     def stripes(self, points_mm: NDArray[np.float64]) -> GaussianStripes:
-        """Return the spots of points (N, 3) in the world frame [mm].
+        """Return the stripes of points (N, 3) in the world frame [mm].
 
         A point in the lens's plane or behind it has the position NaN and no light.
         """

@@ -1,4 +1,4 @@
-"""PixelRow: the light-sensitive part of a line sensor."""
+"""Row of pixels of a line sensor."""
 
 from dataclasses import dataclass
 from typing import Final

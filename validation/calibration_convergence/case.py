@@ -1,4 +1,4 @@
-"""How often a calibration ends in the global minimum: random devices, noise and wrong starts."""
+"""Case calibration-convergence: share of calibrations that reach the global minimum."""
 
 from dataclasses import dataclass, replace
 from typing import Final

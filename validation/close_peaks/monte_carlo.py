@@ -1,4 +1,4 @@
-"""Two close peaks by the joint fit, the valley cut and slope extension: errors, by simulation."""
+"""Monte Carlo errors of two overlapping peaks by joint fit, valley cut and slope extension."""
 
 from dataclasses import dataclass
 from functools import cache

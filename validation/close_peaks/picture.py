@@ -1,4 +1,4 @@
-"""The picture of case close-peaks: three methods' errors by distance, and one line taken apart."""
+"""Figure of case close-peaks: errors of three methods by distance, and one fitted scan."""
 
 from pathlib import Path
 

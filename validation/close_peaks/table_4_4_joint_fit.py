@@ -1,4 +1,4 @@
-"""Table 4.4's six markers by the joint fit, beside valley cut and slope extension."""
+"""The six markers of Table 4.4 by joint fit, beside valley cut and slope extension."""
 
 from typing import Final
 

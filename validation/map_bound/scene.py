@@ -1,4 +1,4 @@
-"""The bar of Figure 5.2 with the stopped lens, exposed line by line: what its sensors read."""
+"""The bar of Figure 5.2 with the stopped-down lens: simulated scans and their readings."""
 
 from dataclasses import dataclass, replace
 from typing import Final

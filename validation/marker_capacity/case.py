@@ -1,4 +1,4 @@
-"""Case marker-capacity: how many markers can be lit at once before it is not clear who is who."""
+"""Case marker-capacity: number of simultaneous markers up to which correspondence holds."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Passive markers over a bright background: lines of light, and how often they are detected."""
+"""Detection rates of faint passive markers over a bright background."""
 
 from dataclasses import dataclass
 from functools import cache, lru_cache

@@ -1,4 +1,4 @@
-"""The picture of case passive-detection: operating curves, and what summing lines brings."""
+"""Figure of case passive-detection: operating curves, and the gain by summing scans."""
 
 from pathlib import Path
 from typing import Final

@@ -1,4 +1,4 @@
-"""The bias of the fit of one faint line by many lines, beside that which theory expects."""
+"""Bias of the fit of a faint peak: simulated, and as theory predicts."""
 
 from dataclasses import dataclass
 from functools import cache

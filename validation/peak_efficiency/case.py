@@ -1,4 +1,4 @@
-"""Case peak-efficiency: the fit and the centres of gravity beside the Cramer-Rao bound."""
+"""Case peak-efficiency: fit and centres of gravity beside the Cramer-Rao bound."""
 
 from collections.abc import Callable, Sequence
 from math import isnan

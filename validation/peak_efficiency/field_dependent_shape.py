@@ -1,4 +1,4 @@
-"""A line whose shape changes along the sensor, fitted by shapes from elsewhere: what that costs."""
+"""Errors of a fit where the line-spread function varies along the sensor."""
 
 from dataclasses import dataclass
 from functools import cache

@@ -1,4 +1,4 @@
-"""How near estimators of one line's position come to the Cramer-Rao bound, by simulation."""
+"""Monte Carlo errors of position estimators of one peak, relative to the Cramer-Rao bound."""
 
 from dataclasses import dataclass
 from functools import cache

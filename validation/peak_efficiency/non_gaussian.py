@@ -1,4 +1,4 @@
-"""Lines whose shape is no Gaussian, from the optics: fitted as Gaussians and by their own shape."""
+"""Non-Gaussian stripes from the optics, fitted as Gaussians and by their own shape."""
 
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""The Optotrak's sensors, what they read of a pointer, and how it is moved."""
+"""The Optotrak's sensors, a pointer, its motion and its readings."""
 
 from dataclasses import dataclass
 from functools import cache

@@ -1,4 +1,4 @@
-"""The thesis's methods as a running device follows markers by them, beside ours."""
+"""The thesis's trackers, exposure by exposure, beside the live tracker."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final

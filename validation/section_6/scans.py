@@ -1,4 +1,4 @@
-"""Line profiles of the bar's markers, and the peaks in them: by the thesis's chain, and fitted."""
+"""Simulated scans of the bar's markers, and their peaks by the thesis's chain and by fit."""
 
 from collections.abc import Sequence
 from typing import Final

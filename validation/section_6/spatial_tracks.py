@@ -1,4 +1,4 @@
-"""Our tracker on the readings of all sensors, and its tracks beside the markers."""
+"""Tracks in space, assigned to the true markers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

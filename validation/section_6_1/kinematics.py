@@ -1,4 +1,4 @@
-"""Section 6.1 in space, Figure 6.17: points by the tracked readings, filtered, and our tracks."""
+"""Kinematics of section 6.1 in space (Figure 6.17): differences, 8-state filter, our tracker."""
 
 from dataclasses import dataclass
 from functools import cache

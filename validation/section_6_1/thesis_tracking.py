@@ -1,4 +1,4 @@
-"""The thesis's way through section 6.1: subsets, pair tracking along each sensor, differences."""
+"""The thesis's method of section 6.1: subsets, pair tracking along each sensor, differences."""
 
 from dataclasses import dataclass
 from functools import cache

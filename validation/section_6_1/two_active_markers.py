@@ -1,4 +1,4 @@
-"""Case section-6.1: two active markers on the rotating bar, told apart through all crossings."""
+"""Case section-6.1: identity of two active markers on the rotating bar at crossings."""
 
 from functools import cache
 from typing import Final

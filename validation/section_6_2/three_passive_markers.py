@@ -1,4 +1,4 @@
-"""Case section-6.2: three faint passive markers on the bar, by the probabilistic model and ours."""
+"""Case section-6.2: three faint markers, by the probabilistic model and by our tracker."""
 
 from functools import cache
 from typing import Final

@@ -1,4 +1,4 @@
-"""How well tracks hold several markers: right, wrong, lost, exchanged, false."""
+"""Quality of tracks of several markers: right, wrong, lost, swapped, false."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass

@@ -1,4 +1,4 @@
-"""The linear resolution test of section 4.2.2 repeated: an LED moved before a camera's line."""
+"""Linear resolution test of section 4.2.2: an LED displaced before a camera."""
 
 from dataclasses import dataclass
 from typing import Final

@@ -1,4 +1,4 @@
-"""Table 4.5: the peaks of Tests 4.1 and 4.2, by the thesis's chain from simulated lines."""
+"""Table 4.5: peaks of Tests 4.1 and 4.2 by the thesis's chain from simulated scans."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Tables C.1 to C.4: slope, scatter, shift and order by every filter, and what filters move."""
+"""Tables C.1 to C.4: slope, scatter, shift and order of positions by every filter."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

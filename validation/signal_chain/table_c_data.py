@@ -1,4 +1,4 @@
-"""Tables C.1 to C.4: positions of one LED by thirteen filters, read from their CSV file."""
+"""Data of Tables C.1 to C.4: positions of one LED by thirteen filters."""
 
 import csv
 from dataclasses import dataclass

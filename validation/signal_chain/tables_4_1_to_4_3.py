@@ -1,4 +1,4 @@
-"""Tables 4.1 to 4.3: ten positions 0.1 mm apart, and how many come out in order."""
+"""Tables 4.1 to 4.3: order of ten positions 0.1 mm apart, by every filter."""
 
 from dataclasses import dataclass
 from functools import cache, partial

@@ -1,4 +1,4 @@
-"""What a stop and a focus do to light lines: width, lopsidedness, light, bound, distortion."""
+"""Quality of stripes by stop and focus: width, skewness, light, bound, distortion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

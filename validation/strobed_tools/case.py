@@ -1,4 +1,4 @@
-"""Case strobed-tools: tools whose markers are lit one by one, at rest and moved, slow and fast."""
+"""Case strobed-tools: pose errors of tools with strobed markers, at rest and in motion."""
 
 from dataclasses import dataclass
 from typing import Final

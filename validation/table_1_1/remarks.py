@@ -1,4 +1,4 @@
-"""Table 1.1: what the sources say of a device's figures, beside figures of its plan."""
+"""Remarks to Table 1.1: the sources' figures of a device beside those of its plan."""
 
 from collections.abc import Callable, Mapping
 from typing import Final

@@ -1,4 +1,4 @@
-"""Tables 5.10 to 5.14: the thesis's optimisation of eleven coefficients, run again."""
+"""Tables 5.10 to 5.14: the thesis's optimisation of eleven coefficients, repeated."""
 
 from collections.abc import Callable
 from typing import Final

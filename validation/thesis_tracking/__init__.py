@@ -1,1 +1,1 @@
-"""The thesis's own tracking, chapter 6: one-dimensional, probabilistic, and the 8-state model."""
+"""Trackers of chapter 6 of the thesis: window, probabilistic and 8-state, for comparison."""

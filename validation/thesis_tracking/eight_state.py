@@ -1,4 +1,4 @@
-"""The 8-state model of [6.11], and its Kalman filter over points in space; section 6.3."""
+"""8-state model of [6.11] with its Kalman filter over points in space; section 6.3."""
 
 from dataclasses import dataclass, replace
 from math import isfinite

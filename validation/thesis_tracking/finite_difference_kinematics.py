@@ -1,4 +1,4 @@
-"""FiniteDifferenceKinematics: velocity and acceleration of a marker by differences of its last three points."""
+"""Velocity and acceleration of a marker by differences of its last three points."""
 
 from collections import deque
 from typing import Final

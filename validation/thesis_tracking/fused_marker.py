@@ -1,4 +1,4 @@
-"""FusedMarker: a marker in space, by its tracks along the sensors."""
+"""Marker in space, fused from its tracks along the sensors."""
 
 import numpy as np
 from numpy.typing import NDArray

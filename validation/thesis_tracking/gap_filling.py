@@ -1,4 +1,4 @@
-"""Missing points of a subset, made up from the points before them: section 6.1.3."""
+"""Extrapolation of missing points of a subset, section 6.1.3."""
 
 from dataclasses import dataclass
 

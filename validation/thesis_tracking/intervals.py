@@ -1,4 +1,4 @@
-"""Where a target may be in the next scan: the intervals of [6.7] and [6.8], section 6.2.2."""
+"""Prediction intervals of a target in the next scan, [6.7] and [6.8], section 6.2.2."""
 
 from dataclasses import dataclass
 from math import isfinite

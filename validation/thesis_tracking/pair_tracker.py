@@ -1,4 +1,4 @@
-"""PairTracker: two targets along one sensor, scan by scan; the steps of section 6.1.3."""
+"""Tracking of two targets along one sensor, scan by scan, section 6.1.3."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""PairTracking: two targets told apart along one sensor by their velocity; section 6.1.3."""
+"""Tracking of two targets along one sensor over a recording, section 6.1.3."""
 
 from dataclasses import dataclass
 from math import isfinite

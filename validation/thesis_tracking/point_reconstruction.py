@@ -1,4 +1,4 @@
-"""SpacePoints: points in space of equal tracks' readings, and whether the sensors agree."""
+"""Points in space from the readings of tracks, with a consistency test."""
 
 from dataclasses import dataclass
 from typing import Final

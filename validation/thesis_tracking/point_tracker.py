@@ -1,4 +1,4 @@
-"""PointTracker: markers lit together, tracked in space by the 8-state model [6.11]."""
+"""Tracker of markers in space by the 8-state model [6.11]."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

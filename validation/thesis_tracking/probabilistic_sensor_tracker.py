@@ -1,4 +1,4 @@
-"""ProbabilisticSensorTracker: the model of section 6.2.2 on one sensor of a running device."""
+"""Probabilistic tracker of section 6.2.2 on one sensor, exposure by exposure."""
 
 from collections.abc import Sequence
 

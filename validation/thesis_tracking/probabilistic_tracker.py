@@ -1,4 +1,4 @@
-"""ProbabilisticTracker: targets of one sensor associated with tracks, thesis 6.2.2."""
+"""Probabilistic association of targets with tracks along one sensor, section 6.2.2."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""QuadraticWindow: a parabola through the last points of a track, section 6.1.3."""
+"""Quadratic window: a parabola through the last points of a track, section 6.1.3."""
 
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,4 +1,4 @@
-"""ScanClock: the sampling period, and how many scans have gone by, from exposure times."""
+"""Sampling period and scan count from exposure times."""
 
 from statistics import median
 from typing import Final

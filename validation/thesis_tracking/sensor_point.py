@@ -1,4 +1,4 @@
-"""SensorPoint: where a track along a sensor is in one scan; SensorTracker: what makes tracks."""
+"""Position of a track along a sensor in one scan, and the interface of sensor trackers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

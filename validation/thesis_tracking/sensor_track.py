@@ -1,4 +1,4 @@
-"""SensorTrack: a target's positions along one sensor, scan by scan, and how its track ended."""
+"""Track of a target along one sensor, and the reason of its end."""
 
 from dataclasses import dataclass
 from enum import Enum

@@ -1,4 +1,4 @@
-"""ThesisSettings: which of the thesis's methods follows markers, and what it is told."""
+"""Settings of the thesis's trackers."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -23,7 +23,7 @@ MAX_TARGETS: Final = 2
 
 @dataclass(frozen=True)
 class ThesisSettings:
-    """A method of the thesis's chapter 6 and its parameters.
+    """A method of chapter 6 of the thesis and its parameters.
 
     The text has hardly a number; what stands here in its place is for hand-held markers before
     sensors of 2048 pixels. Velocities along the sensors are what counts: look at them first.

@@ -1,4 +1,4 @@
-"""SlotTracker: markers that are lit together, or the one of a strobe slot, by one of the methods."""
+"""Interface of a tracker of one strobe slot, or of all markers that are lit together."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""Positions of two targets put into two subsets in the order of their detection: section 6.1.2."""
+"""Subsets of the positions of two targets in the order of their detection, section 6.1.2."""
 
 from typing import Literal, get_args
 

@@ -1,4 +1,4 @@
-"""ThesisTracker: the methods of the thesis's chapter 6 on a running device, as Tracker is ours."""
+"""The thesis's trackers with the interface of ``Tracker``, exposure by exposure."""
 
 from itertools import count
 
@@ -28,7 +28,7 @@ _ALL_LIT = -1
 
 
 class ThesisTracker:
-    """Follows markers by a method of the thesis, exposure by exposure, in place of ``Tracker``.
+    """Tracks markers by a method of the thesis, with the interface of ``Tracker``.
 
     - "window" and "probabilistic": tracks along each sensor, then points of equal tracks
       (``SensorTrackFusion``). Velocity and acceleration are differences of the points

@@ -1,4 +1,4 @@
-"""TrackPairs: what pairs of tracks did over the last scans, by their exchange probability."""
+"""Pairs of tracks over the last scans, with their swap probability."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

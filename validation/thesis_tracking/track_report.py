@@ -1,4 +1,4 @@
-"""Reported: one marker of the thesis's methods as a track of a TrackBatch."""
+"""A marker of the thesis's trackers as a track of a TrackBatch."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

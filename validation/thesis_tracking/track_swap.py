@@ -1,4 +1,4 @@
-"""How likely two targets exchange their tracks, [6.9] and [6.10], and what follows from it."""
+"""Probability that two targets swap their tracks, [6.9] and [6.10]."""
 
 from collections.abc import Sequence
 from enum import Enum

@@ -1,4 +1,4 @@
-"""WindowSensorTracker: section 6.1.3 on one sensor of a running device, one target or two."""
+"""Window tracker of section 6.1.3 on one sensor, exposure by exposure."""
 
 from collections.abc import Sequence
 

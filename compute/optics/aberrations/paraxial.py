@@ -1,4 +1,4 @@
-"""Paraxial optics of a centred stack: y-nu traces, cardinal points, images and pupils."""
+"""Paraxial optics of a centred system: y-nu ray trace, focal length, images, pupils."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -15,7 +15,7 @@ Meridian = Literal["x", "y"]
 
 @dataclass(frozen=True, eq=False)
 class ParaxialSystem:
-    """A centred stack in one meridian: S surfaces, their powers and the gaps between them.
+    """Centred system in one meridian: S surfaces, their curvatures and the media between them.
 
     Args:
         curvature_per_mm: of each surface, shape (S,) [1/mm].

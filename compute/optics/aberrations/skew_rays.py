@@ -1,4 +1,4 @@
-"""Skew rays through cylinders: the problem in the plane, with steeper glass.
+"""Skew rays through cylinders, reduced to a plane with a larger effective index.
 
 At a surface whose normal lies in the x-z plane, Snell's law in vectors, ``n' s' - n s = g N``,
 leaves the y component of ``n s`` as it is. A stack of planes and cylinders along y has only such

@@ -1,4 +1,4 @@
-"""CodedWindow: a flat window with a bar code before a line sensor, as CODA's."""
+"""Coded window: a flat plate with a bar code before a line sensor, as in CODA."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""Decoding of a coded shadow by cross-correlation with the model of the mask, and that model."""
+"""Decoding of a coded shadow by cross-correlation with a template."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MaskShift:
-    """Where a template was found in lines; arrays of the lines' leading shape.
+    """Shifts of a template in scans; arrays of the scans' leading shape.
 
     Args:
         shift_px: pixel of the line on which the template's first one lies [px].

@@ -1,4 +1,4 @@
-"""DiffractedShadow: the shadow of a coded mask with its fringes, from a table."""
+"""Shadow of a coded mask with Fresnel diffraction, from a table."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +109,14 @@ class DiffractedShadow:
     def mean_transmission(
         self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
     ) -> Array:
-        """Return the light on stretches relative to that without a mask; see ``Shadow``."""
+        """Return the light on stretches relative to that without a mask; see ``Shadow``.
+
+        Args:
+            centre_mm: as of ``Shadow``.
+            width_mm: as of ``Shadow``.
+            blur_mm: as of ``Shadow``.
+            curvature_per_mm: as of ``Shadow``.
+        """
         # Beyond the grid is frame, and the fringes there are too faint to count.
         half = self._count * self._step_mm / 2.0
         inside = abs(centre_mm - self._start_mm - half) < half - width_mm - blur_mm

@@ -101,7 +101,7 @@ class TrackOptics:
         self._passes = np.pad(self._passes, ((1, 1), (0, 0)))
 
     def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
-        """Return the solid angles of points (N, 3) in the world frame [mm]; pixels are detectors."""
+        """Return the solid angles of points (N, 3) [mm]; the pixels are the detectors."""
         stripes = self._stripes.solid_angles(points_mm)
         window = stripes.solid_angle_sr.shape[2]
         step = stripes.first_px[..., None] + np.arange(window)

@@ -1,4 +1,4 @@
-"""MaskOptics: the light that coded windows let through to placed line sensors."""
+"""Light that coded windows let through to the pixels of placed line sensors."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""The way of light through a coded window: which point of the mask shades which pixel."""
+"""Refraction in a coded window: the point of the mask that shades a pixel."""
 
 from dataclasses import dataclass
 

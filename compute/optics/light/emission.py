@@ -1,4 +1,4 @@
-"""Angular emission: how the radiant intensity of a source falls off its axis."""
+"""Angular emission of a light source."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class AngularEmission(Protocol):
-    """The pattern of a source of rotational symmetry; 1 on the axis, 0 behind it."""
+    """Pattern of a rotationally symmetric source; 1 on the axis, 0 behind it."""
 
     def relative(self, cosine: Array) -> Array:
         """Return the intensity by that on the axis at cosines of the angle to it, any shape."""
@@ -26,7 +26,7 @@ class AngularEmission(Protocol):
 
 @dataclass(frozen=True)
 class CosinePower:
-    """The generalised Lambertian pattern ``cos^m``, from the angle of half the intensity.
+    """Generalised Lambertian pattern ``cos^m``, given by its half-intensity angle.
 
     ``m = -ln 2 / ln cos(half angle)``; 60 degrees give Lambert's m = 1.
 
@@ -64,7 +64,7 @@ class CosinePower:
 
 @dataclass(frozen=True)
 class TabulatedEmission:
-    """A measured pattern, linear between its angles.
+    """Measured pattern, linear between its angles.
 
     Args:
         angles_rad: ascending, the first 0, the last at most pi/2 [rad]; dark beyond the last.

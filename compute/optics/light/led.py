@@ -1,4 +1,4 @@
-"""Led: an active marker, a light emitting diode."""
+"""Light-emitting diode as an active marker."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Led:
-    """A light emitting diode that is lit in an exposure, wholly or by a pulse.
+    """Light-emitting diode that is lit during an exposure, wholly or by a pulse.
 
     Section 4.3 of the thesis says how narrow its emission makes its use, section 4.4 that
     pulses of a higher current raise the signal.
@@ -62,9 +62,15 @@ class Led:
     def photons_per_sr(
         self, points_mm: Array, facing: Array | None, lens_positions_mm: Array, exposure_s: float
     ) -> Array:
-        """Return the photons towards each lens, shape (N, S) [1/sr], as ``LightSource`` says.
+        """Return the photons towards each lens, shape (N, S) [1/sr]; see ``LightSource``.
 
         The light per steradian is the same at every distance.
+
+        Args:
+            points_mm: positions of N markers in the world, shape (N, 3) [mm].
+            facing: directions in which they face, shape (N, 3); None: towards each lens.
+            lens_positions_mm: centres of S lenses, shape (S, 3) [mm].
+            exposure_s: length of the exposure [s].
         """
         check_exposure(exposure_s)
         lit_s = exposure_s if self.pulse_s is None else min(self.pulse_s, exposure_s)

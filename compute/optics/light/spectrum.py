@@ -1,4 +1,4 @@
-"""Spectra, filter and quantum efficiency: what of the light makes electrons."""
+"""Spectra, band-pass filter and quantum efficiency: photoelectrons of the light."""
 
 from dataclasses import dataclass
 from typing import Final, Protocol
@@ -18,7 +18,7 @@ _REACH_FWHM: Final = 2.5  # of a Gaussian, 4e-9 lie farther out
 
 @dataclass(frozen=True)
 class LineSpectrum:
-    """The Gaussian spectrum of an LED.
+    """Gaussian spectrum of an LED.
 
     Args:
         wavelength_nm: its mean [nm].
@@ -44,7 +44,7 @@ class LineSpectrum:
 
 @dataclass(frozen=True)
 class BandpassFilter:
-    """An interference filter with a flat top.
+    """Interference filter with a flat top.
 
     ``T = blocking + (peak - blocking) 2^-(2 (wavelength - centre) / width)^4``, the fourth power
     as of two cavities. Its shift with the angle of the light is left out.
@@ -83,7 +83,7 @@ class BandpassFilter:
 
 @dataclass(frozen=True)
 class QuantumEfficiency:
-    """Electrons per photon by wavelength, linear between the given ones and zero outside.
+    """Quantum efficiency by wavelength, linear between its nodes and zero outside.
 
     Args:
         wavelengths_nm: ascending, two or more [nm].
@@ -122,7 +122,13 @@ class QuantumEfficiency:
 def electrons_per_photon(
     spectrum: LineSpectrum, efficiency: QuantumEfficiency, bandpass: BandpassFilter | None = None
 ) -> float:
-    """Return the electrons that a photon of a spectrum makes on average behind a filter."""
+    """Return the mean number of electrons per photon of a spectrum behind a filter.
+
+    Args:
+        spectrum: of the light.
+        efficiency: of the sensor.
+        bandpass: filter before it; None: none.
+    """
     wavelength, share = spectrum.nodes()
     passed = share * efficiency.at(wavelength)
     if bandpass is not None:
@@ -140,12 +146,16 @@ def photoelectrons_per_sr(
     efficiency: QuantumEfficiency,
     bandpass: BandpassFilter | None = None,
 ) -> Array:
-    """Return the electrons that markers' light can make in an exposure, per steradian.
+    """Return the photoelectrons per steradian of markers in an exposure.
 
     Times the effective solid angle of a pixel, it is the mean of the pixel's electrons.
 
     Args:
-        source: the markers' light; points, facing, lenses and exposure as it says.
+        source: the markers' light.
+        points_mm: positions of N markers, shape (N, 3) [mm].
+        facing: directions in which they face, shape (N, 3); None: towards each lens.
+        lens_positions_mm: centres of S lenses, shape (S, 3) [mm].
+        exposure_s: length of the exposure [s].
         efficiency: of the sensor.
         bandpass: the filter before it; None: none.
 

@@ -1,4 +1,4 @@
-"""A profile's tables to its dataclasses; whatever is wrong is named by its dotted path."""
+"""Deserialisation of a profile to dataclasses; errors name the dotted path."""
 
 import dataclasses
 import types
@@ -34,7 +34,7 @@ KINDS: Final[dict[type, str]] = {
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong in a profile.
+    """One error in a profile.
 
     Args:
         path: dotted path of the field.
@@ -57,7 +57,7 @@ class _InvalidField(Exception):
 
 @dataclass
 class ProfileDeserialiser:
-    """Builds values of types from parsed text, and collects what is wrong instead of stopping.
+    """Builds typed values from parsed TOML, and collects all errors.
 
     A field whose name ends in a unit (``radius_mm``) is written without it (``radius``), as text
     with any unit of that kind ("16.54 mm"); the other numbers are written as numbers.
@@ -67,6 +67,12 @@ class ProfileDeserialiser:
 
     def build(self, expected: Any, value: object, path: str, unit: Unit | None = None) -> Any:
         """Return ``value`` as ``wanted``, a type or a union or tuple of types.
+
+        Args:
+            expected: a type, or a union or tuple of types.
+            value: the parsed value.
+            path: its dotted path in the profile.
+            unit: unit of the field's name; None: no quantity.
 
         Raises:
             _Wrong: it cannot be one; ``problems`` says why.
@@ -228,7 +234,12 @@ def build_profile(document: Mapping[str, object]) -> tuple[DeviceProfile | None,
 
 
 def join(path: str, key: str) -> str:
-    """Return the path of a key in the table at ``path``."""
+    """Return the dotted path of a key in a table.
+
+    Args:
+        path: of the table; empty for the profile itself.
+        key: in the table.
+    """
     return f"{path}.{key}" if path else key
 
 

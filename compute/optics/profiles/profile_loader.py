@@ -1,4 +1,4 @@
-"""Reads profiles: the built-in ones by name, a user's own by path."""
+"""Loading of profiles: built-in ones by name, others by path."""
 
 import re
 import tomllib

@@ -1,4 +1,4 @@
-"""What a profile describes, built: its sensors' optics and its markers' light."""
+"""Optics, markers and shadow templates that a profile describes."""
 
 from collections.abc import Sequence
 from typing import Final, Literal, get_args
@@ -62,7 +62,11 @@ def gray_plate(profile: DeviceProfile) -> GrayPlate | None:
 
 
 def lens_sensors(profile: DeviceProfile, row: PixelRow) -> tuple[OpticalSensor, ...]:
-    """Return the sensors of a profile with lenses, placed.
+    """Return the placed sensors of a profile with lenses.
+
+    Args:
+        profile: the device.
+        row: the row of pixels of every sensor.
 
     Raises:
         InvalidParameter: a sensor has a coded window.
@@ -82,6 +86,10 @@ def lens_sensors(profile: DeviceProfile, row: PixelRow) -> tuple[OpticalSensor, 
 
 def mask_optics(profile: DeviceProfile, source: LightSource) -> MaskOptics | None:
     """Return the optics of a profile with coded windows; None: it has none.
+
+    Args:
+        profile: the device.
+        source: the markers' light.
 
     Raises:
         InvalidParameter: some sensors have a window and others not, or other windows.
@@ -162,7 +170,12 @@ def _assembly(profile: DeviceProfile, name: str) -> Assembly:
 
 
 def profile_field(profile: DeviceProfile, sensors: Sequence[OpticalSensor]) -> FieldOfView:
-    """Return the part of the sensors' fields of view that holds the whole working volume."""
+    """Return the part of the sensors' fields of view that holds the whole working volume.
+
+    Args:
+        profile: the device.
+        sensors: its sensors, placed.
+    """
     centre, half = np.array(profile.volume.centre_mm), np.array(profile.volume.size_mm) / 2.0
     signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), axis=-1)
     corners = centre + half * signs.reshape(-1, 3)

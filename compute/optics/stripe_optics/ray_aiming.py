@@ -1,4 +1,4 @@
-"""Rays from points of light to a row of pixels: which reach it, where, with how much light.
+"""Ray aiming: rays from points through the optics to heights on a row of pixels.
 
 A cylindrical lens draws a point out into a line, and the row of pixels meets that line at one
 place only. Of all rays of a point, those that end on the row form a fan, one ray for each place
@@ -72,7 +72,7 @@ class RayFans:
 
 
 class RayAimer:
-    """Aims rays of points at a row behind an assembly.
+    """Aims rays from points at a row of pixels behind an assembly.
 
     Args:
         assembly: the optics.
@@ -108,7 +108,13 @@ class RayAimer:
         self._coarse = int(np.clip(2 * steps + 1, _COARSE, _MOST_COARSE))
 
     def fans(self, points_mm: Array, heights_mm: Array, samples: int) -> RayFans:
-        """Return the fans of points (N, 3) [mm] in the optics' frame to heights (T,) [mm]."""
+        """Return the ray fans of points in the optics' frame.
+
+        Args:
+            points_mm: shape (N, 3) [mm].
+            heights_mm: heights on the row of pixels, shape (T,) [mm].
+            samples: M, the rays of each fan.
+        """
         shape = (len(points_mm), len(heights_mm), samples)
         source = np.repeat(points_mm, len(heights_mm), axis=0)
         height = np.tile(heights_mm, len(points_mm))

@@ -1,4 +1,4 @@
-"""Shapes of light lines: rays gathered on a fine grid, blurred by emitter and diffraction."""
+"""Profiles of stripes on a sub-pixel grid: traced rays, blurred by emitter and diffraction."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ _BLOCK: Final = 4_000_000  # grid cells worked on at once
 
 @dataclass(frozen=True, eq=False)
 class StripeProfiles:
-    """N light lines on the fine grid, in readings.
+    """N stripes on the sub-pixel grid, in readings.
 
     A line of which any light falls within 64 px of the row is whole, but for what falls farther
     beside the row than the row is long; any other line is dark. Cell k of line n covers
@@ -71,7 +71,7 @@ class StripeProfiles:
 
 @dataclass(frozen=True)
 class Blur:
-    """What widens a line beyond its rays.
+    """Blur of a stripe beyond geometrical optics: emitter width and diffraction.
 
     Args:
         wavelength_nm: wavelength, for the diffraction at the pupil [nm]; None: none.
@@ -156,11 +156,15 @@ def merge_profiles(
 
 
 def spline_error_px(rays: RayFans, row: PixelRow) -> Array:
-    """Return about how far a spline through the rays' places is off, shape (N,) [px].
+    """Return an estimate of the error of a spline through the rays' positions, shape (N,) [px].
 
     A spline through every second ray misses those between by sixteen times as much as one
     through all misses what lies between them. Infinite where rays are lost inside of a fan;
     zero for a dark line.
+
+    Args:
+        rays: the ray fans of N points.
+        row: the pixels.
     """
     places = np.linspace(0.0, 1.0, rays.position_mm.shape[2])
     position = rays.position_mm / row.pitch_mm

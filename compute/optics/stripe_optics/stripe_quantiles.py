@@ -1,4 +1,4 @@
-"""Quantiles of light lines: the readings below which given shares of the light lie."""
+"""Quantiles of stripes: the readings below which given shares of the light lie."""
 
 from typing import Final
 
@@ -18,7 +18,7 @@ _OVERLAP_PX: Final = 2  # pixels of a window beyond the line's ends
 
 
 def quantiles(lines: StripeProfiles) -> Array:
-    """Return the readings below which the QUANTILE_LEVELS of each line's light lie, shape (N, K) [px].
+    """Return the readings below which the QUANTILE_LEVELS of the light lie, shape (N, K) [px].
 
     The two ends are set so that each outermost piece has its own centre of gravity, and all are
     shifted together by what the pieces between, taken as even, lack of the whole line's; so the

@@ -1,4 +1,4 @@
-"""ExactOptics: the light lines of points on real sensors, every ray traced."""
+"""Optics of placed sensors by exact ray traces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ _PITCHES_BY_NODE: Final = 8.0  # height of a pixel for which one more node is ne
 
 @dataclass(frozen=True)
 class RaySampling:
-    """How finely a line is traced.
+    """Sampling of a stripe by rays.
 
     Args:
         rays: rays of a fan to begin with, odd and at least 9; more are traced, four times as
@@ -65,7 +65,7 @@ class RaySampling:
 
 
 class TracedStripes:
-    """The light lines of one kind of sensor, for points in its own frame.
+    """Traced stripes of one kind of sensor, for points in its own frame.
 
     Args:
         assembly: the optics.
@@ -147,7 +147,7 @@ class TracedStripes:
 
 
 class ExactOptics:
-    """The optics of S sensors, every ray of every point traced: slow, and as exact as rays are.
+    """Optics of S sensors, every ray of every point traced: slow and exact.
 
     Args:
         sensors: the sensors, in the device's order.

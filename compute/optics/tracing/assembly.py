@@ -1,4 +1,4 @@
-"""Assembly: what stands before a line sensor, and where the sensor is."""
+"""Assembly of lenses and stops before a line sensor."""
 
 from dataclasses import dataclass, field
 

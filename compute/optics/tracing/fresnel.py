@@ -1,4 +1,4 @@
-"""Fresnel's equations: the shares of light that a bare surface reflects and lets through."""
+"""Fresnel equations: reflectance and transmittance of a bare surface."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""The native source of the ray kernel: one ray through all surfaces, in C++ for the CPU and CUDA.
+"""C++ source of the ray kernel: one ray through all surfaces, for the CPU and CUDA.
 
 The same operations in the same order as ``intersection`` and ``trace``, which explain them: with
 no fused multiply-adds all three give the same numbers. It is native, because a surface is one

@@ -261,7 +261,8 @@ def _findings() -> tuple[str, ...]:
             "of the frame at 1 m, before the cameras that Test 5.4 calibrates (those of Table "
             '5.10, "Table 5.8" in the text, would not see it); lines with deviations of '
             f"{WIDE_PX:g} px (section 4.1) and {NARROW_PX:g} px; {NOISE_COUNTS:g} counts of noise "
-            f"in 8 bits; {MISSED:.0%} of the peaks missed; exposures {1e3 * TIMING_SIGMA_S:g} ms about "
+            f"in 8 bits; {MISSED:.0%} of the peaks missed; exposures "
+            f"{1e3 * TIMING_SIGMA_S:g} ms about "
             f"their places; the velocity limit {LIMIT_SHARE:g} of the greatest velocity. 350 "
             "frames are 300 of turning and 25 of rest at either end; figures are of the frames of "
             "even turning, for at rest sensor 1 sees the markers one behind the other."

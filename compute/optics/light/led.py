@@ -1,7 +1,6 @@
 """Light-emitting diode as an active marker."""
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray

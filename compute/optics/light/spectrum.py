@@ -1,11 +1,10 @@
 """Spectra, band-pass filter and quantum efficiency: photoelectrons of the light."""
 
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.constants import c, h, k
 
 from compute.errors import InvalidParameter
 from compute.optics.light.light_source import LightSource

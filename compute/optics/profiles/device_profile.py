@@ -156,10 +156,11 @@ class DeviceProfile:
     @property
     def limitations(self) -> tuple[str, ...]:
         """What a device of this profile cannot do here, one sentence each."""
-        if any(isinstance(one, PlateOptics) for one in self.optics.values()):
-            return (
-                "The outputs of the Gray tracks are simulated and not decoded: a device of this "
-                "profile streams frames without peaks, points, tracks or tools, and cannot be "
-                "calibrated.",
-            )
-        return ()
+        if not any(isinstance(one, PlateOptics) for one in self.optics.values()):
+            return ()
+        sentence = (
+            "The outputs of the Gray tracks are simulated and not decoded: a device of this "
+            "profile streams frames without peaks, points, tracks or tools, and cannot be "
+            "calibrated."
+        )
+        return (sentence,)

@@ -53,7 +53,8 @@ class RaySampling:
             )
         if self.max_rays < self.rays or self.max_rays % 2 == 0:
             raise InvalidParameter(
-                f"max_rays is {self.max_rays}; it must be odd, and at least {self.rays}, the rays to "
+                f"max_rays is {self.max_rays}; it must be odd, and at least {self.rays}, "
+                "the rays to "
                 "begin with",
                 max_rays=self.max_rays,
             )

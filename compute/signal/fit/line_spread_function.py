@@ -51,7 +51,8 @@ class LineSpreadFunction:
         shape = self.cumulative.shape
         if len(shape) != 3 or shape[2] < 2 or 0 in shape or self.density.shape != shape:
             raise InvalidParameter(
-                f"edge has the shape {shape} and slope {self.density.shape}; both must be (S, N, T) "
+                f"edge has the shape {shape} and slope {self.density.shape}; both must be "
+                "(S, N, T) "
                 "with two places or more",
                 cumulative=shape,
                 density=self.density.shape,

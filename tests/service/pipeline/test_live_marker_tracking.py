@@ -150,9 +150,7 @@ def test_a_change_of_the_motion_model_starts_new_tracks() -> None:
     assert last == ends_at(batches[-1:], SLOW)[0]
 
 
-def test_a_recording_is_tracked_again_with_the_settings_given(
-    taken: Taken, tmp_path: Path
-) -> None:
+def test_a_recording_is_tracked_again_with_the_settings_given(taken: Taken, tmp_path: Path) -> None:
     """As live, bit by bit; and otherwise than by default, or nothing would be shown."""
     how = Tracking(motion="velocity")
     processor = FrameProcessor("sim", taken.description, "cpu")
@@ -198,8 +196,7 @@ def test_a_running_device_takes_another_motion_model_and_streams_both_ends(serve
             # This model has no acceleration.
             tracks = frame["tracks"]
             return len(tracks) == 2 and all(
-                track["id"] > highest and track["acceleration_mm_s2"] is None
-                for track in tracks
+                track["id"] > highest and track["acceleration_mm_s2"] is None for track in tracks
             )
 
         first = next_frame(socket, by_velocity)

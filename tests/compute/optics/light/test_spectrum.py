@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.constants import c, h, k
 
 from compute.errors import InvalidParameter
 from compute.optics.light.emission import CosinePower

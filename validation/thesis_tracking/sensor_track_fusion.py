@@ -1,15 +1,19 @@
 """Fusion of tracks along the sensors to markers in space."""
 
 from collections.abc import Callable
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.reconstruction.triangulation import chi2_limit
 from compute.tracking.measurements import Measurements
 from compute.tracking.track_batch import TrackFlag
-from validation.thesis_tracking.fused_marker import FusedMarker
+from validation.thesis_tracking.fused_marker import (
+    FusedMarker,
+    deviation_of,
+    nearest_marker,
+    predicted_positions,
+    track_readings,
+)
 from validation.thesis_tracking.point_reconstruction import SolvedPoints, SpacePoints
 from validation.thesis_tracking.scan_clock import ScanClock
 from validation.thesis_tracking.sensor_point import SensorPoint, SensorTracker
@@ -24,11 +28,6 @@ from validation.thesis_tracking.track_report import TrackReport
 
 Array = NDArray[np.float64]
 Running = list[dict[int, SensorPoint]]
-
-GATE_EXCLUSION_PROBABILITY: Final = 1e-5
-"""Chance that a marker's own point lies outside its gate."""
-SHARED_PX: Final = 4.0
-"""A point that is two tracks' lies anywhere between two targets that are this near."""
 
 
 class SensorTrackFusion(SlotTracker):
@@ -113,9 +112,9 @@ class SensorTrackFusion(SlotTracker):
         if not self._markers:
             return {}, {}
         points = {one.identity: one.points(current_points) for one in self._markers}
-        rows = [self._readings(points[one.identity], deviation) for one in self._markers]
+        rows = [track_readings(points[one.identity], deviation) for one in self._markers]
         readings, sigma = (np.stack(part) for part in zip(*rows, strict=True))
-        place, covariance = self._places(self._markers, time_ns)
+        place, covariance = predicted_positions(self._markers, time_ns)
         young = np.array([not one.kinematics.is_complete for one in self._markers])
         place[young] = np.nan
         solved = self.space.solve(readings, sigma, place, covariance)
@@ -162,26 +161,6 @@ class SensorTrackFusion(SlotTracker):
         if sum(seen) >= MIN_AGREEING_SENSORS:
             marker.exposures_to_confirm = max(marker.exposures_to_confirm - 1, 0)
 
-    @staticmethod
-    def _readings(points: list[SensorPoint | None], deviation: Array) -> tuple[Array, Array]:
-        """Return readings and standard deviations of a marker's tracks, (S,); NaN: none."""
-        readings, sigma = np.full((2, len(points)), np.nan)
-        seen = sum(one is not None and one.peak >= 0 for one in points)
-        for sensor, one in enumerate(points):
-            if one is None or (one.peak < 0 and seen >= MIN_SENSORS):
-                continue
-            readings[sensor] = one.position_px
-            sigma[sensor] = deviation_of(one, deviation[sensor])
-        return readings, sigma
-
-    @staticmethod
-    def _places(markers: list[FusedMarker], time_ns: int) -> tuple[Array, Array]:
-        states = [one.kinematics.at(time_ns) for one in markers]
-        return (
-            np.stack([mean[:3] for mean, _ in states]),
-            np.stack([covariance[:3, :3] for _, covariance in states]),
-        )
-
     def _free(self, current_points: Running) -> list[list[SensorPoint]]:
         """Return each sensor's tracks that are no marker's, are seen, and not young any more."""
         owned = [
@@ -218,7 +197,7 @@ class SensorTrackFusion(SlotTracker):
         lacking = np.array([one.tracks < 0 for one in is_complete]).reshape(-1, len(current_points))
         if not lacking.any():
             return
-        place, covariance = self._places(is_complete, time_ns)
+        place, covariance = predicted_positions(is_complete, time_ns)
         for sensor, points in enumerate(free):
             rows = np.flatnonzero(lacking[:, sensor])
             if not len(rows) or not points:
@@ -272,7 +251,7 @@ class SensorTrackFusion(SlotTracker):
             )
             place, spread = solved.position_mm[row], solved.covariance_mm2[row]
             lost = [one for one in self._markers if one.identity not in found]
-            marker = self._nearest(lost, place, spread, time_ns)
+            marker = nearest_marker(lost, place, spread, time_ns)
             if marker is None:
                 if not self._may_begin(len(self._markers)):
                     continue
@@ -286,19 +265,6 @@ class SensorTrackFusion(SlotTracker):
             marker.tracks, marker.seen_ns = numbers, time_ns
             marker.kinematics.add(time_ns, place, spread)
             found[marker.identity] = solved.row(row)
-
-    def _nearest(
-        self, lost: list[FusedMarker], position_mm: Array, covariance_mm2: Array, time_ns: int
-    ) -> FusedMarker | None:
-        """Return the lost marker that a point is nearest to, within its gate."""
-        best, least = None, chi2_limit(3, GATE_EXCLUSION_PROBABILITY)
-        for marker in lost:
-            mean, covariance = marker.kinematics.at(time_ns)
-            off = position_mm - mean[:3]
-            far = float(off @ np.linalg.solve(covariance[:3, :3] + covariance_mm2, off))
-            if far <= least:
-                best, least = marker, far
-        return best
 
     def _reports(
         self,
@@ -338,11 +304,3 @@ class SensorTrackFusion(SlotTracker):
                 )
             )
         return reports
-
-
-def deviation_of(point: SensorPoint, deviation_px: Array) -> float:
-    """Return a point's standard deviation, given those of the scan's points, (K,)."""
-    if point.peak < 0:
-        return point.deviation_px
-    own = float(deviation_px[point.peak])
-    return float(np.hypot(own, SHARED_PX / np.sqrt(12.0))) if point.shared else own

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from validation.thesis_tracking.dynamic_model import transition_along_sensor, transition_in_plane
 from validation.thesis_tracking.gap_filling import fill_gaps
 from validation.thesis_tracking.pair_tracker import Decision
 from validation.thesis_tracking.pair_tracking import PairTracking, PairTracks
@@ -169,9 +168,3 @@ def test_refused() -> None:
         PairTracking(1.0, 0.1).run(np.array([[1.0, np.nan], [1.0, 2.0]]))
     with pytest.raises(InvalidParameter, match="one of"):
         order_by_detection(np.zeros((1, 2)), "last")  # type: ignore[arg-type]
-
-
-def test_transition_matrices() -> None:
-    np.testing.assert_array_equal(transition_along_sensor(0.5) @ [1.0, 2.0], [2.0, 2.0])
-    moved = transition_in_plane(0.5) @ [1.0, 10.0, 2.0, 4.0]
-    np.testing.assert_array_equal(moved, [2.0, 12.0, 2.0, 4.0])

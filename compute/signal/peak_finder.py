@@ -27,7 +27,7 @@ class PeakFinder(ABC):
         """Name of the device."""
         return self._runner.device
 
-    def find(self, lines: NDArray[np.uint16]) -> PeakBatch:
+    def find(self, scans: NDArray[np.uint16]) -> PeakBatch:
         """Find the peaks of scans, uint16, shape (L, P), L at most the finder's ``lines``.
 
         Only the returned arrays are allocated (and a copy, where the rows do not lie one after
@@ -36,14 +36,14 @@ class PeakFinder(ABC):
         Raises:
             InvalidParameter: another type or shape.
         """
-        return self._collect(self._runner.find(lines))
+        return self._collect(self._runner.find(scans))
 
-    def upload(self, lines: NDArray[np.uint16]) -> None:
+    def upload(self, scans: NDArray[np.uint16]) -> None:
         """Copy scans to the device; on the CPU they stay where they are, until ``launch``.
 
         ``find`` is upload, launch and download; apart, they time the kernel alone.
         """
-        self._runner.upload(lines)
+        self._runner.upload(scans)
 
     def launch(self, count: int) -> None:
         """Start the kernel on the first ``count`` of the uploaded scans.
@@ -59,4 +59,4 @@ class PeakFinder(ABC):
 
     @abstractmethod
     def _collect(self, records: NDArray[np.void]) -> PeakBatch:
-        """Return the peaks of lines' records, which stand only until the next call."""
+        """Return the peaks of scans' records, which stand only until the next call."""

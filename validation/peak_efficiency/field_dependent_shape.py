@@ -9,7 +9,7 @@ import numpy as np
 from compute.optics.stripe_optics.stripe_profile import CELLS, Blur, StripeProfiles
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
 from compute.signal.cramer_rao import joint_position_bounds
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import PeakFlag
@@ -120,7 +120,7 @@ def place_figures(field: float, count: int, seed: int = 7) -> PlaceFigures:
         (FROM_MIDDLE, free, middle),
         (BY_PLACE, known, by_place),
     ):
-        found = fit_lines(lines, settings, noise, shape, start)
+        found = fit_scans(lines, settings, noise, shape, start)
         row, peak = np.arange(len(place)), match_true_peaks(found, place)
         error = found.position_px[row, peak] - place
         offset = float(error.mean())

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from compute.signal.centroid_settings import CentroidSettings, Weighting
 from compute.signal.cramer_rao import joint_position_bounds
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.fit.window_model import Layout, Windows, evaluate
@@ -143,7 +143,7 @@ def efficiency(setting: Setting, count: int, seed: int = 1) -> Efficiency:
     errors = {}
     start = nearest(find(lines, known.search, read), place, width, amplitude, rng)
     for name in (KNOWN_WIDTH, FITTED, PRIOR, DEFAULT):
-        fitted = fit_lines(lines, fit_settings(name, width), noise, candidates=start.peaks)
+        fitted = fit_scans(lines, fit_settings(name, width), noise, candidates=start.peaks)
         given = first_order if name == KNOWN_WIDTH else of_free
         errors[name] = errors_of(match_true_peaks(fitted, place), fitted, place, given)
     for name, weighting in _WEIGHTINGS.items():

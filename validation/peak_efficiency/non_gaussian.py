@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from compute.optics.stripe_optics.stripe_profile import CELLS, Blur
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
 from compute.signal.cramer_rao import joint_position_bounds
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import MAX_JOINT_PEAKS, PeakFlag
@@ -182,9 +182,9 @@ def shape_figures(optics: Optics, light: float, count: int, seed: int = 2) -> Sh
     errors = {}
     row = np.arange(len(place))
     for name, (settings, shape) in ways.items():
-        found = fit_lines(lines, settings, noise, shape, start.peaks)
+        found = fit_scans(lines, settings, noise, shape, start.peaks)
         joint = replace(settings, max_joint_peaks=MAX_JOINT_PEAKS)
-        more = fit_lines(
+        more = fit_scans(
             lines[::CELLS], joint, noise, shape, find(lines[::CELLS], own.search, READ_NOISE)
         )
         nearest_peak = match_true_peaks(found, place)

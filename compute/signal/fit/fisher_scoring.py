@@ -78,8 +78,8 @@ def solve(
         windows: N windows.
         start: parameters to start with, shape (N, Q).
         layout: their order.
-        settings: how lines are fitted.
-        shape: the lines' shape.
+        settings: of the fit.
+        shape: the line-spread function.
     """
     free = layout.size - (settings.width_log_sigma == 0.0)
     counted = windows.count

@@ -59,8 +59,8 @@ def fit_windows(
         extended: cuts the grown windows of some of them.
         start: where the fits of these start, shape (N, Q).
         layout: the order of the parameters.
-        settings: how lines are fitted.
-        shape: the lines' shape.
+        settings: of the fit.
+        shape: the line-spread function.
 
     Returns:
         By the number of lines, each window in one of them.

@@ -43,8 +43,8 @@ def marginalise_width(
         windows: N windows.
         solution: their fits; those that are not good stay as they are.
         layout: the order of the parameters.
-        settings: how lines were fitted.
-        shape: the lines' shape.
+        settings: of the fit.
+        shape: the line-spread function.
     """
     variance = solution.covariance[:, -1, -1]
     # Zero where the width is held at a limit.
@@ -148,8 +148,8 @@ def _average_covariance(
         windows: N windows.
         best: parameters to start from, shape (N, Q).
         layout: their order.
-        settings: how lines were fitted.
-        shape: the lines' shape.
+        settings: of the fit.
+        shape: the line-spread function.
     """
     middle = _nodes(windows, best, layout, settings, shape)
     step = np.minimum(middle.information**-0.5, STEP_LOG_WIDTH)

@@ -70,8 +70,8 @@ class Windows:
     @classmethod
     def cut(
         cls,
-        lines: NDArray[np.uint16],
-        line: NDArray[np.int64],
+        scans: NDArray[np.uint16],
+        scan: NDArray[np.int64],
         first_px: NDArray[np.int64],
         last_px: NDArray[np.int64],
         noise: SensorNoise,
@@ -79,16 +79,16 @@ class Windows:
         """Cut windows out of scans.
 
         Args:
-            lines: counts of the scans, uint16, shape (L, P).
-            line: scan of each window, shape (N,).
+            scans: counts of the scans, uint16, shape (L, P).
+            scan: scan of each window, shape (N,).
             first_px: first pixels, shape (N,).
             last_px: last pixels, shape (N,).
             noise: noise of the sensors.
         """
         width = int((last_px - first_px).max(initial=0)) + 1
         pixel = first_px[:, None] + np.arange(width)
-        values = lines[line[:, None], np.minimum(pixel, lines.shape[1] - 1)]
-        sensor = line % len(noise)
+        values = scans[scan[:, None], np.minimum(pixel, scans.shape[1] - 1)]
+        sensor = scan % len(noise)
         full = noise.full_scale_counts[sensor][:, None]
         return cls(
             values.astype(np.float64),

@@ -13,7 +13,7 @@ from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import CentroidSettings
 from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_finder import FitFinder
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import MAX_JOINT_PEAKS, PeakFlag
@@ -46,7 +46,7 @@ def fitted(lines, options, noise=NOISE, shape=None, threads=None):
 @pytest.mark.parametrize("options", SETTINGS.values(), ids=SETTINGS.keys())
 def test_kernel_matches_the_reference(pixels, options):
     lines = varied_lines(48 if pixels < 4096 else 24, pixels, np.random.default_rng(pixels))
-    expected = fit_lines(lines, options, NOISE)
+    expected = fit_scans(lines, options, NOISE)
     assert not lines_that_differ(fitted(lines, options), expected).any()
     fits = expected.flags[np.isfinite(expected.position_px)]
     assert np.any(fits & PeakFlag.UNFITTED)
@@ -72,7 +72,7 @@ def test_kernel_matches_the_reference_with_any_settings_noise_and_shape():
         options, noise = any_settings(rng), any_noise(rng)
         options = replace(options, further_peaks=seed % 3 > 0)
         shape = any_shape(rng) if seed % 2 else None
-        expected = fit_lines(lines, options, noise, shape)
+        expected = fit_scans(lines, options, noise, shape)
         differ.append(lines_that_differ(fitted(lines, options, noise, shape), expected))
     assert np.sum(differ) <= 10
 
@@ -91,7 +91,7 @@ def bright_lines(count, width_px, electrons, gain, rng):
 def test_single_peaks_in_float32_are_as_good_as_in_float64(width_px, electrons):
     lines, _, noise = bright_lines(400, width_px, electrons, 25.0, np.random.default_rng(9))
     options = FitSettings(width_px=width_px)
-    expected = fit_lines(lines, options, noise)
+    expected = fit_scans(lines, options, noise)
     assert not lines_that_differ(fitted(lines, options, noise), expected).any()
 
 
@@ -290,7 +290,7 @@ def test_the_brightest_stay_where_splits_leave_no_room():
     lines = measured(counts, np.random.default_rng(3), full=65535)
     options = without_room(FitSettings(width_px=width, width_log_sigma=0.0), 5)
     found = fitted(lines, options)
-    expected = fit_lines(lines, options, NOISE)
+    expected = fit_scans(lines, options, NOISE)
     assert found.count.tolist() == [5]
     assert np.all(found.flags[0] & PeakFlag.TRUNCATED)
     assert not lines_that_differ(found, expected).any()

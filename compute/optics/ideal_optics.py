@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +26,6 @@ class GaussianStripes:
     position_px: Array
     sigma_px: Array
     electrons: Array
-
-
-class StripeOptics(Protocol):
-    """Interface of optics that image points as Gaussian stripes."""
-
-    def stripes(self, points_mm: Array) -> GaussianStripes:
-        """Return the stripes of points (N, 3) in the world frame [mm]."""
-        ...
 
 
 class IdealOptics:

@@ -88,7 +88,7 @@ class Detector:
 
     @property
     def full_counts(self) -> int:
-        """The count from which on a pixel says "at least" only, 1 or more.
+        """Lowest count at which a pixel may be saturated, 1 or more.
 
         A full well shows below full scale where the converter reaches farther than it.
         """
@@ -111,14 +111,14 @@ class Detector:
         return counts.clip(0, self.full_scale).astype(np.uint16)
 
     def upper_edges(self, counts: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the electrons from which on a count is larger than these, same shape."""
+        """Return the electrons at which the count changes to the next one, same shape."""
         above = counts.astype(np.float64) + (0.5 - self.offset_counts)
         return above * self.electrons_per_count
 
     def expose(
         self, signal_electrons: NDArray[np.float64], rng: np.random.Generator
     ) -> NDArray[np.uint16]:
-        """Return the counts of one exposure of nominal pixels, one like the other.
+        """Return the counts of one exposure of identical, nominal pixels.
 
         Every pixel has exactly the distribution of the model: pixels with signal are simulated
         step by step, and the many pixels without any draw their count from its distribution,
@@ -175,7 +175,7 @@ class Detector:
 
 
 def check_signal(signal_electrons: NDArray[np.float64]) -> None:
-    """Refuse mean electrons that are negative, NaN, or so many that no number counts them.
+    """Refuse mean electrons that are negative, NaN or too large.
 
     Raises:
         InvalidParameter: with the first such value.

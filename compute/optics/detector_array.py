@@ -33,7 +33,7 @@ class FixedPattern:
 
 
 def fixed_pattern(detector: Detector, sensors: int, pixels: int, seed: int) -> FixedPattern:
-    """Make the pixels of S sensors; those of a sensor depend on its number and the seed alone.
+    """Draw the fixed pattern of S sensors; a sensor depends on its number and the seed alone.
 
     The response and the offset are normal; the dark signal is log-normal, as it is positive
     and has pixels that stand out. Terms as in EMVA 1288: PRNU, DSNU.

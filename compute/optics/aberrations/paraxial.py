@@ -67,7 +67,7 @@ class ParaxialSystem:
         return heights, angles
 
     def reversed(self) -> "ParaxialSystem":
-        """Return the same system met from behind; its first vertex lies at 0."""
+        """Return the same system traversed from behind; its first vertex lies at 0."""
         return ParaxialSystem(
             -self.curvature_per_mm[::-1],
             self.conic[::-1],
@@ -77,7 +77,7 @@ class ParaxialSystem:
         )
 
     def image_of(self, object_mm: float) -> tuple[float, float]:
-        """Return the place [mm] and the lateral magnification of the image of an axial object.
+        """Return position [mm] and lateral magnification of the image of an axial object.
 
         Raises:
             InvalidParameter: an object in the plane of the first vertex or in the front focus.
@@ -98,7 +98,7 @@ class ParaxialSystem:
         return float(place), float(self.index[0] / (self.index[-1] * angle[-1]))
 
     def entrance_pupil_mm(self, stop: int) -> float:
-        """Return the place of the entrance pupil, the stop seen from the front [mm].
+        """Return the position of the entrance pupil, the stop seen from the front [mm].
 
         Args:
             stop: number of the surface that is the stop.

@@ -55,7 +55,7 @@ class Led:
 
     @property
     def width_mm(self) -> float:
-        """Width of the part that shines [mm]."""
+        """Width of the emitter [mm]."""
         return self.emitter_width_mm
 
     def photons_per_sr(

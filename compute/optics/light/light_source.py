@@ -23,7 +23,7 @@ class LightSource(Protocol):
 
     @property
     def width_mm(self) -> float:
-        """Width of what shines, seen from the front [mm]; the optics blur the line by it."""
+        """Width of the emitting part, seen from the front [mm]; it blurs the stripe."""
         ...
 
     def photons_per_sr(

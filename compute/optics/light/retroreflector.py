@@ -54,7 +54,7 @@ class Illuminator:
             )
 
     def irradiance_w_per_m2(self, points_mm: Array) -> Array:
-        """Return the irradiance of a plane across the light's way, shape (N,) [W/m^2].
+        """Return the irradiance normal to the light, shape (N,) [W/m^2].
 
         It falls with the square of the distance. A point in the lamp itself has none.
         """
@@ -97,11 +97,11 @@ class RetroSheet:
         )
 
     def observation_factor(self, angle_rad: Array) -> Array:
-        """Return what is left of R_A at observation angles, any shape."""
+        """Return the relative R_A at observation angles, any shape."""
         return np.asarray(np.exp2(-((angle_rad / self.observation_half_angle_rad) ** 2)))
 
     def entrance_factor(self, angle_rad: Array) -> Array:
-        """Return what is left of R_A at entrance angles, any shape; nothing from behind."""
+        """Return the relative R_A at entrance angles, any shape; zero from behind."""
         left = np.exp2(-((angle_rad / self.entrance_half_angle_rad) ** 2))
         return np.asarray(left * np.cos(angle_rad).clip(0.0))
 
@@ -220,7 +220,7 @@ class RetroSphere(_Retroreflector):
 
     @cached_property
     def effective_area_m2(self) -> float:
-        """The area of a disc facing the light that sends back as much [m^2].
+        """Area of the disc facing the light that returns the same light [m^2].
 
         The sum of ``cos(b) 2^-(b/b_half)^2`` over the lit half of the sphere, at most its
         projected area: ``2 pi R^2`` times the integral of it times sin(b).

@@ -66,7 +66,7 @@ class ProfileDeserialiser:
     problems: list[Problem] = field(default_factory=list)
 
     def build(self, expected: Any, value: object, path: str, unit: Unit | None = None) -> Any:
-        """Return ``value`` as ``wanted``, a type or a union or tuple of types.
+        """Return ``value`` as ``expected``, a type or a union or tuple of types.
 
         Args:
             expected: a type, or a union or tuple of types.
@@ -225,7 +225,7 @@ class _MaximalLength:
 
 
 def build_profile(document: Mapping[str, object]) -> tuple[DeviceProfile | None, list[Problem]]:
-    """Return the profile that a parsed document describes, or None, and what is wrong with it."""
+    """Return the profile of a parsed document, or None, and the errors."""
     structurer = ProfileDeserialiser()
     try:
         return structurer.build(DeviceProfile, document, ""), structurer.problems

@@ -47,7 +47,7 @@ def pixel_row(profile: DeviceProfile) -> PixelRow:
 
 
 def gray_plate(profile: DeviceProfile) -> GrayPlate | None:
-    """Return the plate with tracks before every sensor's detectors; None: it has none.
+    """Return the Gray plate before every sensor's detectors; None: it has none.
 
     Raises:
         InvalidParameter: plates of several lengths or resolutions.

@@ -61,7 +61,7 @@ class DetectorProfile:
             )
 
     def detector(self, exposure_s: float) -> Detector:
-        """Return the detector as it is in exposures of this length [s]."""
+        """Return the detector for exposures of this length [s]."""
         return Detector(
             bits=self.bits,
             electrons_per_count=self.electrons_per_count,

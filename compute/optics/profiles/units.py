@@ -50,7 +50,7 @@ class Unit:
 
     @property
     def expected(self) -> str:
-        """What to write, for a message."""
+        """Expected notation, for a message."""
         article = "an" if self.noun[0] in "aeiou" else "a"
         return f'{article} {self.noun} such as "{self.example}"'
 
@@ -93,7 +93,7 @@ def split_unit(field_name: str) -> tuple[str, Unit | None]:
 
 
 def magnitude(value: object, unit: Unit) -> float:
-    """Return a quantity, written as text with its unit, as a number in ``unit``.
+    """Return a quantity, given as text with its unit, as a number in ``unit``.
 
     Args:
         value: the text, as "13 um".

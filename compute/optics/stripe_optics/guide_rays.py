@@ -30,12 +30,12 @@ _CORNERS: Final = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
 
 
 def hits_row(rays: TracedRays, aim: "RayTargets") -> NDArray[np.bool_]:
-    """Whether rays meet the row at their heights: the search for one may end elsewhere."""
+    """Return whether rays meet the row at their heights, shape (R,)."""
     return np.asarray(np.abs(rays.position_mm[:, 1] - aim.height_mm) <= _HIT_MM)
 
 
 def pupil_reach_mm(assembly: Assembly) -> float:
-    """Return how far from its middle the plane of the first vertex lets light in along x [mm].
+    """Return the half width of the light-admitting part of the first plane along x [mm].
 
     A turned opening reaches farther than half its width, and one that lies before or behind the
     plane, being tilted or the edge of a curved face, is passed by slanting light elsewhere in it.
@@ -55,7 +55,7 @@ def pupil_reach_mm(assembly: Assembly) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RayTargets:
-    """R rays to aim: where they start (R, 3), the height on the row and the pupil's x (R,)."""
+    """R rays to aim: start points (R, 3), heights on the row and x in the pupil (R,)."""
 
     source_mm: Array
     height_mm: Array
@@ -63,7 +63,13 @@ class RayTargets:
 
     @classmethod
     def of(cls, source_mm: Array, height_mm: Array, pupil_mm: Array) -> "RayTargets":
-        """Return the rays of fans: sources (R, 3) and heights (R,) through places (R, M)."""
+        """Return the rays of fans.
+
+        Args:
+            source_mm: start points, shape (R, 3) [mm].
+            height_mm: heights on the row, shape (R,) [mm].
+            pupil_mm: x in the pupil, shape (R, M) [mm].
+        """
         samples = pupil_mm.shape[1]
         return cls(
             np.repeat(source_mm, samples, axis=0), np.repeat(height_mm, samples), pupil_mm.ravel()
@@ -76,7 +82,7 @@ class RayTargets:
 
 @dataclass(frozen=True, eq=False)
 class GuideSeries:
-    """Chebyshev series through aimed rays of N points: y in the pupil, and slope, over x.
+    """Chebyshev series of aimed rays: y in the pupil, and its derivative, over x.
 
     Args:
         centre_mm: middle of the pupil [mm].
@@ -94,7 +100,7 @@ class GuideSeries:
     unreliable: NDArray[np.bool_]
 
     def at(self, pupil_mm: Array) -> tuple[Array, Array]:
-        """Return y and slope at places (N, M) in the pupil, both (N, M)."""
+        """Return y and its derivative at positions (N, M) in the pupil, both (N, M)."""
         x = (pupil_mm - self.centre_mm) / self.reach_mm
         return (
             np.asarray(chebval(x, self.y_mm, tensor=False), dtype=np.float64),
@@ -103,9 +109,14 @@ class GuideSeries:
 
 
 def fit_series(values: Array, found: NDArray[np.bool_], otherwise: float) -> Array:
-    """Return Chebyshev coefficients (K, N, 1) of values (N, K) at the nodes.
+    """Return Chebyshev coefficients (K, N, 1) of values at the nodes.
 
     Where rays are lost the series is a low one, fitted to those that are found.
+
+    Args:
+        values: at the nodes, shape (N, K).
+        found: which of them are known, same shape.
+        otherwise: constant where none is.
     """
     basis = chebvander(NODES, GUIDES - 1)
     series = np.linalg.solve(basis, np.where(found, values, 0.0).T)

@@ -141,7 +141,7 @@ class RayAimer:
         )
 
     def row_positions_mm(self, points_mm: Array, pupil_mm: Array) -> Array:
-        """Return where single rays meet the middle of the row, shape (N,) [mm].
+        """Return the positions at which single rays meet the middle of the row, shape (N,) [mm].
 
         Edges are not heeded; NaN for a ray that misses a surface.
 

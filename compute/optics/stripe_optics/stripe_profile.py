@@ -45,7 +45,7 @@ class StripeProfiles:
 
     @property
     def total_sr(self) -> Array:
-        """Effective solid angle of each line, shape (N,) [sr]."""
+        """Effective solid angle of each stripe, shape (N,) [sr]."""
         total: Array = self.cell_sr.sum(axis=1)
         return total
 
@@ -63,7 +63,7 @@ class StripeProfiles:
 
     @property
     def centroid_px(self) -> Array:
-        """Centre of gravity of each line, shape (N,) [px]; NaN for a line without light."""
+        """Centre of gravity of each stripe, shape (N,) [px]; NaN without light."""
         with np.errstate(invalid="ignore"):
             centroid: Array = (self.cell_sr * self.centres_px).sum(axis=1) / self.total_sr
         return centroid
@@ -89,7 +89,7 @@ def stripe_profiles(
     blur: Blur,
     scale_px_per_mm: Array,
 ) -> StripeProfiles:
-    """Gather fans of rays into lines of light.
+    """Bin ray fans to stripe profiles on the sub-pixel grid.
 
     The light between two neighbouring rays lies between their two places on the row. Emitter and
     diffraction then widen the line: the first by the emitter's image, the second by the line
@@ -140,7 +140,7 @@ class _Tubes:
 def merge_profiles(
     parts: Sequence[tuple[NDArray[np.int64], StripeProfiles]], count: int
 ) -> StripeProfiles:
-    """Put lines of several grids together.
+    """Merge profiles of several grids.
 
     Args:
         parts: which of the lines they are, and the lines.

@@ -57,7 +57,7 @@ def _quantiles(light: Array) -> Array:
 
 
 def pixel_windows(quantiles_px: Array, light_sr: Array) -> tuple[NDArray[np.int64], Array]:
-    """Spread lines given by quantiles over pixels.
+    """Return the light of the pixels of stripes given by quantiles.
 
     Args:
         quantiles_px: quantiles at QUANTILE_LEVELS, shape (N, K) [px].
@@ -84,6 +84,6 @@ def pixel_windows(quantiles_px: Array, light_sr: Array) -> tuple[NDArray[np.int6
 
 
 def centroid_of_quantiles(quantiles_px: Array) -> Array:
-    """Return the centroids of lines that are even between their quantiles, shape (N,) [px]."""
+    """Return the centroids of stripes that are even between their quantiles, shape (N,) [px]."""
     centroid: Array = (0.5 * (quantiles_px[:, 1:] + quantiles_px[:, :-1])) @ _PIECES
     return centroid

@@ -62,7 +62,7 @@ class TabulatedOptics:
                 )
 
     def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
-        """Return the footprints of points (N, 3) in the world frame [mm]."""
+        """Return the solid angles of points (N, 3) in the world frame [mm]."""
         count, total = len(points_mm), len(self._sensors)
         levels, light = [], []
         for kind, numbers in self._of_kind.items():

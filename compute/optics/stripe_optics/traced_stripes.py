@@ -96,7 +96,7 @@ class TracedStripes:
         self._weights_mm = weights * row.height_mm / 2.0
 
     def shapes(self, points_mm: Array) -> StripeProfiles:
-        """Return the lines of points (N, 3) in the sensor's frame [mm]; dark where none is seen.
+        """Return the stripes of points (N, 3) in the sensor's frame [mm]; dark where not seen.
 
         Raises:
             InvalidParameter: a point inside a lens.
@@ -169,7 +169,7 @@ class ExactOptics:
         self._lines = {kind: TracedStripes(*kind, blur, sampling, tracer) for kind in kinds}
 
     def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
-        """Return the footprints of points (N, 3) in the world frame [mm]."""
+        """Return the solid angles of points (N, 3) in the world frame [mm]."""
         return gather_solid_angles(
             [
                 self._lines[sensor.assembly, sensor.row].shapes(sensor.to_sensor_frame(points_mm))
@@ -179,7 +179,7 @@ class ExactOptics:
 
 
 def gather_solid_angles(lines: Sequence[StripeProfiles]) -> PixelSolidAngles:
-    """Put the lines of N points on each of S sensors into windows of one width."""
+    """Put the stripes of N points on each of S sensors into windows of one width."""
     by_pixel = [line.pixels_sr for line in lines]
     width = max(pixels.shape[1] for pixels in by_pixel)
     window = np.zeros((len(by_pixel[0]), len(lines), width))

@@ -41,7 +41,7 @@ def dot(a: Vectors, b: Vectors) -> Array:
 
 
 def intersect(record: np.void, origin: Vectors, direction: Vectors) -> tuple[Array, Vectors]:
-    """Find where rays first meet a surface going forward, on the sheet of its vertex.
+    """Return where rays first meet a surface going forward, on the sheet of its vertex.
 
     Args:
         record: the surface, a SURFACE_RECORD.

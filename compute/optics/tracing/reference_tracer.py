@@ -90,7 +90,7 @@ def validate_rays(origins_mm: Array, directions: Array) -> tuple[Array, Array]:
 
 
 def empty_results(count: int) -> TracedRays:
-    """Return room for the results of so many rays, none of which arrived."""
+    """Return results of ``count`` rays, none of which has arrived."""
     return TracedRays(
         position_mm=np.full((count, 3), np.nan),
         direction=np.full((count, 3), np.nan),

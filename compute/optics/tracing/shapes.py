@@ -21,7 +21,7 @@ class Plane:
 
     @property
     def conic(self) -> float:
-        """Conic constant; nothing to a plane."""
+        """Conic constant; irrelevant to a plane."""
         return 0.0
 
 

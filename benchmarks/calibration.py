@@ -1,4 +1,4 @@
-"""Calibration beside SciPy and pyceres: ``python -m benchmarks.calibration [--json]``.
+"""Benchmark of calibration, beside SciPy and pyceres: ``python -m benchmarks.calibration``.
 
 19 control points and four sensors, readings with 1 px of noise, three jobs, each by all:
 

@@ -1,4 +1,4 @@
-"""SciPy and pyceres on the eleven coefficients of the thesis: calibration's benchmark."""
+"""Peers of the calibration benchmark: SciPy and pyceres on the eleven coefficients."""
 
 from dataclasses import dataclass
 from importlib import import_module

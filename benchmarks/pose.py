@@ -1,4 +1,4 @@
-"""Poses of tools beside SciPy: ``python -m benchmarks.pose [--json]``.
+"""Benchmark of tool poses, beside SciPy: ``python -m benchmarks.pose [--json]``.
 
 Ten tools of four markers before four sensors, as a tracking server has them each frame:
 
@@ -11,7 +11,8 @@ Ten tools of four markers before four sensors, as a tracking server has them eac
   pose most of the time.
 * step: a frame of all ten tools through ``ToolTracker.step``, their markers lit together or one by
   one: prediction, association, update, covariance, status. One by one also with a single mode of
-  motion instead of all (``compute.pose.filtering.imm_state``), turn by turn of the strobe in alternation.
+  motion instead of all (``compute.pose.filtering.imm_state``), turn by turn of the strobe in
+  alternation.
 
 Methods take turns, and the least time of each counts: what else a machine does only adds to it.
 """

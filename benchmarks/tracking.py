@@ -1,4 +1,4 @@
-"""Many markers followed on readings: ``python -m benchmarks.tracking [--json]``.
+"""Benchmark of tracking many markers: ``python -m benchmarks.tracking [--json]``.
 
 2 to 20 markers, all lit at once, that cross in pairs within 1 to 5 mm, seen 100 times a second by 4
 and 8 sensors with 0.05 px noise; 5 % of the peaks are missing, 5 % are false, and peaks nearer than

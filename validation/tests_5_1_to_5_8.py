@@ -1,4 +1,4 @@
-"""Tests 5.1 to 5.8 of the thesis as cases that run: its figures and ours, side by side."""
+"""Tests 5.1 to 5.8 of the thesis as cases: printed errors and ours."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Line bound: how precisely a line's position can be read at best, and by centre of gravity."""
+"""Derivatives of stripe images by position, pixel noise, and the sigma of a centre of gravity."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -72,38 +72,6 @@ class PixelNoise:
             + self.read_noise_electrons**2
             + self.electrons_per_count**2 / 12.0
         )
-
-
-def position_bound(mean_electrons: Array, slope_per_px: Array, noise: PixelNoise) -> Array:
-    """Return the Cramer-Rao bound of a line's position, its brightness unknown too.
-
-    With a_i = d mu_i / dx and b_i = mu_i (the derivative by the relative brightness),
-    ``1 / bound^2 = A - B^2 / C`` where A, B, C are the sums of a a, a b and b b over pixels,
-    each over the pixel's variance ``mu + background + read^2 + gain^2 / 12`` (S. M. Kay,
-    Fundamentals of Statistical Signal Processing I, 1993, section 3.7). A alone is the
-    information where the brightness is known, which is ``compute.optics.coded_aperture.cramer_rao``'s
-    ``shift_bound_px`` of the same pixels; B is zero for a symmetric line. The variances are
-    taken as known: their own dependence on the position, of order 1 / electrons, is left out.
-
-    This is the noise only. An error that is the same in every exposure, such as distortion, the
-    shape's dependence on the place, or an estimator's error within a pixel, is not in it.
-
-    Args:
-        mean_electrons: signal of each pixel of the window, shape (..., W).
-        slope_per_px: derivative by the line's position, shape (..., W) [electrons/px].
-        noise: what is noise besides the signal's own.
-
-    Returns:
-        Standard deviation, shape (...) [px]; infinite where there is no light.
-    """
-    variance = np.maximum(mean_electrons, 0.0) + noise.variance_electrons2
-    own = (slope_per_px**2 / variance).sum(axis=-1)
-    mixed = (slope_per_px * mean_electrons / variance).sum(axis=-1)
-    bright = (mean_electrons**2 / variance).sum(axis=-1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        information = own - np.where(bright > 0.0, mixed**2 / bright, 0.0)
-        bound: Array = np.where(information > 0.0, information, 0.0) ** -0.5
-    return bound
 
 
 @dataclass(frozen=True, eq=False)

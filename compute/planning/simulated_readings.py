@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.planning.coverage import is_visible
-from compute.planning.cramer_rao import centre_of_gravity_sigma, position_bound
+from compute.planning.cramer_rao import centre_of_gravity_sigma
 from compute.planning.fixed_pattern_noise import fixed_pattern_sigma
 from compute.planning.planning_device import PlanningDevice
 from compute.signal.centroid_settings import CentroidSettings
+from compute.signal.cramer_rao import position_bound
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -82,7 +83,7 @@ def simulate_readings(
         mean, slope = lines.mean_sr * per_sr, lines.slope_sr_per_px * per_sr
         electrons[block], peak[block] = mean.sum(axis=2), mean.max(axis=2)
         if device.quantisation_px is None:
-            bound[block] = position_bound(mean, slope, device.noise)
+            bound[block] = position_bound(mean, slope, device.noise.variance_electrons2)
             pattern[block] = fixed_pattern_sigma(mean, slope, device.noise, device.pattern)
             if device.mask is None:
                 centroid[block] = _by_centre_of_gravity(device, mean, visible[block])

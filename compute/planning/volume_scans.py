@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.optics.coded_aperture.gray_plate_optics import TrackOptics
+from compute.optics.coded_aperture.gray_plate import TrackOptics
 from compute.optics.coded_aperture.mask_optics import MaskOptics
 from compute.optics.pixel_solid_angles import scan_electrons
 from compute.optics.profiles.device_profile import DeviceProfile

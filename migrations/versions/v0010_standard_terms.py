@@ -2,7 +2,8 @@
 
 A calibration's document is hashed, and a correction table names that hash: where a document
 changes, its hash, the tables' parent hash and the tables' own hash are worked out again. Documents
-without a renamed member, and the audit log, stay as they are.
+without a renamed member, and the audit log, stay as they are. The settings of the thesis's trackers
+leave the devices, which do not track by them any more.
 """
 
 import hashlib
@@ -37,9 +38,6 @@ _CALIBRATION: Final[Names] = {
 _DOCUMENTS: Final[dict[tuple[str, str], tuple[Names, Names]]] = {
     ("devices", "tracking"): (
         {
-            "most_velocity_px_s": "max_velocity_px_s",
-            "least_interval_px": "min_interval_px",
-            "exchange_threshold": "swap_threshold",
             "white_acceleration": "acceleration_psd",
             "white_jerk": "jerk_psd",
             "tool_turn_acceleration_rad_s2": "tool_angular_acceleration_rad_s2",
@@ -103,6 +101,14 @@ _DOCUMENTS: Final[dict[tuple[str, str], tuple[Names, Names]]] = {
 }
 """By table and column: members renamed at any depth, and texts that are values."""
 
+_TRACKERS_OF_THE_THESIS: Final = frozenset(
+    {
+        "method", "window_markers", "window_points", "window_decision", "velocity_limit_px_s",
+        "most_velocity_px_s", "interval_velocity", "least_interval_px", "exchange_threshold",
+    }
+)  # fmt: skip
+"""Members of ``devices.tracking`` that are dropped: such a device is tracked on its readings."""
+
 _NAMED_BY_USERS: Final = frozenset({"readings", "sigma_px", "observed_as", "seen_as"})
 """Members whose own members are names that users gave: they stay."""
 
@@ -111,11 +117,25 @@ _ARRAYS: Final = {"coefficients_px": "<f8", "variance_px2": "<f8", "valid": "u1"
 
 
 def upgrade() -> None:
+    _drop_trackers()
     _rename(lambda names: names)
 
 
 def downgrade() -> None:
     _rename(lambda names: {new: old for old, new in names.items()})
+
+
+def _drop_trackers() -> None:
+    bind = op.get_bind()
+    rows = sa.Table("devices", sa.MetaData(), autoload_with=bind)
+    for key, tracking in bind.execute(sa.select(rows.c.id, rows.c.tracking)).all():
+        if tracking and not _TRACKERS_OF_THE_THESIS.isdisjoint(tracking):
+            kept = {
+                name: value
+                for name, value in tracking.items()
+                if name not in _TRACKERS_OF_THE_THESIS
+            }
+            bind.execute(rows.update().where(rows.c.id == key).values(tracking=kept or sa.null()))
 
 
 def _rename(direction: Callable[[Names], Names]) -> None:

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class MarkerTrackerProtocol(Protocol):
-    """Tracks markers from frame to frame; see compute/tracking/factory.py."""
+    """Tracks markers from frame to frame; see compute/tracking/tracker.py."""
 
     def step(
         self,
@@ -87,11 +87,11 @@ class DefaultTrackerFactory:
         self, active: PreparedCalibration, tracked: TrackingConfig
     ) -> MarkerTrackerProtocol:
         """Return the marker tracker."""
-        from compute.tracking.factory import create_tracker
         from compute.tracking.settings import TrackerSettings
+        from compute.tracking.tracker import Tracker
 
         models = active.calibration.models
-        return create_tracker(
+        return Tracker(
             CameraStack.of(models),
             TrackerSettings() if tracked.tracker is None else tracked.tracker,
             active.covariance,

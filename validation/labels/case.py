@@ -1,4 +1,4 @@
-"""Label errors in simulated and measured control data: how many are found, and which."""
+"""Case labels: detection of mislabelled control points in simulated and measured data."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

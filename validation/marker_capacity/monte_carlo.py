@@ -1,4 +1,4 @@
-"""Frames of many markers, grouped: how many are resolved, in doubt, or wrong."""
+"""Monte Carlo correspondence of many markers: resolved, ambiguous and wrong exposures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

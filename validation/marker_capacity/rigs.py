@@ -1,4 +1,4 @@
-"""The configurations of case marker-capacity: their cameras, noise and volumes."""
+"""Sensor configurations of case marker-capacity: cameras, noise, volumes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

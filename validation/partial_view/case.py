@@ -1,4 +1,4 @@
-"""Case partial-view: a tool, each marker seen by two of four sensors, beside its bound."""
+"""Case partial-view: pose errors of a tool whose markers two of four sensors see, and bound."""
 
 from collections import Counter
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Case pointer-tip: the tip of a 150 mm pointer in a 500 mm cube before the Optotrak's sensors."""
+"""Case pointer-tip: tip errors of a 150 mm pointer in a 500 mm cube before the Optotrak."""
 
 from dataclasses import dataclass
 from typing import Final

@@ -1,4 +1,4 @@
-"""Case strobed-tools: tools whose markers are lit one by one, at rest and moved, slow and fast."""
+"""Case strobed-tools: pose errors of tools with strobed markers, at rest and in motion."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -40,7 +40,8 @@ class Scores:
         nees: normalised errors squared of the poses, NaN without, shape (N,).
         off_mm2: squared errors of the tips, likewise [mm^2].
         stated_mm2: their variances in space, likewise [mm^2].
-        cycles_since_change: since the motion changed [turns of the strobe]; NaN where it never does.
+        cycles_since_change: since the motion changed [turns of the strobe]; NaN where it never
+            does.
     """
 
     ok: NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""The frame at 1 m, measured, and what section 5.6 does with it, for Tables 5.10 to 5.14."""
+"""The measured frame at 1 m and its use in section 5.6, for Tables 5.10 to 5.14."""
 
 from dataclasses import dataclass
 from functools import cache

@@ -1,4 +1,4 @@
-"""The bar of Tables 6.1 and 6.2: generated readings of both markers, and ways to reconstruct them.
+"""The moving bar of Tables 6.1 and 6.2: generated readings and reconstructions.
 
 Figures 5.6 and 5.5 and Table 5.8, which chapter 6 names, are Figures 5.9 and 5.8 and Table 5.10.
 """

@@ -12,6 +12,7 @@ from compute.calibration.calibrate_and_assess import calibrate_and_assess
 from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack
+from compute.tracking.settings import TrackerSettings
 from service.api.calibrations.calibration_content import (
     Outcome,
     calibration_content,
@@ -29,11 +30,11 @@ from service.database.models import CalibrationRow, CorrectionTableRow, DeviceRo
 from tests.service.api.correction_tables.tables import SENSORS, content
 
 OLD = (
-    '"smaller"', '"weakest_in_words"', '"off_px"', '"off_sigma"', '"exchange_threshold"', '"low"',
+    '"smaller"', '"weakest_in_words"', '"off_px"', '"off_sigma"', '"white_jerk"', '"low"',
 )  # fmt: skip
 NEW = (
     '"reduced_terms"', '"weakest_description"', '"residual_px"', '"normalised_residual"',
-    '"swap_threshold"', '"off_level"',
+    '"jerk_psd"', '"off_level"',
 )  # fmt: skip
 
 
@@ -63,7 +64,7 @@ def tree(database: Database) -> str:
 
 def test_documents_of_before_are_read_after_it_with_their_hashes(database: Database) -> None:
     tracking = Tracking.model_validate(
-        {"swap_threshold": 0.25, "blinking": {"words": ["000000010111"], "off_level": 0.3}}
+        {"jerk_psd": 1e7, "blinking": {"words": ["000000010111"], "off_level": 0.3}}
     ).model_dump(mode="json")
     made = outcome()
     with Session(database.engine) as session:
@@ -90,6 +91,26 @@ def test_documents_of_before_are_read_after_it_with_their_hashes(database: Datab
         assert session.get_one(DeviceRow, "sim").tracking == tracking
     with database.engine.connect() as connection:
         assert find_inconsistencies(connection) == []
+
+
+def test_a_device_of_a_tracker_of_the_thesis_is_tracked_on_readings(database: Database) -> None:
+    stored = {
+        "tracks": "always",
+        "method": "window",
+        "most_velocity_px_s": 600.0,
+        "white_jerk": 1e7,
+    }
+    with database.engine.begin() as connection:
+        command.downgrade(alembic_config(connection), "0009")
+        connection.execute(
+            text("UPDATE devices SET tracking = :tracking WHERE id = 'sim'"),
+            {"tracking": json.dumps(stored)},
+        )
+        command.upgrade(alembic_config(connection), "head")
+    with Session(database.engine) as session:
+        tracking = session.get_one(DeviceRow, "sim").tracking
+        assert tracking == {"tracks": "always", "jerk_psd": 1e7}
+        assert Tracking.model_validate(tracking).tracker() == TrackerSettings(jerk_psd=1e7)
 
 
 def test_a_beam_hold_of_before_is_read_after_it(database: Database) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from compute.calibration.single_sensor.normalised_dlt import dlt_matrix
-from compute.calibration.thesis_methods.eleven_parameter_bundle import project_eleven_parameters
+from validation.thesis_methods.eleven_parameter_bundle import project_eleven_parameters
 
 Array = NDArray[np.float64]
 

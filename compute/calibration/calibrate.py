@@ -27,7 +27,6 @@ from compute.calibration.single_sensor.sensor_fits import (
     fit_distorted,
     fit_undistorted,
 )
-from compute.calibration.thesis_methods.thesis_methods import fit_thesis_method
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.errors import DegeneratePoints, NoConvergence
 
@@ -46,12 +45,10 @@ def calibrate(
 ) -> Calibration:
     """Calibrate S sensors from N control points.
 
-    "metric" goes by stages: a normalised linear solution and a grid of others, the seven metric
-    parameters, the distortion, and, where the control points have an uncertainty of their own,
-    all sensors and points together. It needs no starting values and draws no random numbers
-    but those of a fixed seed (a robust loss's start).
-    "dlt-iterative" is the thesis's [5.1]-[5.12] as published, for comparison; its covariance is
-    that of a metric camera with its residuals and leaves out D. "bundle-11" is its [5.21]-[5.29].
+    Stages: a normalised linear solution and a grid of others, the seven metric parameters, the
+    distortion, and, where the control points have an uncertainty of their own, a joint adjustment
+    of all sensors and points. No starting values are needed; random numbers (the start of a
+    robust loss) come from a fixed seed, so that results repeat.
 
     Args:
         points_mm: control points, shape (N, 3) [mm].
@@ -120,8 +117,6 @@ def _fit(
     near: Sequence[SensorModel] | None,
     progress: Progress | None,
 ) -> Calibration:
-    if settings.method != "metric":
-        return fit_thesis_method(observed, settings, progress)
     _report_progress(progress, 0.05, "cameras without distortion")
     models, weights = fit_undistorted(observed, settings.loss, near)
     staged = _with_point_sigma(observed, models, settings.control_sigma_mm)

@@ -8,12 +8,17 @@ from numpy.typing import NDArray
 
 from compute.calibration.assessment_result import Diagnosis, DistortionSelection
 from compute.calibration.mislabels.finding import LabelFinding
-from compute.calibration.settings import CalibrationSettings, Method
+from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorModel, Vector3, vector3
 
-MethodWithoutControl = Literal["self-calibration", "update"]
-"""Methods that know no coordinates: a subject at unknown places; and a calibration that was
-brought up to date by a still set of markers."""
+Method = Literal["metric", "self-calibration", "update", "dlt-iterative", "bundle-11"]
+"""How a calibration was made.
+
+- metric: from control points of known coordinates.
+- self-calibration: from targets at unknown poses.
+- update: an earlier calibration, updated by stationary markers.
+- dlt-iterative, bundle-11: the thesis's methods; in stored calibrations of earlier versions only.
+"""
 
 
 @dataclass(frozen=True)
@@ -29,8 +34,6 @@ class SensorFit:
         sigma_source: where it comes from: given with the readings (their root mean square),
             estimated from the residuals, or, with fewer than ten points, assumed (a pixel's
             quantisation, or the residuals where they are larger).
-        iteration_change_px: largest change of a corrected reading in the last iteration of the
-            iterative DLT [px], which runs a fixed number of them; None for other methods.
         chi2_per_dof: weighted sum of squares per degree of freedom, about 1 when the given
             standard deviations are right; None without redundancy or without given ones.
     """
@@ -42,7 +45,6 @@ class SensorFit:
     sigma_px: float
     sigma_source: Literal["given", "residuals", "assumed"]
     chi2_per_dof: float | None
-    iteration_change_px: float | None = None
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ class Calibration:
         diagnosis: None where it was not made.
     """
 
-    method: Method | MethodWithoutControl
+    method: Method
     sensors: tuple[SensorFit, ...]
     covariance: tuple[tuple[float, ...], ...]
     residuals_px: tuple[tuple[float | None, ...], ...]

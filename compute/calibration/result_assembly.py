@@ -66,7 +66,7 @@ def assemble_with_exact_points(
             own = first[sensor] + group.columns
             covariance[own[:, None], own] = inverse * factors[sensor]
     return Calibration(
-        settings.method,
+        "metric",
         tuple(found),
         _rows(covariance),
         _readings(residuals, observed.seen),
@@ -152,7 +152,7 @@ def _assemble(
     found: list[SensorFit],
 ) -> Calibration:
     return Calibration(
-        settings.method,
+        "metric",
         tuple(found),
         _rows(covariance),
         _readings(joint.residuals_px, observed.seen),

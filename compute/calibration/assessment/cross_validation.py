@@ -7,7 +7,6 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.calibrate import calibrate
 from compute.calibration.effective_readings import (
     count_readings,
     effective_readings,
@@ -24,7 +23,7 @@ from compute.calibration.single_sensor.sensor_fits import ControlObservations, S
 from compute.calibration.spatial_blocks import block_count, spatial_block_index
 from compute.camera.model import SensorGeometry, vector3
 from compute.camera.stack import CameraStack
-from compute.errors import DegeneratePoints, InvalidParameter, LumilineError
+from compute.errors import DegeneratePoints, InvalidParameter
 from compute.reconstruction.triangulation import reconstruct
 
 Array = NDArray[np.float64]
@@ -68,27 +67,6 @@ def control_errors(
     return differences, count_readings(used, differences)
 
 
-def leave_one_out(
-    points_mm: Array,
-    readings_px: Array,
-    sensors: Sequence[SensorGeometry],
-    sigma_px: Array | None = None,
-    settings: CalibrationSettings = DEFAULTS,
-    progress: Progress | None = None,
-) -> Array:
-    """Calibrate without each point in turn and return its errors, shape (N, 3) [mm].
-
-    NaN where the rest does not calibrate every sensor, or fewer than three sensors saw the point.
-    """
-    calibration = calibrate(points_mm, readings_px, sensors, sigma_px, settings)
-    found = cross_validate(
-        calibration, points_mm, readings_px, sensors, sigma_px, "points", progress
-    )
-    return np.array(
-        [(np.nan,) * 3 if row is None else row for row in found.differences_mm]
-    ).reshape(-1, 3)
-
-
 def cross_validate(
     calibration: Calibration,
     points_mm: Array,
@@ -121,41 +99,30 @@ def cross_validate(
     readings, sigma = repaired_readings(calibration, readings_px, sigma_px)
     count = len(points) if scheme == "points" else block_count(len(points))
     groups = np.arange(count) if scheme == "points" else spatial_block_index(points, count)
-    work, published = None, DEFAULTS
-    if calibration.method == "metric":
-        work = _MetricGroups.of(calibration, points, readings, sensors, sigma)
-    elif calibration.method == "dlt-iterative" or calibration.method == "bundle-11":
-        published = CalibrationSettings(calibration.method)
-    else:
+    if calibration.method != "metric":
         raise InvalidParameter(
             f"the calibration's method is {calibration.method}; only one that was made of control "
             "points is cross-validated by them",
             method=calibration.method,
         )
+    refits = _Refits.of(calibration, points, readings, sensors, sigma)
     differences = np.full(points.shape, np.nan)
     predicted = np.full(readings.shape, np.nan)
-    batch = count if work is None else work.batch()
+    batch = refits.batch()
     for first in range(0, count, batch):
         numbers = range(first, min(first + batch, count))
         if progress is not None:
             progress(first / count, f"cross-validation by {scheme}")
-        if work is not None:
-            found = work.fitted([groups != number for number in numbers])
-        else:
-            found = [
-                _refit(points, readings, sensors, sigma, groups != number, published)
-                for number in numbers
-            ]
-        for number, one in zip(numbers, found, strict=True):
-            if one is None:
+        refitted = refits.fit_without([groups == number for number in numbers])
+        for number, refit in zip(numbers, refitted, strict=True):
+            if refit is None:
                 continue
             rows = groups == number
-            own = None if sigma is None else sigma[rows]
-            used = readings[rows]
-            if work is not None:
-                used = np.where(work.fits.weights[rows] > 0.0, used, np.nan)
-            differences[rows] = fitted_errors(one, points[rows], used, own)
-            stack = CameraStack.of(one.models)
+            used = np.where(refits.fits.weights[rows] > 0.0, readings[rows], np.nan)
+            differences[rows] = fitted_errors(
+                refit, points[rows], used, None if sigma is None else sigma[rows]
+            )
+            stack = CameraStack.of(refit.models)
             predicted[rows] = stack.project(points[rows]) - stack.add_cubic_term(used)
     statistics = AxisErrors.of(differences)
     return CrossValidation(
@@ -172,30 +139,9 @@ def _rms(values: Array) -> float | None:
     return float(np.sqrt((here**2).mean())) if len(here) else None
 
 
-def _refit(
-    points: Array,
-    readings: Array,
-    sensors: Sequence[SensorGeometry],
-    sigma: Array | None,
-    rest: NDArray[np.bool_],
-    settings: CalibrationSettings,
-) -> Calibration | None:
-    """Calibrate by a published method without a group; None where that is not possible."""
-    try:
-        return calibrate(
-            points[rest],
-            readings[rest],
-            sensors,
-            None if sigma is None else sigma[rest],
-            settings,
-        )
-    except LumilineError:
-        return None
-
-
 @dataclass(frozen=True, eq=False)
-class _MetricGroups:
-    """A metric calibration, ready to be fitted without groups of its points."""
+class _Refits:
+    """Fits of a calibration's sensors without groups of its control points."""
 
     observed: ControlObservations
     fits: SensorFits
@@ -209,7 +155,7 @@ class _MetricGroups:
         readings: Array,
         sensors: Sequence[SensorGeometry],
         sigma: Array | None,
-    ) -> "_MetricGroups":
+    ) -> "_Refits":
         settings = calibration.settings or DEFAULTS
         seen = np.isfinite(readings)
         stack = CameraStack.of(calibration.models)
@@ -234,8 +180,13 @@ class _MetricGroups:
         stack = CameraStack.of(self.fits.models)
         return max(1, BATCH_VALUES // (self.observed.readings_px.size * stack.width))
 
-    def fitted(self, rests: list[NDArray[np.bool_]]) -> list[Calibration | None]:
-        """Return a calibration of each rest of the points; None where one is not possible."""
+    def fit_without(self, left_out: list[NDArray[np.bool_]]) -> list[Calibration | None]:
+        """Return a calibration without each group of points; None where one is not possible.
+
+        Args:
+            left_out: for each group, which of the N points it holds, shape (N,).
+        """
+        rests = [~group for group in left_out]
         observed, fits = self.observed, self.fits
         sensors = len(fits.models)
         index = np.tile(np.arange(sensors), len(rests))

@@ -64,14 +64,3 @@ class AdjustmentResult:
         """Return the covariances between one set's poses and the globals, shape (B, d, F)."""
         carried: Array = -self._reduced.back_substitution[index] @ self.global_covariance
         return carried
-
-    def marker_covariance(self, index: int = 0) -> Array:
-        """Return the covariances of one set's markers, shape (B, K, 3, 3) [mm^2].
-
-        Of the pose only: a shape's own uncertainty is left out.
-        """
-        slopes = self.pose_sets[index].marker_jacobian()
-        covariance: Array = np.einsum(
-            "bkid,bde,bkje->bkij", slopes, self.pose_covariance(index), slopes, optimize=True
-        )
-        return covariance

@@ -36,19 +36,13 @@ class Residuals:
     chi2_values_px: Array | None = None
 
 
-def fit_statistics(
-    model: SensorModel,
-    seen: int,
-    residuals: Residuals,
-    iteration_change_px: float | None = None,
-) -> tuple[SensorFit, float]:
+def fit_statistics(model: SensorModel, seen: int, residuals: Residuals) -> tuple[SensorFit, float]:
     """Return the fit's figures and the factor from cofactor to covariance.
 
     Args:
         model: the fitted camera.
         seen: control points that it read.
         residuals: of those that count.
-        iteration_change_px: see ``SensorFit``.
     """
     values = residuals.values_px
     terms = 0 if model.distortion is None else len(model.distortion.terms)
@@ -87,6 +81,5 @@ def fit_statistics(
         sigma,
         source,
         chi2_per_dof,
-        iteration_change_px,
     )
     return fit, factor

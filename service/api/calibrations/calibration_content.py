@@ -15,7 +15,7 @@ from compute.calibration.calibrate import Progress
 from compute.calibration.calibrate_and_assess import calibrate_and_assess
 from compute.calibration.effective_readings import count_readings, effective_readings
 from compute.calibration.result import AxisErrors, Calibration
-from compute.calibration.settings import CalibrationSettings
+from compute.calibration.settings import DEFAULTS, CalibrationSettings
 from compute.errors import InvalidParameter
 from hardware.driver import SensorDescription
 from service.api.calibrations.observations import geometry, observations
@@ -60,8 +60,7 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
         LumilineError: what was wrong with the points; see compute.calibration.calibrate_and_assess.assess.
     """
     settings = request.settings()
-    few = len(request.points) <= LEAVE_ONE_OUT_POINTS
-    if not few and settings != CalibrationSettings(settings.method):
+    if len(request.points) > LEAVE_ONE_OUT_POINTS and settings != DEFAULTS:
         raise InvalidParameter(
             f"{len(request.points)} points are calibrated with distortion, uncertain points, a "
             f"robust loss or labels in a run only: POST it to /api/v1/calibration-runs, or give at "

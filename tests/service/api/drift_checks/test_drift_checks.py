@@ -292,16 +292,6 @@ def test_more_readings_than_are_solved_within_a_request_are_refused():
         still_set(markers, sensors, NEVER_USED, 0.0)
 
 
-def test_a_published_method_is_not_updated_and_says_so_at_once(client: Any):
-    published = {"id": "published", "device": "sim", "method": "dlt-iterative"}
-    made = client.post("/api/v1/calibrations", json=published | {"points": read(MODELS, PLACES, 1)})
-    assert made.status_code == 201, made.text
-    body = {"device": "sim", "calibration": "published", "capture": "now"}
-    refused = client.post("/api/v1/update-runs", json=body)
-    assert refused.status_code == 422, refused.text
-    assert "only metric cameras are updated" in refused.json()["detail"]
-
-
 def test_a_device_takes_its_drift_checks_with_it(sqlite_client: Any):
     body = NEW_DRIFT_CHECKS["frame"]["value"]
     made = sqlite_client.post("/api/v1/calibrations/sim-nominal/drift-checks", json=body)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from compute.calibration.single_sensor.normalised_dlt import dlt_matrix
+from compute.calibration.single_sensor.projective_camera import dlt_matrix
 from validation.thesis_methods.eleven_parameter_bundle import project_eleven_parameters
 
 Array = NDArray[np.float64]

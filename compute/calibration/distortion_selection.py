@@ -1,15 +1,16 @@
 """Which distortion terms a device is given: the fewest that predict blocks of space as well."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.assessment.cross_validation import block_count, spatial_block_index
 from compute.calibration.assessment_result import CandidateTerms, DistortionSelection
 from compute.calibration.settings import Loss
-from compute.calibration.single_sensor.distortion_fit import LensOffsets, minimise_with_distortion
+from compute.calibration.single_sensor.camera_fit import LensOffsets, minimise_with_distortion
 from compute.calibration.single_sensor.distortion_terms import (
     AUTO_CANDIDATES,
     free_parameters,
@@ -21,14 +22,13 @@ from compute.calibration.single_sensor.sensor_fits import (
     fit_distorted,
     residual_sigma,
 )
-from compute.calibration.spatial_blocks import block_count, spatial_block_index
 from compute.camera.field_distortion import Term
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, NoConvergence, TooFewPoints
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 MIN_SPARE_READINGS: Final = 3
 """Readings of a sensor more than parameters that each fit without a block must have."""

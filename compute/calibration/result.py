@@ -1,15 +1,16 @@
 """What a calibration run yields: the sensor models, their joint covariance, the residuals."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.assessment_result import Diagnosis, DistortionSelection
 from compute.calibration.mislabels.finding import LabelFinding
+from compute.calibration.mislabels.repair import exclude, repair
 from compute.calibration.settings import CalibrationSettings
-from compute.camera.model import SensorModel, Vector3, vector3
+from compute.camera.model import SensorGeometry, SensorModel, Vector3, vector3
 
 Method = Literal["metric", "self-calibration", "update", "dlt-iterative", "bundle-11"]
 """How a calibration was made.
@@ -132,3 +133,109 @@ class Calibration:
     def models(self) -> tuple[SensorModel, ...]:
         """The camera models in the device's order."""
         return tuple(fit.model for fit in self.sensors)
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementNoise:
+    """What a calibration says of each sensor's readings; made once where frames come by the second.
+
+    Args:
+        sensor_sigma_px: standard deviation of a reading that came without one, shape (S,).
+        model_error_px: what the residuals exceed the noise by, in squares, shape (S,).
+        min_sigma_px: the least deviation that is taken, shape (S,).
+    """
+
+    sensor_sigma_px: Array
+    model_error_px: Array
+    min_sigma_px: Array
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Self:
+        """Return that of a calibration of S sensors."""
+        fits = calibration.sensors
+        own = np.array([fit.sigma_px for fit in fits])
+        excess = np.array([max((fit.chi2_per_dof or 1.0) - 1.0, 0.0) for fit in fits])
+        least = [fit.sigma_px if fit.sigma_source == "residuals" else 0.0 for fit in fits]
+        return cls(own, own * np.sqrt(excess), np.array(least))
+
+    def sigma(self, sigma_px: Array) -> Array:
+        """Return the deviations with which readings go into a reconstruction, shape (..., S) [px].
+
+        Args:
+            sigma_px: their own, shape (..., S); where NaN, the calibration's are taken.
+        """
+        given = np.where(np.isnan(sigma_px), self.sensor_sigma_px, sigma_px)
+        trusted: Array = np.maximum(np.hypot(given, self.model_error_px), self.min_sigma_px)
+        return trusted
+
+
+def measurement_sigma(
+    calibration: Calibration, readings_px: Array, sigma_px: Array | None = None
+) -> Array:
+    """Return the standard deviations with which readings (..., S) go into a reconstruction [px].
+
+    A reading is not known better than the model reproduces its control points. Where these came
+    with their deviations, what the residuals exceed them by is misfit and is added in squares;
+    where they came without, the residuals hold both, and are the least that is taken. Where the
+    deviation was assumed, there is nothing to compare with.
+
+    Args:
+        calibration: the calibration in use.
+        readings_px: shape (..., S); only the shape is used.
+        sigma_px: the readings' own deviations, shape (..., S); where NaN, and for None, the
+            calibration's are taken.
+    """
+    trust = MeasurementNoise.of(calibration)
+    given = trust.sensor_sigma_px if sigma_px is None else sigma_px
+    return trust.sigma(np.broadcast_to(given, readings_px.shape))
+
+
+def repaired_readings(
+    calibration: Calibration, readings_px: Array, sigma_px: Array | None = None
+) -> tuple[Array, Array | None]:
+    """Return readings and deviations (N, S) with the label findings dealt with as the run did.
+
+    Args:
+        calibration: of control points; readings of another number of points stay as they are.
+        readings_px: their readings as they were given, shape (N, S) [px]; NaN where not seen.
+        sigma_px: their deviations, shape (N, S) [px], or None.
+    """
+    readings = np.asarray(readings_px, dtype=np.float64)
+    sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
+    policy = "off" if calibration.settings is None else calibration.settings.labels
+    own = len(calibration.residuals_px) == len(readings)
+    if policy in ("off", "report") or not calibration.labels or not own:
+        return readings, sigma
+    sensors = [SensorGeometry(model.name, model.pixels) for model in calibration.models]
+    return (exclude if policy == "exclude" else repair)(
+        calibration.labels, sensors, readings, sigma
+    )
+
+
+def effective_readings(
+    calibration: Calibration, readings_px: Array, sigma_px: Array | None = None
+) -> tuple[Array, Array | None]:
+    """Return readings and deviations (N, S) as the calibration's fit used them; NaN where not.
+
+    Label findings are dealt with as the run did, and what a robust loss gave no weight is left
+    out. Arguments are those of ``repaired_readings``.
+    """
+    readings, sigma = repaired_readings(calibration, readings_px, sigma_px)
+    given = calibration.reading_weights
+    if given is not None and len(given) == len(readings):
+        weights = np.array(given, dtype=np.float64).reshape(readings.shape)
+        readings = np.where(weights == 0.0, np.nan, readings)
+    return readings, sigma
+
+
+def count_readings(effective_px: Array, differences_mm: Array) -> int:
+    """Return how many readings the reconstructed points rest on.
+
+    Args:
+        effective_px: readings that were used, shape (N, S) [px]; NaN where not.
+        differences_mm: reconstructed minus given points, shape (N, 3); NaN where there is none.
+    """
+    return int(np.isfinite(effective_px[np.isfinite(differences_mm).all(axis=1)]).sum())

@@ -1,6 +1,6 @@
 """Build a correction table from mapping measurements."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +9,12 @@ from numpy.typing import NDArray
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
-from compute.mapping.cell_corner_values import corner_values
-from compute.mapping.cell_support import cell_corners, check_no_holes, find_supported_cells
+from compute.mapping.cell_support import (
+    cell_corners,
+    check_no_holes,
+    corner_values,
+    find_supported_cells,
+)
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.grid_extent import grid_for_points, point_spacing
@@ -21,9 +25,9 @@ from compute.mapping.sensor_data import SensorData
 from compute.mapping.sensor_fit import fit_sensor, summarise_fit
 from compute.mapping.settings import MappingSettings
 from compute.mapping.table import CorrectionTable
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 MAX_FUNCTIONS = 1200
 """Smooth functions that are fitted, at most; about ten along each axis of a cube."""

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from compute.errors import InvalidParameter
+from compute.mapping.b_splines import interpolate_corners
 from compute.mapping.grid import VoxelGrid
-from compute.mapping.spline_interpolation import interpolate_corners
 
 Array = NDArray[np.float64]
 

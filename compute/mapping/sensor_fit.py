@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from compute.errors import DegeneratePoints, TooFewPoints
+from compute.mapping.b_splines import interpolate_function
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.model_averaging import AveragedFit, average
 from compute.mapping.p_splines import GROSS_ERROR_THRESHOLD, PenalisedFit, PenalisedProblem
@@ -27,7 +28,6 @@ from compute.mapping.sensor_data import (
     left_out_blocks,
     stack_functions,
 )
-from compute.mapping.spline_interpolation import interpolate_function
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter, NonFiniteValue
-from compute.mapping.b_spline_basis import b_spline_basis
+from compute.mapping.b_splines import b_spline_basis
 from compute.mapping.grid import VoxelGrid
 
 Array = NDArray[np.float64]

@@ -8,11 +8,16 @@ import numpy as np
 from rich.table import Table
 
 from compute.calibration.assessment.cross_validation import control_errors
-from compute.calibration.calibrate_and_assess import calibrate_and_assess
+from compute.calibration.calibrate import calibrate_and_assess
 from compute.calibration.distortion_selection import refusals
-from compute.calibration.effective_readings import count_readings, effective_readings
 from compute.calibration.mislabels.finding import LabelFinding
-from compute.calibration.result import AxisErrors, Calibration, CrossValidation
+from compute.calibration.result import (
+    AxisErrors,
+    Calibration,
+    CrossValidation,
+    count_readings,
+    effective_readings,
+)
 from compute.calibration.settings import CalibrationSettings, Distortion, LabelPolicy, Loss
 from compute.camera.model import SensorGeometry
 from compute.errors import InvalidParameter, LumilineError

@@ -1,33 +1,70 @@
 """How well a calibration reproduces control points: fitted, and points that it never saw."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.effective_readings import (
+from compute.calibration.result import (
+    AxisErrors,
+    Calibration,
+    CrossValidation,
     count_readings,
     effective_readings,
+    measurement_sigma,
     repaired_readings,
 )
-from compute.calibration.measurement_noise import measurement_sigma
-from compute.calibration.result import AxisErrors, Calibration, CrossValidation
 from compute.calibration.result_assembly import assemble_with_exact_points
 from compute.calibration.settings import DEFAULTS, CalibrationSettings
-from compute.calibration.single_sensor.design_matrix import check_determined
-from compute.calibration.single_sensor.distortion_fit import LensOffsets, minimise_with_distortion
-from compute.calibration.single_sensor.distortion_terms import free_parameters
+from compute.calibration.single_sensor.camera_fit import LensOffsets, minimise_with_distortion
+from compute.calibration.single_sensor.design_matrix import check_determined, fitted_columns
 from compute.calibration.single_sensor.sensor_fits import ControlObservations, SensorFits
-from compute.calibration.spatial_blocks import block_count, spatial_block_index
 from compute.camera.model import SensorGeometry, vector3
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, InvalidParameter
+from compute.progress import Progress
 from compute.reconstruction.triangulation import reconstruct
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
+
+MAX_BLOCKS: Final = 16
+MIN_BLOCKS: Final = 5
+POINTS_PER_BLOCK: Final = 3
+
+
+def block_count(points: int) -> int:
+    """Return into how many blocks so many points are cut: three points each, 5 to 16 of them."""
+    return int(min(points, max(MIN_BLOCKS, min(MAX_BLOCKS, points // POINTS_PER_BLOCK))))
+
+
+def spatial_block_index(points_mm: Array, count: int) -> NDArray[np.intp]:
+    """Return the number of each point's block, 0 .. count - 1, shape (N,).
+
+    The points are halved across their longest extent, again and again. What a model gets wrong is
+    alike in neighbouring points: left out one by one, each would be predicted from neighbours
+    that err as it does.
+
+    Args:
+        points_mm: shape (N, 3).
+        count: of blocks, at most N.
+    """
+    blocks = np.zeros(len(points_mm), dtype=np.intp)
+    parts = [(np.arange(len(points_mm)), 0, count)]
+    while parts:
+        rows, first, share = parts.pop()
+        if share == 1:
+            blocks[rows] = first
+            continue
+        extent = np.ptp(points_mm[rows], axis=0)
+        order = rows[np.argsort(points_mm[rows, int(extent.argmax())], kind="stable")]
+        low = share // 2
+        cut = round(len(rows) * low / share)
+        parts.append((order[:cut], first, low))
+        parts.append((order[cut:], first + low, share - low))
+    return blocks
+
 
 BATCH_VALUES: Final = 2_000_000
 """Elements of the Jacobians of the fits that are made at once."""
@@ -220,8 +257,7 @@ class _Refits:
 def _is_determined(observed: ControlObservations, fits: SensorFits) -> bool:
     for column, model in enumerate(fits.models):
         rows = observed.seen[:, column] & (fits.weights[:, column] > 0.0)
-        terms = () if model.distortion is None else model.distortion.terms
-        if rows.sum() < free_parameters(terms):
+        if rows.sum() < len(fitted_columns(model)):
             return False
     used = np.where(fits.weights > 0.0, observed.weights, 0.0)
     try:

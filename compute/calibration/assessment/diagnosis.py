@@ -1,6 +1,5 @@
 """What control points leave open: weak parameters, coverage, and which measurement would help."""
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -15,9 +14,9 @@ from compute.calibration.single_sensor.design_matrix import (
 )
 from compute.camera.model import vector3
 from compute.camera.stack import CameraStack
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 VOLUME_GRID_NODES: Final = 5
 """Nodes along each axis of the grid over the control points' box at which points are judged."""

@@ -1,6 +1,5 @@
 """Joint adjustment of all sensors and of control points that have an uncertainty of their own."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,9 +14,9 @@ from compute.calibration.single_sensor.design_matrix import fitted_columns
 from compute.calibration.single_sensor.sensor_fits import ControlObservations, SensorFits
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 MIN_REDUNDANCY: Final = 4.0
 """Readings of a sensor that must check others before their residuals tell its deviation."""

@@ -1,6 +1,6 @@
 """adjust: Levenberg-Marquardt over sensors, shapes and poses, poses eliminated in each step."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -29,9 +29,9 @@ from compute.calibration.bundle_adjustment.robust_loss import (
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.camera.model import SensorModel
 from compute.errors import InvalidParameter, NoConvergence
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 MAX_ITERATIONS: Final = 200
 CONVERGENCE_TOLERANCE: Final = 1e-9

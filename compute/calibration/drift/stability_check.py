@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.measurement_noise import measurement_sigma
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, measurement_sigma
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter, NonFiniteValue, TooFewPoints
 from compute.reconstruction.triangulation import reconstruct

@@ -1,6 +1,6 @@
 """Find label errors in control data: which readings carry a label that is not theirs."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import log, pi
 from statistics import median
@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from compute.calibration.control_data_checks import check_observations
 from compute.calibration.mislabels.device_search import DeviceExplanation, search_device
 from compute.calibration.mislabels.finding import LabelErrorKind, LabelFinding
 from compute.calibration.mislabels.hypothesis import Hypothesis
-from compute.calibration.mislabels.label_report import LabelReport
 from compute.calibration.mislabels.lens_fit import with_lens
 from compute.calibration.mislabels.marginal_likelihood import KNOWN_SIGMA, ScalePrior
 from compute.calibration.mislabels.sensor_search import (
@@ -24,6 +22,25 @@ from compute.calibration.mislabels.sensor_search import (
     search_sensor_labels,
 )
 from compute.camera.model import SensorGeometry
+from compute.camera.observation_checks import check_control_points
+from compute.progress import Progress
+
+
+@dataclass(frozen=True)
+class LabelReport:
+    """The label errors of a device's control data.
+
+    Args:
+        findings: the errors, those of all sensors first, then sensor by sensor.
+        sigma_px: standard deviation of a reading that each sensor's search ended with [px].
+        explanation_probability: for each sensor, probability of the explanation that the findings make together;
+            low where others explain its readings about as well.
+    """
+
+    findings: tuple[LabelFinding, ...]
+    sigma_px: tuple[float, ...]
+    explanation_probability: tuple[float, ...]
+
 
 Array = NDArray[np.float64]
 
@@ -45,7 +62,7 @@ def find_label_errors(
     readings_px: Array,
     sensors: Sequence[SensorGeometry],
     sigma_px: Array | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> LabelReport:
     """Find wrong, missing and exchanged labels; nothing is changed.
 
@@ -76,7 +93,7 @@ def find_label_errors(
     points = np.asarray(points_mm, dtype=np.float64)
     readings = np.asarray(readings_px, dtype=np.float64)
     given = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
-    check_observations(points, readings, sensors, given)
+    check_control_points(points, readings, sensors, given)
     sigma = np.ones(readings.shape) if given is None else np.where(np.isfinite(readings), given, 1)
     data = [
         SensorReadings(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from compute.calibration.mislabels.hypothesis import Hypothesis
 from compute.calibration.mislabels.sensor_search import SensorReadings
-from compute.calibration.single_sensor.distortion_fit import LensOffsets
+from compute.calibration.single_sensor.camera_fit import LensOffsets
 from compute.calibration.single_sensor.distortion_terms import Preset, preset_terms
 from compute.calibration.single_sensor.m_estimators import BIWEIGHT_LIMIT, mad_sigma
 from compute.calibration.single_sensor.projective_camera import PARAMETER_COUNT_PROJECTIVE

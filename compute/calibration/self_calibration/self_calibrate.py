@@ -8,6 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
+from compute.calibration.bundle_adjustment.data_snooping import (
+    SIGMA_FLOOR_PX,
+    sensor_sigma,
+    worst_readings,
+)
 from compute.calibration.bundle_adjustment.parameter_covariance import undetermined_poses
 from compute.calibration.bundle_adjustment.solver import Progress, adjust
 from compute.calibration.self_calibration.coarse_solution import coarse_solution, lens_offset_prior
@@ -22,11 +27,6 @@ from compute.calibration.self_calibration.initial_poses import (
     observed_scale,
     select_poses,
     start_poses,
-)
-from compute.calibration.self_calibration.noise_estimation import (
-    SIGMA_FLOOR_PX,
-    sensor_sigma,
-    worst_readings,
 )
 from compute.calibration.self_calibration.pose_screening import find_outlier_readings, screen_poses
 from compute.calibration.self_calibration.recording_checks import (

@@ -1,13 +1,65 @@
 """Many weighted fits of one 1D camera at once, in its projective form of seven numbers."""
 
 from dataclasses import dataclass
+from functools import cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.single_sensor.normalised_dlt import normalisation
+from compute.errors import DegeneratePoints
 
 Array = NDArray[np.float64]
+
+RANK_LIMIT = 1e-9
+"""Smallest seventh singular value of the design, relative to the first."""
+
+
+def normalisation(points_mm: Array) -> Array:
+    """Return the 4x4 similarity that moves points (N, 3) to their centroid, RMS distance sqrt 3.
+
+    Hartley's normalisation, doi:10.1109/34.601246.
+    """
+    centre = points_mm.mean(axis=0)
+    scale = np.sqrt(3.0) / np.sqrt(((points_mm - centre) ** 2).sum(axis=1).mean())
+    transform: Array = np.eye(4) * scale
+    transform[:3, 3] = -scale * centre
+    transform[3, 3] = 1.0
+    return transform
+
+
+def dlt_matrix(points_mm: Array, readings_px: Array, sensor: str) -> Array:
+    """Solve ``p (m2.X~) = m1.X~`` for the 2x4 matrix in the algebraic least-squares sense.
+
+    Equation [5.5] of the thesis without fixing the constant of the denominator to 1, with
+    normalised points and readings, by singular values.
+
+    Args:
+        points_mm: control points that the sensor saw, shape (N, 3), N >= 7.
+        readings_px: its readings, shape (N,) [px].
+        sensor: the sensor's name, for the error.
+
+    Raises:
+        DegeneratePoints: the design's rank is below 7: more than one camera fits.
+    """
+    transform = normalisation(points_mm)
+    homogeneous = np.column_stack([points_mm, np.ones(len(points_mm))]) @ transform.T
+    middle = float(readings_px.mean())
+    scale = float(readings_px.std()) or 1.0
+    q = (readings_px - middle) / scale
+    design = np.hstack([homogeneous, -q[:, None] * homogeneous])
+    _, singular, right = np.linalg.svd(design, full_matrices=True)
+    if singular[6] < RANK_LIMIT * singular[0]:
+        raise DegeneratePoints(
+            f"the control points and readings of sensor {sensor} determine only "
+            f"{int((singular > RANK_LIMIT * singular[0]).sum())} of 7 parameters; spread the "
+            "points in all three directions and across the sensor",
+            sensor=sensor,
+        )
+    first, second = right[-1, :4], right[-1, 4:]
+    matrix: Array = np.array([scale * first + middle * second, second]) @ transform
+    return matrix
+
 
 PARAMETER_COUNT_PROJECTIVE = 7
 MIN_RELATIVE_DEPTH = 0.05
@@ -159,3 +211,85 @@ def _solve(design: Array, right: Array, damping: Array | float) -> Array:
     slope = (transposed @ right[..., None])[..., 0] * scale
     step: Array = np.linalg.solve(normal, slope[..., None])[..., 0] * scale
     return step
+
+
+LOWEST_STARTS: Final = 6
+"""Nodes of the grid from which each sensor is searched, besides its linear solution."""
+DUPLICATE_TOLERANCE: Final = 1e-12
+"""Relative weights of sensors that differ by less are the same: one matrix serves all."""
+
+
+def starting_cameras(camera: ProjectiveCamera, readings: Array, weights: Array) -> Array:
+    """Return projective cameras to start from, shape (S, 1 + LOWEST_STARTS, 7).
+
+    With the denominator ``w = 1 + g.X`` fixed, the numerator is linear; all cameras that have
+    every point in front of them have g in a bounded set. A grid over that set, with the
+    numerator solved for each node (variable projection), shows where the sum of squares is
+    small, so that the refinement does not hang on the linear solution alone. The first is that
+    linear solution, [5.5].
+
+    Args:
+        camera: control points, all seen by all sensors.
+        readings: of S sensors, shape (S, N), in the camera's unit.
+        weights: 1 / standard deviation of the readings, shape (S, N).
+    """
+    points = camera.points
+    gradients = _grid()
+    # Scale each direction so that the nearest point keeps a positive depth.
+    reach = (gradients @ points.T).min(axis=1)
+    gradients = gradients / np.maximum(-reach, 1.0)[:, None] * 0.999
+    inverse = 1.0 / (1.0 + gradients @ points.T)
+    relative = weights / weights.max(axis=1, keepdims=True)
+    if np.ptp(relative, axis=0).max() <= DUPLICATE_TOLERANCE:
+        numerators, costs = _numerators(points, inverse, relative[0], readings)
+    else:
+        each = [
+            _numerators(points, inverse, weight, reading[None])
+            for weight, reading in zip(relative, readings, strict=True)
+        ]
+        numerators, costs = (np.concatenate(parts) for parts in zip(*each, strict=True))
+    best = np.argpartition(costs, LOWEST_STARTS, axis=1)[:, :LOWEST_STARTS]
+    chosen = numerators[np.arange(len(readings))[:, None], best]
+    nodes = np.concatenate([chosen, gradients[best]], axis=2)
+    return np.concatenate([camera.algebraic(readings, weights)[:, None], nodes], axis=1)
+
+
+def _numerators(
+    points: Array, inverse: Array, weight: Array, readings: Array
+) -> tuple[Array, Array]:
+    """Return the best numerators (S, G, 4) of S sensors, and their sums of squares (S, G).
+
+    Args:
+        points: shape (N, 3).
+        inverse: 1 / denominator at the points, of each of G nodes, shape (G, N).
+        weight: of the readings of all these sensors, shape (N,).
+        readings: shape (S, N).
+    """
+    homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    weighted = homogeneous * weight[:, None] ** 2
+    products = (homogeneous[:, :, None] * weighted[:, None, :]).reshape(len(points), 16)
+    normal = (inverse**2 @ products).reshape(-1, 4, 4)
+    # A thousandth of a millionth more of the diagonal: flat frames are refused elsewhere.
+    normal *= 1.0 + 1e-9 * np.eye(4)
+    right = (weighted[:, :, None] * readings.T[:, None, :]).reshape(len(points), -1)
+    moment = (inverse @ right).reshape(len(inverse), 4, -1)
+    numerator = np.asarray(np.linalg.solve(normal, moment), dtype=np.float64)
+    squares = (readings**2) @ weight**2
+    cost: Array = squares[:, None] - (numerator * moment).sum(axis=1).T
+    return numerator.transpose(2, 0, 1), cost
+
+
+@cache
+def _grid() -> Array:
+    """Directions on the sphere times slopes, shape (G, 3), in the normalised frame.
+
+    A slope of s means that depth changes by the fraction s over the points' RMS extent.
+    """
+    count = 48
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * (np.arange(count) + 0.5)
+    height = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
+    ring = np.sqrt(1.0 - height**2)
+    directions = np.column_stack([np.cos(angle) * ring, np.sin(angle) * ring, height])
+    gradients = np.array([0.02, 0.06, 0.13, 0.27, 0.5])
+    grid: Array = (gradients[:, None, None] * directions).reshape(-1, 3)
+    return grid

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from compute.calibration.assessment.cross_validation import control_errors
-from compute.calibration.calibrate import Progress
-from compute.calibration.calibrate_and_assess import calibrate_and_assess
-from compute.calibration.effective_readings import count_readings, effective_readings
-from compute.calibration.result import AxisErrors, Calibration
+from compute.calibration.calibrate import calibrate_and_assess
+from compute.calibration.result import AxisErrors, Calibration, count_readings, effective_readings
 from compute.calibration.settings import DEFAULTS, CalibrationSettings
 from compute.errors import InvalidParameter
+from compute.progress import Progress
 from hardware.driver import SensorDescription
 from service.api.calibrations.observations import geometry, observations
 from service.api.calibrations.schema import (
@@ -57,7 +56,7 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
 
     Raises:
         InvalidParameter: what is asked for takes longer than a request should.
-        LumilineError: what was wrong with the points; see compute.calibration.calibrate_and_assess.assess.
+        LumilineError: what was wrong with the points; see compute.calibration.calibrate.assess.
     """
     settings = request.settings()
     if len(request.points) > LEAVE_ONE_OUT_POINTS and settings != DEFAULTS:
@@ -87,7 +86,7 @@ def calibration_outcome(
         settings: what is asked for.
 
     Raises:
-        LumilineError: what was wrong with the points; see compute.calibration.calibrate_and_assess.assess.
+        LumilineError: what was wrong with the points; see compute.calibration.calibrate.assess.
     """
     points, observed, sigma = control_arrays(given, sensors)
     result = calibrate_and_assess(points, observed, geometry(sensors), sigma, settings, progress)

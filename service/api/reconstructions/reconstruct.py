@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from compute.calibration.measurement_noise import measurement_sigma
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, measurement_sigma
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.triangulation import reconstruct
 from hardware.driver import SensorDescription

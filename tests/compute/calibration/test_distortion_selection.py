@@ -200,7 +200,7 @@ def test_a_start_nearby_changes_nothing() -> None:
         None,
         CalibrationSettings(terms),
     )
-    here, moved = calibrate(*given), calibrate(*given, near=far)
+    here, moved = calibrate(*given), calibrate(*given, initial_models=far)
     for one, other in zip(here.models, moved.models, strict=True):
         assert one.principal_distance_px == pytest.approx(other.principal_distance_px, rel=1e-9)
 

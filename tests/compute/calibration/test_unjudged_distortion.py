@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from compute.calibration.calibrate_and_assess import assess
+from compute.calibration.calibrate import assess
 from compute.calibration.distortion_selection import refusals
 from compute.calibration.settings import CalibrationSettings
 from compute.calibration.single_sensor.distortion_terms import AUTO_CANDIDATES

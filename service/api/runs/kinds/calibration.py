@@ -5,7 +5,7 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
-from compute.calibration.control_data_checks import check_observations
+from compute.camera.observation_checks import check_control_points
 from service.api.calibrations.calibration_content import Outcome, control_arrays
 from service.api.calibrations.observations import geometry
 from service.api.calibrations.sensor_check import check_sensors
@@ -22,7 +22,7 @@ def request_of(request: Request) -> dict[str, Any]:
         LumilineError: what is wrong with the points or the settings.
     """
     arrays = control_arrays(request.points, request.sensors)
-    check_observations(arrays[0], arrays[1], geometry(request.sensors), arrays[2])
+    check_control_points(arrays[0], arrays[1], geometry(request.sensors), arrays[2])
     return request.model_dump(mode="json")
 
 

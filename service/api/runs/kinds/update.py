@@ -9,8 +9,7 @@ from sqlalchemy.orm import Session
 from compute.calibration.assessment.cross_validation import fitted_errors
 from compute.calibration.drift.calibration_update import check_update
 from compute.calibration.drift.stability_check import prediction_residuals
-from compute.calibration.effective_readings import count_readings
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, count_readings
 from service.api.calibrations.calibration_content import (
     Outcome,
     calibration_content,

@@ -1,7 +1,7 @@
 """A calibration run's process: from control points to a calibration."""
 
-from compute.calibration.calibrate import Progress
 from compute.calibration.settings import CalibrationSettings
+from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import Outcome, calibration_outcome
 from service.api.calibrations.schema import ControlPoint

@@ -2,9 +2,9 @@
 
 from typing import Literal
 
-from compute.calibration.calibrate import Progress
 from compute.calibration.result import Calibration
 from compute.camera.model import SensorModel
+from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.devices.sensor import Sensor
 from service.api.runs.self_calibration_schema import NewRecording, recording_of

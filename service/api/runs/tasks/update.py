@@ -1,7 +1,7 @@
 """An update run's process: a calibration brought up to date by still markers."""
 
-from compute.calibration.calibrate import Progress
 from compute.calibration.result import Calibration
+from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.devices.sensor import Sensor
 from service.api.drift_checks.schema import StationaryMarker

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
-from compute.calibration.assessment.cross_validation import cross_validate
+from compute.calibration.assessment.cross_validation import (
+    block_count,
+    cross_validate,
+    spatial_block_index,
+)
 from compute.calibration.assessment.diagnosis import diagnose
-from compute.calibration.calibrate import calibrate
-from compute.calibration.calibrate_and_assess import calibrate_and_assess
+from compute.calibration.calibrate import calibrate, calibrate_and_assess
 from compute.calibration.settings import CalibrationSettings
-from compute.calibration.spatial_blocks import block_count, spatial_block_index
 from compute.errors import InvalidParameter
 from tests.compute.rig import control_points, geometry, project, rig
 

@@ -22,6 +22,7 @@ from compute.calibration.single_sensor.sensor_fits import (
     SensorFits,
 )
 from compute.camera.model import PARAMETER_COUNT, SensorModel, vector3
+from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY
 from compute.camera.stack import CameraStack
 from compute.progress import Progress
 from compute.reconstruction.triangulation import chi2_limit
@@ -29,8 +30,6 @@ from compute.reconstruction.triangulation import chi2_limit
 Array = NDArray[np.float64]
 
 QUANTISATION_PX: Final = 1.0 / np.sqrt(12.0)
-UNEXPLAINED_PROBABILITY: Final = 0.01
-"""Chance that right deviations are taken for too small."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,6 +26,10 @@ SIGMA_RANGE_PX: Final = (1e-6, 1e4)
 """Range of standard deviations that are plausible and whose squares keep their digits."""
 
 
+UNEXPLAINED_PROBABILITY: Final = 0.01
+"""Probability with which correct standard deviations are judged too small by the residuals."""
+
+
 class NamedPixelRow(Protocol):
     """Name and pixel count of a sensor: ``SensorGeometry`` and ``SensorModel`` have both."""
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY
 from compute.errors import DegeneratePoints, TooFewPoints
 from compute.mapping.b_splines import interpolate_function
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
@@ -35,11 +36,9 @@ UNINFORMATIVE_PRECISION = 1e-6
 """Of calibration errors that the measurements themselves must tell, in units of what they do."""
 MIN_SINGULAR_RATIO = 1e-9
 """Ratio of singular values below which the measurements leave the calibration open."""
-UNEXPLAINED_PROBABILITY = 0.01
-"""Chance that right deviations are taken for too small."""
 CONTRADICTED_PROBABILITY = 1e-4
-"""Of the same by what left-out blocks say, which a field that is rough in places can say, too;
-deviations that are half of the right ones go far beyond."""
+"""The same, judged by left-out blocks: smaller, as a locally rough field fails this test, too;
+standard deviations that are half of the right ones go far beyond."""
 MAX_ITERATIONS = 8
 """Of fitting and of taking the samples' variances anew."""
 FACTOR_TOLERANCE = 0.05

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +19,11 @@ from compute.calibration.self_calibration.result import (
 )
 from compute.calibration.self_calibration.targets import Recording
 from compute.camera.model import SensorModel, vector3
+from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY
 from compute.camera.stack import CameraStack
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
-
-UNEXPLAINED_PROBABILITY: Final = 0.01
-"""Chance that right deviations are taken for too small."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""How well a calibration reproduces control points: fitted, and points that it never saw."""
+"""Cross-validation: control points reconstructed by calibrations fitted without them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,23 +32,27 @@ Array = NDArray[np.float64]
 MAX_BLOCKS: Final = 16
 MIN_BLOCKS: Final = 5
 POINTS_PER_BLOCK: Final = 3
+BATCH_VALUES: Final = 2_000_000
+"""Largest number of Jacobian elements in one batch of fits."""
 
 
 def block_count(points: int) -> int:
-    """Return into how many blocks so many points are cut: three points each, 5 to 16 of them."""
+    """Return the number of blocks for a number of points: three points each, 5 to 16 blocks."""
     return int(min(points, max(MIN_BLOCKS, min(MAX_BLOCKS, points // POINTS_PER_BLOCK))))
 
 
 def spatial_block_index(points_mm: Array, count: int) -> NDArray[np.intp]:
-    """Return the number of each point's block, 0 .. count - 1, shape (N,).
+    """Assign points to blocks of space, by repeated halving across the longest extent.
 
-    The points are halved across their longest extent, again and again. What a model gets wrong is
-    alike in neighbouring points: left out one by one, each would be predicted from neighbours
-    that err as it does.
+    Model errors of neighbouring points are correlated. Points that are left out one by one would
+    be predicted from neighbours with the same error; a block is not.
 
     Args:
-        points_mm: shape (N, 3).
-        count: of blocks, at most N.
+        points_mm: shape (N, 3) [mm].
+        count: number of blocks, at most N.
+
+    Returns:
+        The block of each point, 0 .. count - 1, shape (N,).
     """
     blocks = np.zeros(len(points_mm), dtype=np.intp)
     parts = [(np.arange(len(points_mm)), 0, count)]
@@ -66,17 +70,20 @@ def spatial_block_index(points_mm: Array, count: int) -> NDArray[np.intp]:
     return blocks
 
 
-BATCH_VALUES: Final = 2_000_000
-"""Elements of the Jacobians of the fits that are made at once."""
-
-
 def fitted_errors(
     calibration: Calibration, points_mm: Array, readings_px: Array, sigma_px: Array | None = None
 ) -> Array:
-    """Reconstruct the control points and return reconstructed minus given, shape (N, 3) [mm].
+    """Reconstruct control points and subtract the given positions (the sign of Appendix F).
 
-    As any readings are reconstructed, with the calibration's covariance. NaN for a point that
-    fewer than three sensors saw. The sign is the thesis's (Appendix F).
+    Args:
+        calibration: the calibration, with its covariance.
+        points_mm: control points, shape (N, 3) [mm].
+        readings_px: their readings, shape (N, S) [px]; NaN where not seen.
+        sigma_px: their standard deviations, shape (N, S) [px]; None: the calibration's.
+
+    Returns:
+        Reconstructed minus given, shape (N, 3) [mm]; NaN where fewer than three sensors saw the
+        point.
     """
     sigma = measurement_sigma(calibration, readings_px, sigma_px)
     covariance = np.array(calibration.covariance)
@@ -90,14 +97,14 @@ def control_errors(
     """Reconstruct the control points from the readings that the calibration's fit used.
 
     Args:
-        calibration: of these points.
+        calibration: the calibration of these points.
         points_mm: control points, shape (N, 3) [mm].
-        readings_px: readings as they were given, shape (N, S) [px]; NaN where not seen.
-        sigma_px: their deviations, shape (N, S) [px], or None.
+        readings_px: readings before label repair, shape (N, S) [px]; NaN where not seen.
+        sigma_px: their standard deviations, shape (N, S) [px], or None.
 
     Returns:
-        Reconstructed minus given points, shape (N, 3) [mm], as of ``fitted_errors``, and how many
-        readings they rest on.
+        Reconstructed minus given, shape (N, 3) [mm], as from ``fitted_errors``, and the number of
+        readings used.
     """
     used, sigma = effective_readings(calibration, readings_px, sigma_px)
     differences = fitted_errors(calibration, points_mm, used, sigma)
@@ -115,22 +122,21 @@ def cross_validate(
 ) -> CrossValidation:
     """Predict each control point by sensors fitted without it, or without its block of space.
 
-    The sensors are fitted again, all groups at once, from the calibration, whose choices stay:
-    its distortion terms, its labels, and the readings that a robust loss gave no weight. Each fit
-    goes to its own minimum; one group less moves that, not by much. Points with an uncertainty of
-    their own count by it, but are not adjusted.
+    All groups are fitted in batches, starting from the calibration. Its choices are kept: the
+    distortion terms, the repaired labels, and the weights of a robust loss. Uncertain control
+    points are weighted by their uncertainty, but not adjusted.
 
     Args:
-        calibration: of all the points.
+        calibration: the calibration of all the points.
         points_mm: control points, shape (N, 3) [mm].
-        readings_px: readings, shape (N, S) [px], as given: labels are mended here again.
-        sensors: as they were given.
-        sigma_px: deviations of the readings, shape (N, S), or None.
-        scheme: "points": leave each out. "blocks": blocks of space (``spatial_block_index``).
-        progress: called with the fraction done and the stage; what it raises passes through.
+        readings_px: readings before label repair, shape (N, S) [px]; NaN where not seen.
+        sensors: the S sensors.
+        sigma_px: standard deviations of the readings, shape (N, S) [px], or None.
+        scheme: "points": leave one out. "blocks": leave blocks out (``spatial_block_index``).
+        progress: called with the fraction done and the stage.
 
     Raises:
-        InvalidParameter: the calibration was not made of control points.
+        InvalidParameter: the calibration was not made from control points.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     readings, sigma = repaired_readings(calibration, readings_px, sigma_px)
@@ -138,8 +144,8 @@ def cross_validate(
     groups = np.arange(count) if scheme == "points" else spatial_block_index(points, count)
     if calibration.method != "metric":
         raise InvalidParameter(
-            f"the calibration's method is {calibration.method}; only one that was made of control "
-            "points is cross-validated by them",
+            f"the calibration's method is {calibration.method}; cross-validation needs one that "
+            "was made from control points",
             method=calibration.method,
         )
     refits = _Refits.of(calibration, points, readings, sensors, sigma)
@@ -172,8 +178,8 @@ def cross_validate(
 
 
 def _rms(values: Array) -> float | None:
-    here = values[np.isfinite(values)]
-    return float(np.sqrt((here**2).mean())) if len(here) else None
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt((finite**2).mean())) if len(finite) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,11 +202,14 @@ class _Refits:
         settings = calibration.settings or DEFAULTS
         seen = np.isfinite(readings)
         stack = CameraStack.of(calibration.models)
-        given = np.ones(readings.shape) if sigma is None else np.where(seen, sigma, 1.0)
+        reading_sigma = np.ones(readings.shape) if sigma is None else np.where(seen, sigma, 1.0)
         if sigma is not None and settings.control_sigma_mm is not None:
             jacobian = np.nan_to_num(stack.linearise(points)[1])
-            given = np.hypot(given, settings.control_sigma_mm * np.linalg.norm(jacobian, axis=2))
-        observed = ControlObservations(points, readings, given, sigma is not None, tuple(sensors))
+            point_sigma = settings.control_sigma_mm * np.linalg.norm(jacobian, axis=2)
+            reading_sigma = np.hypot(reading_sigma, point_sigma)
+        observed = ControlObservations(
+            points, readings, reading_sigma, sigma is not None, tuple(sensors)
+        )
         lens_offsets = LensOffsets.of(calibration.models, observed.pitch_um, points, seen)
         if sigma is None:
             lens_offsets = lens_offsets.scaled(
@@ -213,7 +222,7 @@ class _Refits:
         return cls(observed, SensorFits(calibration.models, weights, lens_offsets), settings)
 
     def batch(self) -> int:
-        """Return how many groups are fitted at once."""
+        """Return the number of groups in one batch."""
         stack = CameraStack.of(self.fits.models)
         return max(1, BATCH_VALUES // (self.observed.readings_px.size * stack.width))
 
@@ -227,8 +236,8 @@ class _Refits:
         observed, fits = self.observed, self.fits
         sensors = len(fits.models)
         index = np.tile(np.arange(sensors), len(rests))
-        left = np.repeat(np.array(rests), sensors, axis=0).T
-        weights = (observed.weights * np.sqrt(fits.weights))[:, index] * left
+        kept = np.repeat(np.array(rests), sensors, axis=0).T
+        weights = (observed.weights * np.sqrt(fits.weights))[:, index] * kept
         ended = minimise_with_distortion(
             CameraStack.of(fits.models).rows(index),
             observed.points_mm,
@@ -237,20 +246,20 @@ class _Refits:
             fits.lens_offsets.prior.rows(index),
             multi_start=False,
         )
-        models = ended.cameras.models([fits.models[one] for one in index])
+        models = ended.cameras.models([fits.models[sensor] for sensor in index])
         converged: NDArray[np.bool_] = np.all(ended.converged.reshape(-1, sensors), axis=1)
         found: list[Calibration | None] = []
         for number, rest in enumerate(rests):
-            own = models[number * sensors : (number + 1) * sensors]
+            group_models = models[number * sensors : (number + 1) * sensors]
             part = replace(
                 observed,
                 points_mm=observed.points_mm[rest],
                 readings_px=observed.readings_px[rest],
                 sigma_px=observed.sigma_px[rest],
             )
-            here = SensorFits(own, fits.weights[rest], fits.lens_offsets)
-            usable = bool(converged[number]) and _is_determined(part, here)
-            found.append(assemble_with_exact_points(part, here, self.settings) if usable else None)
+            refit = SensorFits(group_models, fits.weights[rest], fits.lens_offsets)
+            usable = bool(converged[number]) and _is_determined(part, refit)
+            found.append(assemble_with_exact_points(part, refit, self.settings) if usable else None)
         return found
 
 

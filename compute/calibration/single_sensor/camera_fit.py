@@ -1,4 +1,11 @@
-"""Levenberg-Marquardt for many cameras at once, each fitted to readings of the same points."""
+"""Least-squares fit of many cameras to readings of the same points, by Levenberg-Marquardt.
+
+The lens offset along the slit, on which the field angle v depends, is fitted where a distortion
+term contains v. The readings determine it weakly: it shifts v in proportion to depth, and nearly
+all of that acts like tilt and the lower terms. A prior therefore holds it: the lens sees the
+control points' centroid at v = 0 +- OFFSET_SIGMA_V. Without terms in v, the offset and its variance
+are those of the prior.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,42 +22,47 @@ from compute.camera.stack import CameraStack
 Array = NDArray[np.float64]
 
 OFFSET_Y_INDEX: Final = 7
-"""Column of the offset along the slit."""
+"""Parameter index of the lens offset along the slit."""
 MAX_ITERATIONS: Final = 200
 DECREASE_TOLERANCE: Final = 1e-9
-"""Decrease, of the mean square, that is not worth a step: its length is less than 3e-5 standard
-deviations, as the residuals show them."""
+"""Relative decrease of the mean square below which the search ends: the step is then shorter than
+3e-5 standard deviations of the parameters."""
 ROUNDING_TOLERANCE: Final = 2e-15
-"""Rounding of a residual, of the readings: what the sum of squares hides by it is no decrease."""
+"""Rounding error of a residual, relative to the reading: smaller decreases are not resolved."""
 MAX_DAMPING: Final = 1e12
+OFFSET_SIGMA_V: Final = 0.1
+"""Standard deviation of the field angle v (tangent) of the centroid: six degrees. Operators aim a
+lens at the centre of its volume at least as well; its field is three times as wide."""
+START_FIELD_ANGLES_V: Final = (0.0, -0.1, 0.1)
+"""Field angles v of the centroid from which the search starts."""
 
 
 @dataclass(frozen=True, eq=False)
 class OffsetPrior:
-    """What is known of the offsets along the slits beforehand.
+    """Gaussian prior of the lens offsets along the slits.
 
     Args:
-        mean_mm: shape (B,) [mm].
-        sigma_mm: standard deviation, shape (B,) [mm]; infinite where nothing is known.
+        mean_mm: means, shape (B,) [mm].
+        sigma_mm: standard deviations, shape (B,) [mm]; infinite: no prior.
     """
 
     mean_mm: Array
     sigma_mm: Array
 
     def rows(self, index: NDArray[np.intp]) -> "OffsetPrior":
-        """Return it for some of the cameras."""
+        """Return the prior of the cameras with these indices."""
         return OffsetPrior(self.mean_mm[index], self.sigma_mm[index])
 
 
 @dataclass(frozen=True, eq=False)
 class MinimisationResult:
-    """Where B searches ended.
+    """Results of B searches.
 
     Args:
-        cameras: B cameras.
+        cameras: the B cameras at the end.
         squares: sum of squared residuals over sigma, with the prior's, shape (B,); infinite where
             the start had a point behind the lens.
-        converged: whether the search came to rest, shape (B,).
+        converged: whether the search converged, shape (B,).
     """
 
     cameras: CameraStack
@@ -66,18 +78,18 @@ def minimise(
     prior: OffsetPrior | None = None,
     iterations: int = MAX_ITERATIONS,
 ) -> MinimisationResult:
-    """Minimise the weighted squares of B cameras from where they are.
+    """Minimise the weighted sums of squares of B cameras by Levenberg-Marquardt.
 
-    A step that takes a point that was read behind the lens is no step. Columns are scaled to
-    length 1 (More, doi:10.1007/BFb0067700); a parameter on which nothing depends stays.
+    A step that moves an observed point behind the lens is rejected. Columns are scaled to length
+    1 (More, doi:10.1007/BFb0067700); a parameter on which nothing depends keeps its value.
 
     Args:
-        cameras: B starts.
-        points_mm: control points, shape (N, 3), of all of them.
-        readings_px: shape (N, B) [px]; anything where the weight is 0.
+        cameras: the B starting cameras.
+        points_mm: control points, common to all cameras, shape (N, 3) [mm].
+        readings_px: shape (N, B) [px]; any value where the weight is 0.
         weights: 1 / standard deviation, shape (N, B) [1/px]; 0: not seen.
-        prior: of the offsets along the slits; None: none, or no distortion.
-        iterations: steps that are tried at most.
+        prior: of the lens offsets; None: no prior, or no distortion.
+        iterations: largest number of trial steps.
     """
     count = len(cameras)
     used = weights > 0.0
@@ -86,32 +98,32 @@ def minimise(
     state = cameras
     equations = _NormalEquations.of(state, points_mm, readings, weights, used, prior)
     damping = np.full(count, 1e-4)
-    worth = DECREASE_TOLERANCE / np.maximum(used.sum(axis=0), 1)
+    tolerance = DECREASE_TOLERANCE / np.maximum(used.sum(axis=0), 1)
     converged = np.zeros(count, dtype=np.bool_)
     index = np.flatnonzero(np.isfinite(equations.squares))
     for _ in range(iterations):
         if len(index) == 0:
             break
-        every = len(index) == count  # Then there is nothing to pick.
-        going = equations if every else equations.rows(index)
-        step, promised = going.steps(damping[index])
+        every = len(index) == count  # No indexing needed.
+        active = equations if every else equations.rows(index)
+        step, predicted = active.steps(damping[index])
         trial = (state if every else state.rows(index)).retract(step)
         if every:
             new = _NormalEquations.of(trial, points_mm, readings, weights, used, prior)
         else:
-            here = prior.rows(index) if prior is not None else None
+            active_prior = prior.rows(index) if prior is not None else None
             part = readings[:, index], weights[:, index], used[:, index]
-            new = _NormalEquations.of(trial, points_mm, *part, here)
-        old = going.squares.copy()
+            new = _NormalEquations.of(trial, points_mm, *part, active_prior)
+        old = active.squares.copy()
         better = new.squares <= old
         if every and better.all():
             equations, state = new, trial
         else:
             equations.replace_rows(index[better], new.rows(np.flatnonzero(better)))
             state = _replace_cameras(state, index[better], trial.rows(np.flatnonzero(better)))
-        # Under little damping a step that promises nothing has arrived, better or not.
-        hidden = rounding[index] * (2.0 * np.sqrt(old) + rounding[index])
-        done = (promised <= worth[index] * old + hidden) & (damping[index] <= 1e-3)
+        # Converged: with little damping, the predicted decrease is negligible.
+        unresolved = rounding[index] * (2.0 * np.sqrt(old) + rounding[index])
+        done = (predicted <= tolerance[index] * old + unresolved) & (damping[index] <= 1e-3)
         damping[index] = np.maximum(damping[index] * np.where(better, 0.1, 10.0), 1e-14)
         converged[index[done]] = True
         index = index[~done & (damping[index] < MAX_DAMPING)]
@@ -149,11 +161,11 @@ class _NormalEquations:
         gradient = (transposed @ residuals[..., None])[..., 0]
         squares = (residuals**2).sum(axis=1)
         if prior is not None and cameras.has_distortion:
-            known = cameras.parameter_mask[:, OFFSET_Y_INDEX] / prior.sigma_mm
-            away = (cameras.offset_mm[:, 1] - prior.mean_mm) * known
-            normal[:, OFFSET_Y_INDEX, OFFSET_Y_INDEX] += known**2
-            gradient[:, OFFSET_Y_INDEX] += away * known
-            squares = squares + away**2
+            prior_weight = cameras.parameter_mask[:, OFFSET_Y_INDEX] / prior.sigma_mm
+            prior_residual = (cameras.offset_mm[:, 1] - prior.mean_mm) * prior_weight
+            normal[:, OFFSET_Y_INDEX, OFFSET_Y_INDEX] += prior_weight**2
+            gradient[:, OFFSET_Y_INDEX] += prior_residual * prior_weight
+            squares = squares + prior_residual**2
         squares[behind] = np.inf
         return cls(normal, gradient, squares)
 
@@ -166,7 +178,7 @@ class _NormalEquations:
         self.squares[index] = other.squares
 
     def steps(self, damping: Array) -> tuple[Array, Array]:
-        """Return damped steps (B, W) and the decrease that the linear model promises (B,)."""
+        """Return damped steps (B, W) and the decrease that the linear model predicts (B,)."""
         width = self.normal.shape[1]
         diagonal = np.arange(width)
         length = np.sqrt(self.normal[:, diagonal, diagonal])
@@ -176,8 +188,8 @@ class _NormalEquations:
         right = -self.gradient * scale
         step = np.linalg.solve(scaled, right[..., None])[..., 0]
         # r'r - |r + J s|^2 = s'(A + D) s + s' D s - ... with (A + D) s = b: s'b + d s's.
-        promised = (step * right).sum(axis=1) + damping * (step**2).sum(axis=1)
-        return step * scale, promised
+        predicted = (step * right).sum(axis=1) + damping * (step**2).sum(axis=1)
+        return step * scale, predicted
 
 
 def _replace_cameras(
@@ -198,19 +210,12 @@ def _replace_cameras(
     return result
 
 
-OFFSET_SIGMA_V: Final = 0.1
-"""Standard deviation of the v at which the centroid is seen: six degrees. A lens looks at the
-middle of its volume as well as that, and its field is three times as wide."""
-START_FIELD_ANGLES_V: Final = (0.0, -0.1, 0.1)
-"""At which v of the centroid the search starts."""
-
-
 @dataclass(frozen=True, eq=False)
 class LensOffsets:
-    """Where the slits lie that readings say little of.
+    """Positions of the lenses along their slits, which the readings determine weakly.
 
     Args:
-        row_behind_mm: see ``FieldDistortion``, shape (S,).
+        row_behind_mm: see ``FieldDistortion``, shape (S,) [mm].
         prior: of the offsets along the slits.
     """
 
@@ -225,13 +230,13 @@ class LensOffsets:
         points_mm: Array,
         seen: NDArray[np.bool_],
     ) -> "LensOffsets":
-        """Place them by cameras without distortion, or with that of an earlier fit.
+        """Derive the prior from cameras and the control points that they saw.
 
         Args:
-            models: S cameras.
+            models: S cameras, without distortion or with that of an earlier fit.
             pitch_um: the sensors' pixel pitches [um]; None: not known.
-            points_mm: control points, shape (N, 3).
-            seen: which were read, shape (N, S).
+            points_mm: control points, shape (N, 3) [mm].
+            seen: which of them each sensor saw, shape (N, S).
         """
         centre_mm = (seen.T @ points_mm) / seen.sum(axis=0)[:, None]
         behind, mean, sigma = [], [], []
@@ -247,7 +252,12 @@ class LensOffsets:
         return cls(np.array(behind), OffsetPrior(np.array(mean), np.array(sigma)))
 
     def at(self, models: Sequence[SensorModel], pitch_um: Sequence[float | None]) -> "LensOffsets":
-        """Return them with the rows as far behind the lenses as the fitted cameras have them."""
+        """Return the offsets with the pixel rows at the fitted principal distances.
+
+        Args:
+            models: the S fitted cameras.
+            pitch_um: the sensors' pixel pitches [um]; None: not known, the row stays.
+        """
         behind = self.row_behind_mm.copy()
         for row, (model, pitch) in enumerate(zip(models, pitch_um, strict=True)):
             if pitch is not None:
@@ -255,31 +265,34 @@ class LensOffsets:
         return replace(self, row_behind_mm=behind)
 
     def scaled(self, sigma_px: Array) -> "LensOffsets":
-        """Return them for readings whose weights are 1 and not 1 / sigma_px (S,)."""
+        """Return the prior in units for weights of 1, where noise is ``sigma_px`` (S,) [px]."""
         return replace(self, prior=replace(self.prior, sigma_mm=self.prior.sigma_mm / sigma_px))
 
 
 def start_with_terms(
     models: Sequence[SensorModel], terms: Sequence[tuple[Term, ...]], lens_offsets: LensOffsets
 ) -> tuple[SensorModel, ...]:
-    """Return the cameras with these terms (one set for each), starting from what they have.
+    """Return starting cameras with distortion terms; coefficients that they have are kept.
 
-    A sensor with no terms has no distortion.
+    Args:
+        models: S cameras.
+        terms: the terms of each; an empty tuple: no distortion.
+        lens_offsets: the offsets at which cameras without distortion start.
     """
-    given = []
-    for row, (model, own) in enumerate(zip(models, terms, strict=True)):
+    starts = []
+    for row, (model, own_terms) in enumerate(zip(models, terms, strict=True)):
         old = model.distortion
         known = {} if old is None else dict(zip(old.terms, old.coefficients, strict=True))
         distortion = None
-        if own:
+        if own_terms:
             distortion = FieldDistortion(
-                own,
-                tuple(known.get(term, 0.0) for term in own),
+                own_terms,
+                tuple(known.get(term, 0.0) for term in own_terms),
                 float(lens_offsets.prior.mean_mm[row]) if old is None else old.offset_y_mm,
                 float(lens_offsets.row_behind_mm[row]),
             )
-        given.append(replace(model, distortion=distortion))
-    return tuple(given)
+        starts.append(replace(model, distortion=distortion))
+    return tuple(starts)
 
 
 def minimise_with_distortion(
@@ -290,15 +303,15 @@ def minimise_with_distortion(
     prior: OffsetPrior,
     multi_start: bool = True,
 ) -> MinimisationResult:
-    """Minimise from several offsets along the slit; the lowest for each camera.
+    """Minimise from several offsets along the slit and keep each camera's lowest minimum.
 
     Args:
         cameras: B cameras at the prior's offsets.
         points_mm: shape (N, 3) [mm].
         readings_px: shape (N, B) [px].
-        weights: 1 / sigma, shape (N, B), 0: not used.
-        prior: of the offsets.
-        multi_start: False: from where the cameras are only, which are near their minima.
+        weights: 1 / standard deviation, shape (N, B) [1/px]; 0: not used.
+        prior: of the lens offsets.
+        multi_start: False: start from the cameras only, which are close to their minima.
     """
     if not multi_start or not depends_on_v(cameras.terms):
         return minimise(cameras, points_mm, readings_px, weights, prior)
@@ -306,9 +319,9 @@ def minimise_with_distortion(
     index = np.tile(np.arange(count), starts)
     stack = cameras.rows(index)
     step = np.zeros((len(index), cameras.width))
-    away = np.repeat(np.array(START_FIELD_ANGLES_V) / OFFSET_SIGMA_V, count)
+    deviation = np.repeat(np.array(START_FIELD_ANGLES_V) / OFFSET_SIGMA_V, count)
     step[:, PARAMETER_COUNT] = (
-        away * prior.sigma_mm[index] * stack.parameter_mask[:, PARAMETER_COUNT]
+        deviation * prior.sigma_mm[index] * stack.parameter_mask[:, PARAMETER_COUNT]
     )
     ended = minimise(
         stack.retract(step), points_mm, readings_px[:, index], weights[:, index], prior.rows(index)

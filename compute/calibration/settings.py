@@ -1,4 +1,4 @@
-"""What a calibration run is asked to do."""
+"""CalibrationSettings: distortion, uncertainty of control points, loss, label errors."""
 
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
@@ -21,19 +21,18 @@ class CalibrationSettings:
     """How a device is calibrated.
 
     Args:
-        distortion: "none"; "auto": the set that predicts blocks of points it never saw best
-            (``compute.calibration.distortion_selection``); a set's name (``compute.calibration.single_sensor.distortion_terms``); or
-            the terms themselves.
-        control_sigma_mm: standard deviation of each coordinate of the control points [mm];
-            None: they are exact. With it the points are unknowns too, which makes the
-            covariance of the sensors joint.
+        distortion: "none"; "auto": selected by cross-validation
+            (``compute.calibration.distortion_selection``); a set's name
+            (``compute.calibration.single_sensor.distortion_terms``); or the terms themselves.
+        control_sigma_mm: standard deviation of each coordinate of the control points [mm]; None:
+            exact. With it the points are unknowns too, and the covariance of the sensors is joint.
         loss: "linear": least squares. "robust": outliers lose their weight
             (``compute.calibration.single_sensor.m_estimators``).
-        labels: what is done with wrong and exchanged labels: not looked for, reported, left out,
-            or mended.
+        labels: policy for wrong and exchanged labels: "off" (no search), "report", "exclude" or
+            "repair".
 
     Raises:
-        InvalidParameter: a setting that means nothing, or contradicts another.
+        InvalidParameter: a value is out of range or unknown.
     """
 
     distortion: Distortion = "none"

@@ -22,8 +22,8 @@ def find_supported_cells(
     """Return the cells that one sensor's measurements support, shape (nx, ny, nz).
 
     A cell's middle must lie in the convex hull of the points that the sensor saw, and at least
-    ``min_neighbours`` of them within REACH distances between neighbours, counted from the cell: holes
-    inside the hull are not vouched for.
+    ``min_neighbours`` of them within REACH distances between neighbours, counted from the cell:
+    holes inside the hull are not vouched for.
 
     Args:
         grid: the voxels.

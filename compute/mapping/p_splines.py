@@ -138,8 +138,8 @@ class LeftOutErrors:
     Args:
         error: sample less prediction, shape (T,).
         sigma: the standard deviations that they should have, shape (T,).
-        standardised: the errors of each block made independent and of unit variance, if the model is
-            right, shape (T,).
+        standardised: the errors of each block made independent and of unit variance, if the model
+            is right, shape (T,).
         log_variance: logarithms of the variances from which they were made so, shape (T,).
         sizes: of the blocks, shape (B,).
     """
@@ -154,7 +154,8 @@ class LeftOutErrors:
         """Return minus twice the log densities of the blocks, shape (B,), but for a constant.
 
         Without known variances all have one factor, the likeliest. No sample counts for more than
-        one GROSS_ERROR_THRESHOLD deviations off, or as many of most of the errors: a single wrong measurement
+        one GROSS_ERROR_THRESHOLD deviations off, or as many of most of the errors: a single wrong
+            measurement
         would have the whole field taken for rough.
         """
         usual = _scale(self.standardised)

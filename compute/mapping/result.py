@@ -32,8 +32,8 @@ class SensorMapping:
         before_rms_px: projection less measurement, without the table [px].
         after_rms_px: the same with it, at the measurements themselves [px].
         left_out_rms_px: at blocks of measurements that were left out, without their own [px].
-        normalised_squared_error: mean square of the left-out errors over what they should have: 1 where
-            the table's variances are honest.
+        normalised_squared_error: mean square of the left-out errors over what they should have: 1
+            where the table's variances are honest.
         effective_parameters: how many parameters the fit amounts to, the calibration's included.
         penalty_weight: weight of the penalty [1/px^2], on the squared differences of the splines'
             coefficients.

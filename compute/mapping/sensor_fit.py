@@ -52,7 +52,8 @@ class FittedCorrection:
 
     Args:
         functions: the penalised functions.
-        parameter_transform: makes of the camera's parameters the functions fitted beside, shape (P, Q).
+        parameter_transform: makes of the camera's parameters the functions fitted beside, shape (P,
+            Q).
         parameter_jacobian: as in SensorData.
         chosen: the likeliest penalty and the fit with it.
         average: over the penalties.

@@ -21,8 +21,8 @@ class MappingSettings:
             a grid.
         pitch_mm: edges of the cells [mm]; None: about the distance between neighbouring points.
             For "trilinear" and "tricubic" the grid is that of the points, and this is None.
-        penalty_weight: weight of the penalty, in the units of ``SensorMapping.penalty_weight``; None:
-            chosen by cross-validation over blocks, by sensor.
+        penalty_weight: weight of the penalty, in the units of ``SensorMapping.penalty_weight``;
+            None: chosen by cross-validation over blocks, by sensor.
         min_neighbours: measurements near a cell without which it is not vouched for.
 
     Raises:

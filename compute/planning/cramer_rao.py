@@ -77,12 +77,12 @@ class PixelNoise:
 def position_bound(mean_electrons: Array, slope_per_px: Array, noise: PixelNoise) -> Array:
     """Return the Cramer-Rao bound of a line's position, its brightness unknown too.
 
-    With a_i = d mu_i / dx and b_i = mu_i (the derivative by the relative brightness),
-    ``1 / bound^2 = A - B^2 / C`` where A, B, C are the sums of a a, a b and b b over pixels,
-    each over the pixel's variance ``mu + background + read^2 + gain^2 / 12`` (S. M. Kay,
-    Fundamentals of Statistical Signal Processing I, 1993, section 3.7). A alone is the
-    information where the brightness is known, which is ``compute.optics.coded_aperture.cramer_rao``'s
-    ``shift_bound_px`` of the same pixels; B is zero for a symmetric line. The variances are
+    With a_i = d mu_i / dx and b_i = mu_i (the derivative by the relative brightness), ``1 / bound^2
+    = A - B^2 / C`` where A, B, C are the sums of a a, a b and b b over pixels, each over the
+    pixel's variance ``mu + background + read^2 + gain^2 / 12`` (S. M. Kay, Fundamentals of
+    Statistical Signal Processing I, 1993, section 3.7). A alone is the information where the
+    brightness is known, which is ``compute.optics.coded_aperture.cramer_rao``'s ``shift_bound_px``
+    of the same pixels; B is zero for a symmetric line. The variances are
     taken as known: their own dependence on the position, of order 1 / electrons, is left out.
 
     This is the noise only. An error that is the same in every exposure, such as distortion, the

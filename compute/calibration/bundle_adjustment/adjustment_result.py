@@ -1,4 +1,4 @@
-"""AdjustmentResult: what an adjustment ends with, with the covariance of everything in it."""
+"""AdjustmentResult: solution of a bundle adjustment with the covariance of its parameters."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class AdjustmentResult:
-    """Sensors, shapes and poses that fit the readings best.
+    """Least-squares (or robust) estimate of sensors, shapes and poses.
 
     Args:
         models: the sensors.
@@ -50,9 +50,9 @@ class AdjustmentResult:
         return self._reduced.inverses[index], self._reduced.back_substitution[index]
 
     def pose_covariance(self, index: int = 0) -> Array:
-        """Return the covariances of one set's poses, the sensors' part included, (B, d, d).
+        """Return the covariances of one set's poses, the sensors' uncertainty included.
 
-        In the order of a pose's unknowns: its turns, then its translation [mm].
+        Shape (B, d, d), in the order of a pose's unknowns: rotations [rad], then translation [mm].
         """
         carried = self._reduced.back_substitution[index]
         covariance: Array = self._reduced.inverses[index] + np.einsum(

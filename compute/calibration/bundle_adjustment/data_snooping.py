@@ -1,4 +1,4 @@
-"""Which readings are wrong: residuals over their own deviations (Baarda's data snooping)."""
+"""Data snooping (Baarda): redundancy, normalised residuals, outliers and noise estimates."""
 
 from typing import Final
 
@@ -15,10 +15,17 @@ REDUNDANCY_FLOOR = 1e-3
 
 
 def redundancy(adjusted: AdjustmentResult, index: int = 0) -> Array:
-    """Return which share of each reading's error shows in its residual, (B, K, S) in 0 .. 1.
+    """Return the redundancy numbers of the readings: 1 - var(fitted) / var(reading).
 
-    1 less the variance of the fitted reading over that of the reading; 0 where not seen.
-    Baarda, A testing procedure for use in geodetic networks, 1968.
+    The share of a reading's error that appears in its residual, 0 to 1 (Baarda, "A testing
+    procedure for use in geodetic networks", 1968).
+
+    Args:
+        adjusted: the adjustment.
+        index: which of its pose sets.
+
+    Returns:
+        Shape (B, K, S); 0 where not seen.
     """
     poses = adjusted.pose_sets[index]
     cameras = CameraStack.of(adjusted.models)
@@ -50,7 +57,15 @@ def redundancy(adjusted: AdjustmentResult, index: int = 0) -> Array:
 
 
 def normalised_residuals(adjusted: AdjustmentResult, index: int = 0) -> Array:
-    """Return residuals over their own standard deviations, (B, K, S); 0 where unchecked."""
+    """Return residuals over their own standard deviations.
+
+    Args:
+        adjusted: the adjustment.
+        index: which of its pose sets.
+
+    Returns:
+        Shape (B, K, S); 0 where the redundancy is too small.
+    """
     share = redundancy(adjusted, index)
     residual = np.nan_to_num(adjusted.residuals[index])
     return np.where(
@@ -65,10 +80,15 @@ SIGMA_FLOOR_PX: Final = 1e-6
 
 
 def sensor_sigma(adjusted: AdjustmentResult, robust: bool) -> Array:
-    """Return each sensor's noise over the deviations that were taken, shape (S,).
+    """Estimate each sensor's noise relative to the standard deviations assumed.
 
-    By residuals squared over their redundancy (variance components, Helmert's), or by the
-    median of normalised residuals, which wrong readings do not move.
+    Args:
+        adjusted: the adjustment.
+        robust: True: from the median of the normalised residuals, which outliers hardly change.
+            False: from squared residuals over their redundancy (Helmert's variance components).
+
+    Returns:
+        Ratios, shape (S,).
     """
     ratios = []
     normalised = [normalised_residuals(adjusted, i) for i in range(len(adjusted.pose_sets))]
@@ -86,12 +106,16 @@ def sensor_sigma(adjusted: AdjustmentResult, robust: bool) -> Array:
 
 
 def worst_readings(adjusted: AdjustmentResult, index: int) -> tuple[NDArray[np.intp], Array]:
-    """Return the worst reading of each pose that holds one beyond the limit.
+    """Return the largest outlier of each pose that has one.
 
-    One of each pose only: a wrong reading pulls at those beside it.
+    Only one for each pose, as an outlier distorts the residuals of its neighbours.
+
+    Args:
+        adjusted: the adjustment.
+        index: which of its pose sets.
 
     Returns:
-        Their places, shape (N, 3): pose, marker, sensor; and normalised residuals (N,).
+        Indices (pose, marker, sensor), shape (N, 3), and normalised residuals, shape (N,).
     """
     normalised = normalised_residuals(adjusted, index)
     flat = np.abs(normalised).reshape(len(normalised), -1)

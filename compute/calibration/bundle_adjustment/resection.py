@@ -1,4 +1,4 @@
-"""Poses before cameras that are held: every pose by itself, all at once."""
+"""Resection: poses of targets before fixed cameras, each pose fitted by itself."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,11 +22,11 @@ CONVERGENCE_TOLERANCE: Final = 1e-9
 
 
 def resect(models: Sequence[SensorModel], poses: PoseSet) -> tuple[PoseSet, Array]:
-    """Fit each pose to its readings by least squares, with a damping of its own.
+    """Fit each pose to its readings by Levenberg-Marquardt, with its own damping.
 
     Args:
-        models: the cameras, which are taken as they are.
-        poses: where to start, all markers that were read in front of the lenses.
+        models: the cameras, held fixed.
+        poses: B starting poses, with all observed markers in front of the lenses.
 
     Returns:
         The poses, and the sum of squared residuals over sigma of each, shape (B,).

@@ -1,4 +1,4 @@
-"""The sum that an adjustment makes small: squares, or Huber's loss, which bounds what is wrong."""
+"""Loss of a bundle adjustment: squared residuals or Huber loss, with priors."""
 
 from collections.abc import Sequence
 from typing import Final, Literal
@@ -21,7 +21,14 @@ is that of least squares; a wrong one pulls no more than one of three deviations
 def total_loss(
     state: AdjustmentState, residuals: Sequence[Array], prior: SensorPrior | None, limit: float
 ) -> float:
-    """Return the sum of squares, those beyond the limit as Huber's; NaN with a point behind."""
+    """Return the loss of a state; NaN with an observed marker behind a lens.
+
+    Args:
+        state: sensors and poses.
+        residuals: over sigma, shape (B, K, S) for each pose set.
+        prior: of the sensors, or None.
+        limit: beyond this residual Huber's linear loss holds; inf: squares only.
+    """
     total = 0.0
     for poses, residual in zip(state.pose_sets, residuals, strict=True):
         size = np.abs(residual)
@@ -41,7 +48,15 @@ def total_loss(
 
 
 def loss_weights(residuals: Sequence[Array], limit: float) -> list[Array]:
-    """Return the weights of iteratively reweighted least squares, (B, K, S) for each set."""
+    """Return the weights of iteratively reweighted least squares.
+
+    Args:
+        residuals: over sigma, shape (B, K, S) for each pose set.
+        limit: Huber's limit; inf: all weights are 1.
+
+    Returns:
+        Weights, shape (B, K, S) for each set.
+    """
     return [
         limit / np.maximum(np.abs(one), limit) if np.isfinite(limit) else np.ones_like(one)
         for one in residuals
@@ -49,7 +64,12 @@ def loss_weights(residuals: Sequence[Array], limit: float) -> list[Array]:
 
 
 def robust_scale(state: AdjustmentState, residuals: Sequence[Array]) -> float:
-    """Return the residuals' deviation by their median, in stated deviations; at least 1."""
+    """Estimate the residuals' scale from their median absolute value; at least 1.
+
+    Args:
+        state: sensors and poses.
+        residuals: over sigma, shape (B, K, S) for each pose set.
+    """
     seen = [r[poses.seen] for r, poses in zip(residuals, state.pose_sets, strict=True)]
     together = np.abs(np.concatenate(seen))
     return max(1.0, 1.4826 * float(np.median(together))) if len(together) else 1.0

@@ -1,4 +1,4 @@
-"""adjust: Levenberg-Marquardt over sensors, shapes and poses, poses eliminated in each step."""
+"""Bundle adjustment by Levenberg-Marquardt; poses are eliminated in each step."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -62,25 +62,25 @@ def adjust(
     max_iterations: int = MAX_ITERATIONS,
     progress: Progress | None = None,
 ) -> AdjustmentResult:
-    """Fit sensors, shapes and poses to the readings, each over its standard deviation.
+    """Adjust sensors, shapes and poses to the readings.
 
-    The world frame must come from somewhere: from known positions, from the prior, or, with
-    ``free_datum``, from what the caller makes of it afterwards: the solution's frame is any,
-    and the covariance is that of ``gauge.inner_constraints``.
+    The world frame comes from known positions or from the prior. With ``free_datum`` nothing fixes
+    it: the solution's frame is arbitrary, to be chosen by the caller, and the covariance is that of
+    ``gauge.inner_constraints``.
 
     Args:
-        models: the sensors to start from, without a cubic term.
-        pose_sets: poses to start from, with their readings.
-        prior: what is known of the sensors.
+        models: the starting cameras, without a cubic term.
+        pose_sets: the starting poses, with their readings.
+        prior: of the sensors' parameters.
         free: which of the sensors' parameters are adjusted, shape (P,); None: all.
-        free_datum: nothing here knows the world's frame.
+        free_datum: nothing fixes the world frame.
         loss: "linear", least squares, or "robust", Huber's loss.
-        max_iterations: steps that are tried at most.
-        progress: called with the fraction done and the stage; what it raises passes through.
+        max_iterations: largest number of trial steps.
+        progress: called with the fraction done and the stage.
 
     Raises:
         InvalidParameter: shapes that do not fit, or a cubic term.
-        NoConvergence: a marker that was read starts behind a lens, or the steps do not settle.
+        NoConvergence: an observed marker starts behind a lens, or the search does not converge.
         UndeterminedParameters: more than one solution fits.
     """
     state = _check_inputs(models, pose_sets)
@@ -113,10 +113,18 @@ def approximate_solution(
     loss: Loss = "linear",
     steps: int = COARSE_STEPS,
 ) -> AdjustmentState:
-    """Come near a solution from a bad start: as ``adjust``, but it ends early, wherever it is.
+    """Approach a solution from a bad start: ``adjust`` with early termination.
 
-    It ends when a step promises less than a hundredth of chi2, or after ``steps``; nothing says
-    that what it has come to is determined.
+    It ends when a step predicts a decrease of less than a hundredth of chi2, or after ``steps``.
+    The solution need not be determined.
+
+    Args:
+        models: the starting cameras, without a cubic term.
+        pose_sets: the starting poses, with their readings.
+        prior: of the sensors' parameters.
+        free_datum: nothing fixes the world frame.
+        loss: "linear" or "robust".
+        steps: largest number of trial steps.
 
     Raises:
         InvalidParameter, NoConvergence: as ``adjust``, for the start.
@@ -132,7 +140,7 @@ def approximate_solution(
 
 @dataclass(eq=False)
 class _Search:
-    """The state of a search and its steps."""
+    """Levenberg-Marquardt search: its state, residuals and number of iterations."""
 
     state: AdjustmentState
     prior: SensorPrior | None
@@ -155,7 +163,7 @@ class _Search:
                 )
 
     def run_stages(self, loss: Loss, tolerance: float) -> None:
-        """Run with a loss; a robust one from a wide limit to its own."""
+        """Minimise the loss; a robust one from a wide limit to its own."""
         if loss == "linear":
             self.run(np.inf, tolerance)
             return
@@ -167,14 +175,14 @@ class _Search:
         self.run(HUBER_LIMIT, max(tolerance, ROBUST_TOLERANCE))
 
     def _motion(self) -> Array:
-        """Return the globals' slopes by rigid motions of the world, shape (F, 6)."""
+        """Return the globals' Jacobian by rigid motions of the world, shape (F, 6)."""
         jacobian = rigid_motion_jacobian(self.state.models)
         motion = np.zeros((len(self.adjusted_parameters), 6))
         motion[: len(jacobian)] = jacobian
         return motion
 
     def run(self, limit: float, tolerance: float) -> None:
-        """Step until the next one promises less than a share ``tolerance`` of the loss."""
+        """Iterate until a step predicts a relative decrease of less than ``tolerance``."""
         damping = 1e-4
         loss = total_loss(self.state, self.residuals, self.prior, limit)
         while True:
@@ -252,7 +260,7 @@ def _check_inputs(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -
 
 
 def _solve_damped(normal: Array, right: Array, motion: Array | None) -> Array:
-    """Solve the damped equations, scaled to a diagonal of 1, without rigid motions (F, 6)."""
+    """Solve the damped equations, scaled to a unit diagonal, without rigid motions (F, 6)."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), np.finfo(np.float64).tiny))
     scaled = normal * scale[:, None] * scale
     try:
@@ -266,7 +274,13 @@ def _solve_damped(normal: Array, right: Array, motion: Array | None) -> Array:
 
 
 def retract(state: AdjustmentState, step: Array, local: Sequence[Array]) -> AdjustmentState:
-    """Return the state after a step of the globals (F,) and the poses (B, d) of each set."""
+    """Return the state after a step.
+
+    Args:
+        state: sensors and poses.
+        step: of the globals, shape (F,).
+        local: of the poses, shape (B, d) for each set.
+    """
     models = []
     first = 0
     for model in state.models:

@@ -1,4 +1,4 @@
-"""A still set of markers beside what a calibration expects of it."""
+"""Residuals of stationary markers: their readings minus what the calibration predicts."""
 
 from dataclasses import dataclass
 
@@ -15,12 +15,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class StationaryMarkers:
-    """N markers that stand still, read by S sensors.
+    """Readings of N stationary markers by S sensors.
 
     Args:
         readings_px: now, shape (N, S) [px]; NaN where not seen.
         sigma_px: their standard deviations, shape (N, S) [px]; None: the calibration's.
-        positions_mm: their known places, shape (N, 3) [mm]; or None.
+        positions_mm: their known positions, shape (N, 3) [mm]; or None.
         position_sigma_mm: standard deviation of each known coordinate [mm].
         earlier_px: their readings when the calibration was made, shape (N, S) [px]; or None.
         earlier_sigma_px: standard deviations of those; None: the calibration's.
@@ -36,14 +36,15 @@ class StationaryMarkers:
 
 @dataclass(frozen=True, eq=False)
 class PredictionResiduals:
-    """A still set beside what the calibration expects of it.
+    """Readings of stationary markers minus the calibration's predictions.
 
     Args:
-        positions_mm: the markers, shape (M, 3): those that can be compared.
-        marker_index: their numbers in the set, shape (M,).
-        residual_px: read less expected, shape (M, S) [px]; NaN where not to be had.
-        noise_px: deviation of ``residual_px`` by the readings alone, shape (M, S).
-        covariance_px2: of ``residual_px``, shape (M, S, M, S).
+        positions_mm: the M markers that can be compared, shape (M, 3) [mm].
+        marker_index: their indices among the N markers, shape (M,).
+        residual_px: read minus predicted, shape (M, S) [px]; NaN where there is none.
+        noise_px: standard deviation of ``residual_px`` due to the readings alone, shape (M, S)
+            [px].
+        covariance_px2: covariance of ``residual_px``, shape (M, S, M, S) [px^2].
     """
 
     positions_mm: Array
@@ -56,7 +57,15 @@ class PredictionResiduals:
 def prediction_residuals(
     calibration: Calibration, stationary: StationaryMarkers
 ) -> PredictionResiduals:
-    """Return read less expected with its covariance; see ``check_drift``."""
+    """Return the residuals of stationary markers with their covariance.
+
+    Args:
+        calibration: the calibration.
+        stationary: the readings, with known positions or earlier readings.
+
+    Raises:
+        InvalidParameter, NonFiniteValue, TooFewPoints: as ``check_drift``.
+    """
     models = calibration.models
     readings = np.asarray(stationary.readings_px, dtype=np.float64)
     if readings.ndim != 2 or readings.shape[1] != len(models):
@@ -112,7 +121,7 @@ def _against_positions(
     positions = np.asarray(positions_mm, dtype=np.float64)
     if positions.shape != (len(readings), 3):
         raise InvalidParameter(
-            f"places have shape {positions.shape}; {len(readings)} readings make ({len(readings)}, 3)"
+            f"positions have shape {positions.shape}; it must be ({len(readings)}, 3)"
         )
     if not np.isfinite(positions).all():
         raise NonFiniteValue(

@@ -1,4 +1,4 @@
-"""A sensor's lens, fitted robustly, for the search of labels: what it adds to the readings."""
+"""Robust fit of a sensor's lens distortion for the search of label errors."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -37,7 +37,7 @@ NOT_FITTED: Final[tuple[type[LumilineError], ...]] = (
 
 @dataclass(frozen=True, eq=False)
 class _RobustFit:
-    """A robust fit of one camera: its residuals in stated deviations (n,) and parameters."""
+    """A robust fit of one camera: its normalised residuals (n,) and parameters."""
 
     model: SensorModel
     off: Array
@@ -45,7 +45,7 @@ class _RobustFit:
 
 
 def with_lens(data: SensorReadings, found: Hypothesis | None = None) -> SensorReadings | None:
-    """Return readings whose camera has the lens that a robust fit of them gives it.
+    """Return readings with the lens distortion of a robust fit of them.
 
     Of the lenses with ``READINGS_EACH`` readings a parameter the one with the lowest bounded
     squares is taken, each parameter costing the logarithm of the readings (Schwarz's criterion,
@@ -98,7 +98,7 @@ def with_lens(data: SensorReadings, found: Hypothesis | None = None) -> SensorRe
 
 
 def _fits(observed: ControlObservations) -> Iterator[_RobustFit]:
-    """Yield the camera without distortion, and those with each lens that can be fitted."""
+    """Yield the camera without distortion, and those with each set of terms that can be fitted."""
     rows = observed.seen[:, 0]
     try:
         plain, weights = fit_undistorted(observed, "robust")

@@ -1,4 +1,4 @@
-"""From cameras that may be wrong by a fifth to the solution's neighbourhood."""
+"""Coarse self-calibration: from cameras wrong by up to 20 % to near the solution."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -38,7 +38,12 @@ OUTLIER_POSE_SHARE: Final = 0.1
 
 
 def coarse_prior(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> SensorPrior:
-    """Return the start as a prior that is wrong by COARSE_RELATIVE_SIGMA."""
+    """Return a prior at the start with standard deviations of COARSE_RELATIVE_SIGMA.
+
+    Args:
+        models: the starting cameras.
+        pose_sets: starting poses, which give the distances to the lenses.
+    """
     information = [
         (1.0 / (COARSE_RELATIVE_SIGMA * size)) ** 2
         for model, depth in zip(models, _depths(models, pose_sets), strict=True)
@@ -59,7 +64,15 @@ def coarse_prior(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) ->
 def lens_offset_prior(
     models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]
 ) -> SensorPrior | None:
-    """Return the weak prior of shifts along the slits; None where no sensor has distortion."""
+    """Return the weak prior of the lens offsets along the slits.
+
+    Args:
+        models: the starting cameras.
+        pose_sets: starting poses, which give the distances to the lenses.
+
+    Returns:
+        The prior; None where no sensor has distortion.
+    """
     if all(model.distortion is None for model in models):
         return None
     information = []
@@ -81,14 +94,14 @@ def coarse_solution(
 ) -> tuple[SensorModel, ...]:
     """Return sensors near the solution.
 
-    First with coarse readings, so that the start holds what they leave open, and poses that are
-    placed anew after every stage; then by the readings alone, robustly, until no pose hangs in a
-    wrong place.
+    First with inflated standard deviations, so that the prior holds what the readings leave open,
+    and with new starting poses after every stage; then from the readings alone, with a robust loss,
+    until few readings lie beyond its limit.
 
     Args:
-        models: the start.
+        models: the starting cameras.
         recordings: the readings.
-        sigma: their standard deviations, (B, K, S) for each.
+        sigma: their standard deviations, shape (B, K, S) for each recording [px].
 
     Raises:
         TooFewPoints: no pose can be placed.

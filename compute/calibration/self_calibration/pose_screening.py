@@ -1,4 +1,4 @@
-"""Poses that contradict their own readings, and the single reading that is to blame."""
+"""Screening of poses: those that contradict their readings, and single outliers in them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,12 +28,12 @@ SINGLE_OUTLIER_RATIO_THRESHOLD: Final = 20.0
 
 @dataclass(frozen=True, eq=False)
 class ScreenedPoses:
-    """Poses fitted one by one to cameras that are held.
+    """Poses fitted one by one to fixed cameras.
 
     Args:
-        start: all of them.
+        start: all poses, fitted.
         misfit: chi2 over degrees of freedom, shape (B,); 0 without any.
-        good: those that agree with their readings, as far as the cameras allow.
+        good: poses consistent with their readings, within the cameras' errors, shape (B,).
     """
 
     start: InitialPoses
@@ -42,7 +42,12 @@ class ScreenedPoses:
 
 
 def screen_poses(models: Sequence[SensorModel], start: InitialPoses) -> ScreenedPoses:
-    """Fit the poses one by one and tell those that contradict their readings."""
+    """Fit each pose by itself and test whether it contradicts its readings.
+
+    Args:
+        models: the S cameras, held fixed.
+        start: the poses.
+    """
     poses, chi2 = resect(models, start.poses)
     dof = poses.seen.sum(axis=(1, 2)) - poses.unknowns
     misfit = np.where(dof > 0, chi2 / np.maximum(dof, 1), 0.0)
@@ -60,14 +65,18 @@ def _limits(dof: NDArray[np.int_]) -> Array:
 def find_outlier_readings(
     models: Sequence[SensorModel], poses: PoseSet
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Return for contradictory poses the one reading without which they agree, if there is one.
+    """Find the single outlier of each contradictory pose, if one reading explains it.
 
-    Every reading is left out in turn. It is to blame if the rest agree, and do so clearly better
-    than without any other reading; a pose with two wrong readings has none.
+    Every reading is left out in turn. It is an outlier if the rest agree, and do so clearly better
+    than without any other reading; a pose with two outliers has no such reading.
+
+    Args:
+        models: the S cameras, held fixed.
+        poses: contradictory poses.
 
     Returns:
-        Which poses have one, shape (N,), its marker and sensor, shape (N, 2), and by how many
-        of its deviations it is off from where the rest puts it, shape (N,).
+        Indices of the poses that have one, shape (N,); its marker and sensor, shape (N, 2); and its
+        residual over sigma from the fit without it, shape (N,).
     """
     seen = poses.seen
     pose, marker, sensor = np.nonzero(seen)

@@ -31,7 +31,7 @@ def fit_metric_cameras(
     sensors: Sequence[SensorGeometry],
     initial_models: Sequence[SensorModel] | None = None,
 ) -> tuple[SensorModel, ...]:
-    """Minimise each sensor's squared residuals over sigma from several starts; keep the lowest.
+    """Minimise each sensor's squared normalised residuals from several starts; keep the lowest.
 
     All starts of all sensors are searched at once in the projective form, whose numerator is
     linear; the best of each is refined in the metric form.
@@ -86,7 +86,7 @@ def _search_starts(
     weights: Array,
     initial_models: Sequence[SensorModel] | None,
 ) -> Array:
-    """Return the best matrix of each sensor, (S, 2, 4); all see all the points (N, 3)."""
+    """Return the best matrix of each sensor, shape (S, 2, 4); all see all points (N, 3)."""
     transform = normalisation(points_mm)
     points = points_mm @ transform[:3, :3].T + transform[:3, 3]
     camera = ProjectiveCamera(points, 0.0, 1.0)
@@ -120,10 +120,18 @@ def metric_from_projective(
     sensor: SensorGeometry,
     seen_mm: Array,
 ) -> SensorModel:
-    """Return the metric camera of (a, b, g) in a normalised frame, shape (7,).
+    """Return the metric camera of a projective one in a normalised frame.
+
+    Args:
+        theta: (a, b, g), shape (7,).
+        transform: the frame's ``normalisation``, shape (4, 4).
+        centre_px: centre of the normalised readings [px].
+        scale_px: scale of the normalised readings [px].
+        sensor: the sensor.
+        seen_mm: a point in front of the lens, shape (3,) [mm].
 
     Raises:
-        DegeneratePoints: it reads the same of all points.
+        DegeneratePoints: the camera reads the same for all points.
     """
     matrix = _matrices(theta[None], transform, np.array([centre_px]), np.array([scale_px]))
     return _cameras(matrix, [sensor], seen_mm[None]).models([_blank(sensor)])[0]
@@ -139,7 +147,7 @@ def _matrices(theta: Array, transform: Array, centre_px: Array, scale_px: Array)
 
 
 def _cameras(matrices: Array, sensors: Sequence[SensorGeometry], seen_mm: Array) -> CameraStack:
-    """Return the metric cameras of 2x4 matrices (S, 2, 4), as ``model_from_matrix`` has them.
+    """Return the metric cameras of 2x4 matrices (S, 2, 4), as ``model_from_matrix`` does.
 
     Args:
         matrices: whatever their scale and sign.
@@ -184,12 +192,12 @@ def _cameras(matrices: Array, sensors: Sequence[SensorGeometry], seen_mm: Array)
 
 
 def _blank(sensor: SensorGeometry) -> SensorModel:
-    """Return a camera with a sensor's name and pixels, to be filled in."""
+    """Return a camera with a sensor's name and pixels and values to be replaced."""
     return SensorModel(sensor.name, sensor.pixels, 1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
 
 
 def _projective_parameters(matrix: Array, centre_px: float, scale_px: float) -> Array:
-    """Return (a, b, g) of a 2x4 matrix in the normalised frame; its points are put in front."""
+    """Return (a, b, g) of a 2x4 matrix in the normalised frame, with its points in front."""
     first, second = matrix / matrix[1, 3]
     theta: Array = np.concatenate([(first - centre_px * second) / scale_px, second[:3]])
     return theta

@@ -1,4 +1,4 @@
-"""Many weighted fits of one 1D camera at once, in its projective form of seven numbers."""
+"""The 1D camera in projective form: linear solution, grid of starts, batched least squares."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -11,9 +11,9 @@ Array = NDArray[np.float64]
 
 
 def normalisation(points_mm: Array) -> Array:
-    """Return the 4x4 similarity that moves points (N, 3) to their centroid, RMS distance sqrt 3.
+    """Return Hartley's normalisation of points (N, 3): a 4x4 similarity, doi:10.1109/34.601246.
 
-    Hartley's normalisation, doi:10.1109/34.601246.
+    It moves the points to their centroid and scales their RMS distance to sqrt 3.
     """
     centre = points_mm.mean(axis=0)
     scale = np.sqrt(3.0) / np.sqrt(((points_mm - centre) ** 2).sum(axis=1).mean())
@@ -31,19 +31,18 @@ DAMPING_FLOOR, DAMPING_CEILING = 1e-12, 1e8
 
 @dataclass(frozen=True, eq=False)
 class ProjectiveCamera:
-    """Control points, ready for cameras ``p = (a.X + b) / (1 + g.X)`` with theta = (a, b, g).
+    """Control points for cameras ``p = (a.X + b) / (1 + g.X)`` with theta = (a, b, g).
 
-    All points lie in front of a camera and so does their centroid, the origin here: no camera
-    that matters is left out by setting the depth there to 1, as [5.1] does at the world's origin.
+    All points lie in front of a camera, and so does their centroid, the origin here: a depth of 1
+    there excludes no valid camera, as setting it to 1 at the world's origin may, [5.1].
 
     Args:
         points: control points in the frame of ``normalisation``, shape (N, 3).
-        centre_px: subtracted from readings.
-        scale_px: readings are divided by it.
-        extra: columns that readings may have linearly besides (a lens's distortion), in units of
-            ``scale_px``, shape (N, K); None: none. theta has their K coefficients at its end.
-        offset_px: what is added to the reading at each point whatever theta is, shape (N,) [px];
-            None: nothing.
+        centre_px: subtracted from readings [px].
+        scale_px: readings are divided by it [px].
+        extra: further linear columns (lens distortion) in units of ``scale_px``, shape (N, K);
+            None: none. theta has their K coefficients at its end.
+        offset_px: constant added to the reading of each point, shape (N,) [px]; None: 0.
     """
 
     points: Array
@@ -59,7 +58,12 @@ class ProjectiveCamera:
 
     @classmethod
     def of(cls, points_mm: Array, readings_px: Array) -> "ProjectiveCamera":
-        """Prepare points (N, 3) and the readings (N,) of one sensor; NaN where not seen."""
+        """Normalise the points and readings of one sensor.
+
+        Args:
+            points_mm: shape (N, 3) [mm].
+            readings_px: shape (N,) [px]; NaN where not seen.
+        """
         seen = np.isfinite(readings_px)
         transform = normalisation(points_mm[seen])
         points = points_mm @ transform[:3, :3].T + transform[:3, 3]
@@ -67,7 +71,7 @@ class ProjectiveCamera:
 
     @property
     def zero_px(self) -> Array | float:
-        """What a reading is counted from: ``centre_px`` and the offset, (N,) or one number."""
+        """Zero of the normalised readings: ``centre_px`` plus offset, (N,) or one number [px]."""
         return self.centre_px if self.offset_px is None else self.centre_px + self.offset_px
 
     def project(self, theta: Array) -> Array:
@@ -79,7 +83,7 @@ class ProjectiveCamera:
         return np.asarray(readings * self.scale_px + self.zero_px)
 
     def linearise(self, theta: Array) -> tuple[Array, Array]:
-        """Return readings (K, N) [px] and their slopes by theta, shape (K, N, width)."""
+        """Return readings (K, N) [px] and their Jacobian by theta, shape (K, N, width)."""
         depth = 1.0 + theta[:, 4:PARAMETER_COUNT_PROJECTIVE] @ self.points.T
         readings = (theta[:, :3] @ self.points.T + theta[:, 3:4]) / depth
         jacobian = np.empty((*readings.shape, self.width))
@@ -93,7 +97,12 @@ class ProjectiveCamera:
         return readings * self.scale_px + self.zero_px, jacobian
 
     def algebraic(self, readings_px: Array, weights: Array) -> Array:
-        """Solve [5.5] for readings (K, N) with weights (K, N), 0 for none; theta (K, width)."""
+        """Return the linear solution of [5.5], theta (K, width).
+
+        Args:
+            readings_px: shape (K, N) [px].
+            weights: shape (K, N); 0: left out.
+        """
         zero = self.zero_px
         q = (np.where(weights > 0.0, readings_px, zero) - zero) / self.scale_px
         design = np.empty((*q.shape, PARAMETER_COUNT_PROJECTIVE))
@@ -105,13 +114,16 @@ class ProjectiveCamera:
         return np.pad(found, ((0, 0), (0, self.width - PARAMETER_COUNT_PROJECTIVE)))
 
     def fit(self, readings_px: Array, weights: Array, theta: Array, steps: int) -> Array:
-        """Minimise the weighted squares by Levenberg-Marquardt from theta (K, width).
+        """Minimise the weighted squares by Levenberg-Marquardt.
 
         Args:
-            readings_px: shape (K, N); anything finite where the weight is 0.
+            readings_px: shape (K, N) [px]; any finite value where the weight is 0.
             weights: 1 / standard deviation, shape (K, N) [1/px]; 0: left out.
-            theta: starting cameras with all points in front.
-            steps: trial steps at most; ends when no camera gains by one.
+            theta: starting cameras with all points in front, shape (K, width).
+            steps: largest number of trial steps.
+
+        Returns:
+            theta at the minima, shape (K, width).
         """
         found = theta.copy()
         active = np.arange(len(theta))
@@ -151,7 +163,7 @@ class ProjectiveCamera:
         return squares
 
     def _in_front(self, theta: Array) -> Array:
-        """Flatten the depth's slope where a point would come too near or behind."""
+        """Reduce the depth's gradient where a point would come too near or behind."""
         lowest = (theta[:, 4:PARAMETER_COUNT_PROJECTIVE] @ self.points.T).min(axis=1)
         if lowest.min() >= MIN_RELATIVE_DEPTH - 1.0:
             return theta
@@ -162,7 +174,7 @@ class ProjectiveCamera:
 
 
 def _solve(design: Array, right: Array, damping: Array | float) -> Array:
-    """Solve least squares (K, N, 7) x (K, 7) = (K, N), each damped by its own diagonal."""
+    """Solve damped least squares for each design (K, N, 7) and right side (K, N)."""
     transposed = design.swapaxes(1, 2)
     normal = transposed @ design
     here = np.arange(design.shape[2])
@@ -182,13 +194,12 @@ DUPLICATE_TOLERANCE: Final = 1e-12
 
 
 def starting_cameras(camera: ProjectiveCamera, readings: Array, weights: Array) -> Array:
-    """Return projective cameras to start from, shape (S, 1 + LOWEST_STARTS, 7).
+    """Return starting cameras for the search, shape (S, 1 + LOWEST_STARTS, 7).
 
-    With the denominator ``w = 1 + g.X`` fixed, the numerator is linear; all cameras that have
-    every point in front of them have g in a bounded set. A grid over that set, with the
-    numerator solved for each node (variable projection), shows where the sum of squares is
-    small, so that the refinement does not hang on the linear solution alone. The first is that
-    linear solution, [5.5].
+    With the denominator ``w = 1 + g.X`` fixed, the numerator is linear; all cameras with every
+    point in front have g in a bounded set. A grid over that set, with the numerator solved at each
+    node (variable projection), finds where the sum of squares is small, so that the search does not
+    depend on the linear solution [5.5] alone, which is the first start.
 
     Args:
         camera: control points, all seen by all sensors.
@@ -219,7 +230,7 @@ def starting_cameras(camera: ProjectiveCamera, readings: Array, weights: Array) 
 def _numerators(
     points: Array, inverse: Array, weight: Array, readings: Array
 ) -> tuple[Array, Array]:
-    """Return the best numerators (S, G, 4) of S sensors, and their sums of squares (S, G).
+    """Return the least-squares numerators (S, G, 4) of S sensors and their sums of squares (S, G).
 
     Args:
         points: shape (N, 3).
@@ -243,9 +254,9 @@ def _numerators(
 
 @cache
 def _grid() -> Array:
-    """Directions on the sphere times slopes, shape (G, 3), in the normalised frame.
+    """Return gradients of the denominator: directions on the sphere times slopes, shape (G, 3).
 
-    A slope of s means that depth changes by the fraction s over the points' RMS extent.
+    A slope of s changes the depth by the fraction s over the points' RMS extent.
     """
     count = 48
     angle = np.pi * (1.0 + np.sqrt(5.0)) * (np.arange(count) + 0.5)

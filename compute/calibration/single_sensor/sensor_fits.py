@@ -151,8 +151,8 @@ def fit_distorted(
         if rows.sum() < needed:
             raise TooFewPoints(
                 f"sensor {sensor.name} saw {rows.sum()} control points; its {needed} parameters "
-                f"with {len(sensor_terms)} distortion terms need at least {needed}; give more points, or "
-                "take fewer terms",
+                f"with {len(sensor_terms)} distortion terms need at least {needed}; give more "
+                "points, or take fewer terms",
                 sensor=sensor.name,
                 points=int(rows.sum()),
             )

@@ -158,7 +158,7 @@ def _unfitted_candidate(name: str, note: str) -> CandidateTerms:
 def _supported_terms(
     observed: ControlObservations, folds: NDArray[np.bool_], name: str, names: tuple[str, ...]
 ) -> tuple[tuple[tuple[Term, ...], ...], tuple[tuple[str, str], ...]]:
-    """Return the terms of each sensor: those of the set, or of a smaller one where points are few."""
+    """Return each sensor's terms: those of the set, or of a smaller one where points are few."""
     sets = [(one, () if one == "none" else preset_terms(one)) for one in names]
     sets = sets[: names.index(name) + 1]
     terms, reduced_terms = [], []
@@ -214,7 +214,7 @@ def _prediction_errors(
 
 
 def _reading_sigma(observed: ControlObservations, fits: SensorFits) -> Array:
-    """Return the readings' standard deviations (N, S): given, or from the largest fit's residuals."""
+    """Return the readings' standard deviations (N, S), given or from the largest fit."""
     if observed.sigma_known:
         return observed.sigma_px
     sigma = residual_sigma(observed, fits.models, fits.weights)

@@ -15,7 +15,6 @@ from compute.calibration.bundle_adjustment.control_point_adjustment import (
 from compute.calibration.result import Calibration, SensorFit
 from compute.calibration.settings import CalibrationSettings
 from compute.calibration.single_sensor.design_matrix import equation_groups
-from compute.calibration.single_sensor.m_estimators import EFFICIENCY_LOSS
 from compute.calibration.single_sensor.sensor_fits import (
     SIGMA_FLOOR_PX,
     ControlObservations,
@@ -26,6 +25,7 @@ from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY
 from compute.camera.stack import CameraStack
 from compute.progress import Progress
 from compute.reconstruction.triangulation import chi2_limit
+from compute.robust_statistics import EFFICIENCY_LOSS
 
 Array = NDArray[np.float64]
 

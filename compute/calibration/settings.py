@@ -27,7 +27,7 @@ class CalibrationSettings:
         control_sigma_mm: standard deviation of each coordinate of the control points [mm]; None:
             exact. With it the points are unknowns too, and the covariance of the sensors is joint.
         loss: "linear": least squares. "robust": outliers lose their weight
-            (``compute.calibration.single_sensor.m_estimators``).
+            (``compute.robust_statistics``).
         labels: policy for wrong and exchanged labels: "off" (no search), "report", "exclude" or
             "repair".
 

@@ -1,4 +1,4 @@
-"""Uniform B-splines of degree 1 and 3 in one cell: weights of the coefficients and their slopes."""
+"""Uniform B-splines of degree 1 and 3: basis in a cell, and interpolation."""
 
 from collections.abc import Callable
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def b_spline_basis(cell_coordinate: Array, degree: int) -> tuple[Array, Array]:
-    """Return the weights of the degree + 1 coefficients that reach into a cell.
+    """Return the B-spline basis in a cell and its derivatives.
 
     C. de Boor, A Practical Guide to Splines, chapter IX; the weights are 0 or more and add up
     to 1.
@@ -22,7 +22,8 @@ def b_spline_basis(cell_coordinate: Array, degree: int) -> tuple[Array, Array]:
         degree: 1 or 3.
 
     Returns:
-        Weights and their derivatives by the place, both of shape (..., degree + 1).
+        Weights of the degree + 1 coefficients and their derivatives, both of shape (..., degree +
+        1).
 
     Raises:
         InvalidParameter: another degree.
@@ -39,11 +40,17 @@ def b_spline_basis(cell_coordinate: Array, degree: int) -> tuple[Array, Array]:
 
 
 def interpolate_corners(values: Array) -> Array:
-    """Return cubic coefficients (nx + 3, ...) through values at the cells' corners (nx + 1, ...).
+    """Return the cubic spline through values at the cells' corners.
 
-    Along each axis the spline is "not-a-knot": its third derivative does not jump at the first
-    and last inner knot (C. de Boor, A Practical Guide to Splines, chapter IV); over one or two
-    cells it is the straight line or the parabola.
+    Along each axis the spline is "not-a-knot": its third derivative is continuous at the first and
+    last inner knot (C. de Boor, A Practical Guide to Splines, chapter IV); over one or two cells it
+    is the straight line or the parabola.
+
+    Args:
+        values: shape (nx + 1, ny + 1, nz + 1).
+
+    Returns:
+        Coefficients, shape (nx + 3, ny + 3, nz + 3).
     """
     coefficients = values
     for axis in range(3):
@@ -60,9 +67,9 @@ def interpolate_corners(values: Array) -> Array:
 
 
 def interpolate_function(grid: VoxelGrid, function: Callable[[Array], Array]) -> Array:
-    """Return cubic coefficients of a smooth function of space, shape (nx + 3, ny + 3, nz + 3).
+    """Return the cubic spline through a function of space, shape (nx + 3, ny + 3, nz + 3).
 
-    It is met at nx + 3 equal steps along each axis.
+    It interpolates at nx + 3 equal steps along each axis.
 
     Args:
         grid: the voxels.

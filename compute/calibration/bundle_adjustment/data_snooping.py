@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
 from compute.camera.stack import CameraStack
+from compute.robust_statistics import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
@@ -97,7 +98,7 @@ def sensor_sigma(adjusted: AdjustmentResult, robust: bool) -> Array:
         if robust:
             sizes = np.concatenate([np.abs(one[..., sensor]).ravel() for one in normalised])
             sizes = sizes[sizes > 0.0]
-            ratios.append(1.4826 * float(np.median(sizes)) if len(sizes) else 1.0)
+            ratios.append(MAD_TO_SIGMA * float(np.median(sizes)) if len(sizes) else 1.0)
             continue
         squares = sum(float(np.nansum(one[..., sensor] ** 2)) for one in adjusted.residuals)
         share = sum(float(one[..., sensor].sum()) for one in shares)

@@ -58,8 +58,8 @@ def inner_constraints(cameras: CameraStack, points_mm: Array, weights: Array) ->
     """Return the inner constraints D of a free network, ``D' dp = 0``, shape (P, 6).
 
     They hold the cloud of points in its place: where the unchanged cameras would fit its readings
-    best if it moved as a rigid body. With A the Jacobian of readings by points, M of points by a rigid
-    motion and J of readings by parameters, that is ``M'A' W J dp = 0``.
+    best if it moved as a rigid body. With A the Jacobian of readings by points, M of points by a
+    rigid motion and J of readings by parameters, that is ``M'A' W J dp = 0``.
 
     Args:
         cameras: S cameras.

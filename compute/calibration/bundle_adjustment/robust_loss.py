@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from compute.calibration.bundle_adjustment.normal_equations import AdjustmentState
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
+from compute.robust_statistics import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 Loss = Literal["linear", "robust"]
@@ -72,4 +73,4 @@ def robust_scale(state: AdjustmentState, residuals: Sequence[Array]) -> float:
     """
     seen = [r[poses.seen] for r, poses in zip(residuals, state.pose_sets, strict=True)]
     together = np.abs(np.concatenate(seen))
-    return max(1.0, 1.4826 * float(np.median(together))) if len(together) else 1.0
+    return max(1.0, MAD_TO_SIGMA * float(np.median(together))) if len(together) else 1.0

@@ -74,7 +74,7 @@ def prediction_residuals(
         )
     if (stationary.positions_mm is None) == (stationary.earlier_px is None):
         raise InvalidParameter(
-            "a still set has either known places or earlier readings; give one of them"
+            "stationary markers need either known positions or earlier readings; give one of them"
         )
     for name in ("sigma_px", "earlier_px", "earlier_sigma_px"):
         value = getattr(stationary, name)
@@ -153,6 +153,6 @@ def _against_positions(
 def _check_any(residual: Array) -> None:
     if not np.isfinite(residual).any():
         raise TooFewPoints(
-            "no marker of the still set can be compared: it must be read now and, without known "
-            "places, have been read by three sensors or more before"
+            "no stationary marker can be compared: it must be read now and, without known "
+            "positions, have been read by three sensors or more before"
         )

@@ -11,7 +11,6 @@ from compute.calibration.mislabels.hypothesis import Hypothesis
 from compute.calibration.mislabels.sensor_search import SensorReadings
 from compute.calibration.single_sensor.camera_fit import LensOffsets
 from compute.calibration.single_sensor.distortion_terms import Preset, preset_terms
-from compute.calibration.single_sensor.m_estimators import BIWEIGHT_LIMIT, mad_sigma
 from compute.calibration.single_sensor.projective_camera import PARAMETER_COUNT_PROJECTIVE
 from compute.calibration.single_sensor.sensor_fits import (
     ControlObservations,
@@ -21,6 +20,7 @@ from compute.calibration.single_sensor.sensor_fits import (
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, LumilineError, NoConvergence, TooFewPoints
+from compute.robust_statistics import BIWEIGHT_LIMIT, mad_sigma
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,6 @@ from compute.calibration.single_sensor.camera_fit import (
 )
 from compute.calibration.single_sensor.design_matrix import check_determined
 from compute.calibration.single_sensor.distortion_terms import free_parameters
-from compute.calibration.single_sensor.m_estimators import biweight, huber, mad_sigma
 from compute.calibration.single_sensor.metric_fit import fit_metric_cameras, metric_from_projective
 from compute.calibration.single_sensor.projective_camera import ProjectiveCamera, normalisation
 from compute.calibration.single_sensor.trimmed_least_squares import robust_starts
@@ -24,6 +23,7 @@ from compute.camera.field_distortion import Term
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import NoConvergence, TooFewPoints
+from compute.robust_statistics import biweight, huber, mad_sigma
 
 Array = NDArray[np.float64]
 

@@ -195,7 +195,7 @@ def test_bad_still_sets_are_refused() -> None:
         check_drift(calibration, replace(still, earlier_px=still.readings_px))
     with pytest.raises(InvalidParameter, match=r"\(N, 4\)"):
         check_drift(calibration, replace(still, readings_px=still.readings_px[:, :3]))
-    with pytest.raises(InvalidParameter, match="places have shape"):
+    with pytest.raises(InvalidParameter, match="positions have shape"):
         check_drift(calibration, replace(still, positions_mm=still.positions_mm[:3]))
     with pytest.raises(InvalidParameter, match="position_sigma_mm is -1"):
         check_drift(calibration, replace(still, position_sigma_mm=-1.0))

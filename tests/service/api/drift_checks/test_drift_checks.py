@@ -252,7 +252,7 @@ def test_an_update_against_earlier_readings_has_no_control_points(client: Any):
         (
             {"points": [{"name": "Q", "position_mm": [0, 0, 0], "readings": {}}]},
             422,
-            "no marker of the still set can be compared",
+            "no stationary marker can be compared",
         ),
     ],
 )  # fmt: skip

@@ -18,6 +18,8 @@ EFFICIENCY_LOSS: Final = 1.01934
 HUBER_LIMIT: Final = 1.5
 MAD_OF_NORMAL: Final = 0.6745
 """Median of the absolute value of a standard normal deviate."""
+MAD_TO_SIGMA: Final = 1.4826
+"""Standard deviation over that median, rounded on its own."""
 
 
 def biweight(standardised: Array) -> Array:
@@ -31,7 +33,10 @@ def biweight(standardised: Array) -> Array:
 
 
 def huber(standardised: Array) -> Array:
-    """Return Huber's weights min(1, HUBER_LIMIT / |z|), of z's shape (doi:10.1214/aoms/1177703732)."""
+    """Return Huber's weights min(1, HUBER_LIMIT / |z|), of z's shape.
+
+    P. J. Huber, doi:10.1214/aoms/1177703732.
+    """
     weights: Array = HUBER_LIMIT / np.maximum(np.abs(standardised), HUBER_LIMIT)
     return weights
 

@@ -32,7 +32,7 @@ from compute.calibration.single_sensor.sensor_fits import (
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.observation_checks import check_control_points
 from compute.errors import DegeneratePoints, NoConvergence
-from compute.progress import Progress, partial_progress, report_progress
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
 
@@ -71,17 +71,17 @@ def calibrate_and_assess(
         sensors,
         sigma_px,
         settings,
-        progress=partial_progress(progress, 0.0, 0.5),
+        progress=_partial_progress(progress, 0.0, 0.5),
     )
     observations = points_mm, readings_px, sensors, sigma_px
     checks = []
     if len(points_mm) <= MAX_LEAVE_ONE_OUT_POINTS:
-        by_points = partial_progress(progress, 0.5, 0.75)
+        by_points = _partial_progress(progress, 0.5, 0.75)
         checks.append(cross_validate(found, *observations, "points", by_points))
-    by_blocks = partial_progress(progress, 0.75, 0.9)
+    by_blocks = _partial_progress(progress, 0.75, 0.9)
     checks.append(cross_validate(found, *observations, "blocks", by_blocks))
     used, _ = effective_readings(found, readings_px)
-    diagnosis = diagnose(found, points_mm, used, partial_progress(progress, 0.9, 1.0))
+    diagnosis = diagnose(found, points_mm, used, _partial_progress(progress, 0.9, 1.0))
     return replace(found, cross_validation=tuple(checks), diagnosis=diagnosis)
 
 
@@ -124,7 +124,7 @@ def calibrate(
     check_control_points(points, readings, sensors, sigma)
     labels = None
     if settings.labels != "off":
-        search = partial_progress(progress, 0.0, 0.05)
+        search = _partial_progress(progress, 0.0, 0.05)
         labels = find_label_errors(points, readings, sensors, sigma, search).findings
         if labels and settings.labels != "report":
             correct = exclude if settings.labels == "exclude" else repair
@@ -164,19 +164,19 @@ def _fit(
     initial_models: Sequence[SensorModel] | None,
     progress: Progress | None,
 ) -> Calibration:
-    report_progress(progress, 0.05, "cameras without distortion")
+    _report_progress(progress, 0.05, "cameras without distortion")
     models, weights = fit_undistorted(observed, settings.loss, initial_models)
     weighted = _with_point_sigma(observed, models, settings.control_sigma_mm)
     fits, selection = _fit_distortion(weighted, models, weights, settings, progress)
-    report_progress(progress, 0.8, "covariance")
+    _report_progress(progress, 0.8, "covariance")
     if settings.control_sigma_mm is None:
         result = assemble_with_exact_points(observed, fits, settings)
     else:
-        joint = partial_progress(progress, 0.8, 1.0)
+        joint = _partial_progress(progress, 0.8, 1.0)
         result = assemble_with_uncertain_points(
             observed, fits, settings, settings.control_sigma_mm, joint
         )
-    report_progress(progress, 1.0, "calibrated")
+    _report_progress(progress, 1.0, "calibrated")
     return replace(result, distortion=selection)
 
 
@@ -208,12 +208,24 @@ def _fit_distortion(
             weights,
             lens_offsets,
             settings.loss,
-            partial_progress(progress, 0.1, 0.7),
+            _partial_progress(progress, 0.1, 0.7),
         )
     else:
         named = isinstance(requested, str)
         own = preset_terms(requested) if isinstance(requested, str) else requested
         terms = (own,) * len(models)
         selection = DistortionSelection(str(requested) if named else "terms", "as asked")
-    report_progress(progress, 0.7, f"distortion {selection.chosen}")
+    _report_progress(progress, 0.7, f"distortion {selection.chosen}")
     return fit_distorted(observed, models, terms, lens_offsets, settings.loss, weights), selection
+
+
+def _report_progress(progress: Progress | None, fraction: float, stage: str) -> None:
+    if progress is not None:
+        progress(fraction, stage)
+
+
+def _partial_progress(progress: Progress | None, first: float, last: float) -> Progress | None:
+    """Return the callback of a part of a computation, from one fraction of the whole to another."""
+    if progress is None:
+        return None
+    return lambda fraction, stage: progress(first + (last - first) * fraction, stage)

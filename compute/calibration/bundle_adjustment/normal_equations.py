@@ -1,7 +1,7 @@
 """Normal equations of a bundle adjustment: assembly, and reduction by Schur complement."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,28 @@ class AdjustmentState:
             difference = projected.reshape(poses.readings_px.shape) - poses.readings_px
             found.append(np.where(poses.seen, difference / poses.sigma_px, 0.0))
         return found
+
+    def retract(self, step: Array, local: Sequence[Array]) -> "AdjustmentState":
+        """Return the state after a step.
+
+        Args:
+                step: of the globals, shape (F,).
+            local: of the poses, shape (B, d) for each set.
+        """
+        models = []
+        first = 0
+        for model in self.models:
+            models.append(model.retract(step[first : first + model.parameter_count]))
+            first += model.parameter_count
+        pose_sets = []
+        for poses, one in zip(self.pose_sets, local, strict=True):
+            after = poses.retract(one)
+            if poses.shape.unknowns:
+                shape = poses.shape.retract(step[first : first + poses.shape.unknowns])
+                after = replace(after, shape=shape)
+                first += poses.shape.unknowns
+            pose_sets.append(after)
+        return AdjustmentState(tuple(models), tuple(pose_sets))
 
 
 @dataclass(frozen=True, eq=False)

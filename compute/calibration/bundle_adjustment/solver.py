@@ -2,21 +2,20 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
+from compute.calibration.bundle_adjustment.adjustment_result import (
+    AdjustmentResult,
+    assemble_result,
+)
 from compute.calibration.bundle_adjustment.gauge import orthogonal_complement, rigid_motion_jacobian
 from compute.calibration.bundle_adjustment.normal_equations import (
     AdjustmentState,
     build_normal_equations,
-)
-from compute.calibration.bundle_adjustment.parameter_covariance import (
-    check_poses,
-    global_covariance,
 )
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.robust_loss import (
@@ -98,10 +97,10 @@ def adjust(
     try:
         search.run_stages(loss, 0.0)
     except NoConvergence:
-        # In a valley without an end no step settles: then the parameters are open, and named.
-        _assemble_result(search, limit, free_datum)
+        # Undetermined parameters explain the failure better.
+        search.result(limit)
         raise
-    return _assemble_result(search, limit, free_datum)
+    return search.result(limit)
 
 
 def approximate_solution(
@@ -162,6 +161,22 @@ class _Search:
                     pose=int(pose) + 1,
                 )
 
+    def result(self, limit: float) -> AdjustmentResult:
+        """Return the current state with its covariance.
+
+        Raises:
+            UndeterminedParameters: the readings do not determine it.
+        """
+        return assemble_result(
+            self.state,
+            self.residuals,
+            self.prior,
+            self.adjusted_parameters,
+            limit=limit,
+            free_datum=self.free_datum,
+            iterations=self.iterations,
+        )
+
     def run_stages(self, loss: Loss, tolerance: float) -> None:
         """Minimise the loss; a robust one from a wide limit to its own."""
         if loss == "linear":
@@ -212,7 +227,7 @@ class _Search:
                     float((block.gradient * one).sum())
                     for block, one in zip(equations.blocks, local, strict=True)
                 )
-                trial = retract(self.state, step, local)
+                trial = self.state.retract(step, local)
                 new = np.inf
                 if all(model.principal_distance_px > 0.0 for model in trial.models):
                     residuals = trial.residuals()
@@ -271,70 +286,3 @@ def _solve_damped(normal: Array, right: Array, motion: Array | None) -> Array:
         return np.asarray(scale * (basis @ inner), dtype=np.float64)
     except np.linalg.LinAlgError:
         return np.zeros_like(right)
-
-
-def retract(state: AdjustmentState, step: Array, local: Sequence[Array]) -> AdjustmentState:
-    """Return the state after a step.
-
-    Args:
-        state: sensors and poses.
-        step: of the globals, shape (F,).
-        local: of the poses, shape (B, d) for each set.
-    """
-    models = []
-    first = 0
-    for model in state.models:
-        models.append(model.retract(step[first : first + model.parameter_count]))
-        first += model.parameter_count
-    pose_sets = []
-    for poses, one in zip(state.pose_sets, local, strict=True):
-        after = poses.retract(one)
-        if poses.shape.unknowns:
-            shape = poses.shape.retract(step[first : first + poses.shape.unknowns])
-            after = replace(after, shape=shape)
-            first += poses.shape.unknowns
-        pose_sets.append(after)
-    return AdjustmentState(tuple(models), tuple(pose_sets))
-
-
-def _assemble_result(search: _Search, limit: float, free_datum: bool) -> AdjustmentResult:
-    state, residuals = search.state, search.residuals
-    weights = loss_weights(residuals, limit)
-    equations = build_normal_equations(state, weights, search.prior)
-    check_poses(state, equations)
-    reduced = equations.reduced()
-    noise_equations = None
-    if any((one < 1.0).any() for one in weights):
-        variances = [np.where(one < 1.0, limit**2, 1.0) for one in weights]
-        noise_equations = build_normal_equations(state, variances, search.prior)
-    covariance = global_covariance(
-        state, reduced, search.adjusted_parameters, free_datum, noise_equations
-    )
-    full = [(one >= 1.0) & poses.seen for one, poses in zip(weights, state.pose_sets, strict=True)]
-    chi2 = total_loss(
-        state,
-        [np.where(use, one, 0.0) for use, one in zip(full, residuals, strict=True)],
-        search.prior,
-        np.inf,
-    )
-    known = sum(int(use.sum()) for use in full)
-    for poses in state.pose_sets:
-        known += len(poses.shape.equations()[0]) + (3 * len(poses) if poses.prior() else 0)
-    if search.prior is not None:
-        known += int(np.linalg.matrix_rank(search.prior.information, hermitian=True))
-    unknown = int(search.adjusted_parameters.sum()) - (6 if free_datum else 0)
-    unknown += sum(len(poses) * poses.unknowns for poses in state.pose_sets)
-    return AdjustmentResult(
-        state.models,
-        state.pose_sets,
-        covariance,
-        tuple(
-            np.where(poses.seen, one, np.nan)
-            for poses, one in zip(state.pose_sets, residuals, strict=True)
-        ),
-        tuple(weights),
-        chi2,
-        known - unknown,
-        search.iterations,
-        reduced,
-    )

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 from compute.calibration.mislabels.device_search import DeviceExplanation, search_device
+from compute.calibration.mislabels.evaluation import SensorReadings
 from compute.calibration.mislabels.finding import LabelErrorKind, LabelFinding
 from compute.calibration.mislabels.hypothesis import Hypothesis
 from compute.calibration.mislabels.lens_fit import with_lens
 from compute.calibration.mislabels.marginal_likelihood import KNOWN_SIGMA, ScalePrior
 from compute.calibration.mislabels.sensor_search import (
     SensorExplanation,
-    SensorReadings,
     contradicts_sigma,
     search_sensor_labels,
 )

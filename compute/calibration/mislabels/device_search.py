@@ -5,13 +5,9 @@ from dataclasses import dataclass
 from math import comb, exp, log
 from typing import Final
 
+from compute.calibration.mislabels.evaluation import SensorReadings, evaluate
 from compute.calibration.mislabels.hypothesis import log_exchange_prior
-from compute.calibration.mislabels.sensor_search import (
-    SensorExplanation,
-    SensorReadings,
-    evaluate,
-    search_sensor_labels,
-)
+from compute.calibration.mislabels.sensor_search import SensorExplanation, search_sensor_labels
 
 COMMON_EXCHANGE_PROBABILITY: Final = 0.02
 """That two points have each other's labels in all sensors, before looking."""

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.mislabels.evaluation import SensorReadings
 from compute.calibration.mislabels.hypothesis import Hypothesis
-from compute.calibration.mislabels.sensor_search import SensorReadings
 from compute.calibration.single_sensor.camera_fit import LensOffsets
 from compute.calibration.single_sensor.distortion_terms import Preset, preset_terms
 from compute.calibration.single_sensor.projective_camera import PARAMETER_COUNT_PROJECTIVE

@@ -246,8 +246,8 @@ def _remarks(calibration: Calibration, sensors: tuple[SensorDiagnosis, ...]) -> 
         if one.condition < WEAK_CONDITION_THRESHOLD:
             remarks.append(
                 f"Sensor {one.sensor}: {one.weakest_description} depend on small differences "
-                f"between readings (condition {one.condition:.1e}); spread the points further in all "
-                "three directions."
+                f"between readings (condition {one.condition:.1e}); spread the points further in "
+                "all three directions."
             )
         if fit.chi2_per_dof is not None and fit.chi2_per_dof > 2.0:
             remarks.append(

@@ -43,7 +43,7 @@ class AdjustmentState:
         """Return the state after a step.
 
         Args:
-                step: of the globals, shape (F,).
+            step: of the globals, shape (F,).
             local: of the poses, shape (B, d) for each set.
         """
         models = []

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 MIN_SPARE_READINGS: Final = 3
 """Readings of a sensor more than parameters that each fit without a block must have."""
 MAX_LOSS_SIGMA: Final = 6.0
-"""Prediction error, in deviations, beyond which an outlier counts no more under a robust loss."""
+"""Prediction error over sigma at which a robust loss is clipped."""
 
 
 @dataclass(frozen=True, eq=False)

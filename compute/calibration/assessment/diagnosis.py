@@ -252,6 +252,6 @@ def _remarks(calibration: Calibration, sensors: tuple[SensorDiagnosis, ...]) -> 
         if fit.chi2_per_dof is not None and fit.chi2_per_dof > 2.0:
             remarks.append(
                 f"Sensor {one.sensor}: its residuals are {fit.chi2_per_dof**0.5:.1f} times what "
-                "the stated deviations explain; look at distortion, labels, or the deviations."
+                "the given standard deviations explain; check distortion, labels and noise."
             )
     return tuple(remarks)

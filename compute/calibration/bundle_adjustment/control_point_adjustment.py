@@ -19,7 +19,7 @@ from compute.progress import Progress
 Array = NDArray[np.float64]
 
 MIN_REDUNDANCY: Final = 4.0
-"""Readings of a sensor that must check others before their residuals tell its deviation."""
+"""Smallest redundancy of a sensor from which its noise is estimated."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from compute.robust_statistics import MAD_TO_SIGMA
 Array = NDArray[np.float64]
 
 REDUNDANCY_FLOOR = 1e-3
-"""Share of a reading that others must check before its residual says anything of it."""
+"""Smallest redundancy number at which a residual is tested."""
 
 
 def redundancy(adjusted: AdjustmentResult, index: int = 0) -> Array:
@@ -34,8 +34,8 @@ def redundancy(adjusted: AdjustmentResult, index: int = 0) -> Array:
     full = (*poses.readings_px.shape, -1)
     _, by_place = cameras.linearise(marker)
     scale = np.where(poses.seen, 1.0 / poses.sigma_px, 0.0)[..., None]
-    slope = np.nan_to_num(by_place).reshape(full) * scale
-    local = slope @ poses.marker_jacobian()
+    position_jacobian = np.nan_to_num(by_place).reshape(full) * scale
+    local = position_jacobian @ poses.marker_jacobian()
     by_parameter = np.nan_to_num(cameras.parameter_jacobian(marker)).reshape(full) * scale
     size = len(adjusted.global_covariance)
     here = np.flatnonzero(cameras.parameter_mask)
@@ -49,7 +49,7 @@ def redundancy(adjusted: AdjustmentResult, index: int = 0) -> Array:
     if poses.shape.unknowns:
         first = len(here) + sum(p.shape.unknowns for p in adjusted.pose_sets[:index])
         changes = np.einsum("bij,mkj->bkim", poses.rotation, poses.shape.basis)
-        by_globals[..., first : first + poses.shape.unknowns] = slope @ changes
+        by_globals[..., first : first + poses.shape.unknowns] = position_jacobian @ changes
     inverse, carried = adjusted.eliminated(index)
     by_globals -= local @ carried[:, None]
     fitted = ((by_globals @ adjusted.global_covariance) * by_globals).sum(axis=-1)
@@ -75,7 +75,7 @@ def normalised_residuals(adjusted: AdjustmentResult, index: int = 0) -> Array:
 
 
 REJECTION_LIMIT: Final = 4.5
-"""Residual over its own deviation beyond which a reading is left out; of 100,000 good ones 0.7."""
+"""Normalised residual beyond which a reading is rejected; 0.7 of 100,000 good ones exceed it."""
 SIGMA_FLOOR_PX: Final = 1e-6
 """Exact data still leave rounding."""
 
@@ -122,6 +122,6 @@ def worst_readings(adjusted: AdjustmentResult, index: int) -> tuple[NDArray[np.i
     flat = np.abs(normalised).reshape(len(normalised), -1)
     worst = flat.argmax(axis=1)
     beyond = np.flatnonzero(flat.max(axis=1) > REJECTION_LIMIT)
-    places = np.unravel_index(worst[beyond], normalised.shape[1:])
-    where = np.stack([beyond, *places], axis=1).astype(np.intp)
+    marker_and_sensor = np.unravel_index(worst[beyond], normalised.shape[1:])
+    where = np.stack([beyond, *marker_and_sensor], axis=1).astype(np.intp)
     return where, normalised[tuple(where.T)]

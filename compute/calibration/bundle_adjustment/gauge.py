@@ -39,9 +39,9 @@ def transform_world(model: SensorModel, rotation: Array, translation_mm: Array) 
         rotation: shape (3, 3).
         translation_mm: shape (3,) [mm].
     """
-    turned = model.rotation @ rotation.T
-    shift = turned @ translation_mm
-    x, y, z = Rotation.from_matrix(turned).as_rotvec().tolist()
+    rotated = model.rotation @ rotation.T
+    shift = rotated @ translation_mm
+    x, y, z = Rotation.from_matrix(rotated).as_rotvec().tolist()
     distortion = model.distortion
     if distortion is not None:
         distortion = replace(distortion, offset_y_mm=distortion.offset_y_mm - float(shift[1]))
@@ -70,9 +70,9 @@ def inner_constraints(cameras: CameraStack, points_mm: Array, weights: Array) ->
     whitened = np.nan_to_num(jacobian) * weights[..., None]
     by_parameter = np.nan_to_num(cameras.parameter_jacobian(points_mm)) * weights[..., None]
     arms = points_mm - points_mm.mean(axis=0)
-    # A turn w about the middle moves a point by w x arm, its readings by (arm x slope).w
-    turned = np.cross(arms[:, None], whitened)
-    by_motion = np.concatenate([turned, whitened], axis=2)
+    # A rotation w about the centroid moves a point by w x arm, its readings by (arm x slope).w
+    rotated = np.cross(arms[:, None], whitened)
+    by_motion = np.concatenate([rotated, whitened], axis=2)
     datum = np.einsum("nsm,nsp->msp", by_motion, by_parameter).reshape(6, -1)
     here = np.flatnonzero(cameras.parameter_mask)
     ordered = np.empty((6, len(here)))

@@ -151,9 +151,9 @@ def _damp(normal: Array, damping: float) -> None:
     """Damp the diagonals of matrices (..., n, n) in place; an empty row gets a 1."""
     if damping == 0.0:
         return
-    places = np.arange(normal.shape[-1])
-    diagonal = normal[..., places, places]
-    normal[..., places, places] += np.where(diagonal > 0.0, damping * diagonal, 1.0)
+    diagonal_index = np.arange(normal.shape[-1])
+    diagonal = normal[..., diagonal_index, diagonal_index]
+    normal[..., diagonal_index, diagonal_index] += np.where(diagonal > 0.0, damping * diagonal, 1.0)
 
 
 def build_normal_equations(

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 MIN_SINGULAR_RATIO: Final = 1e-11
 """Smallest eigenvalue of the globals' normal matrix with a diagonal of 1, of the largest, that
-is told from rounding: a parameter combination 3e5 times less certain than the best."""
+is distinguishable from rounding: a parameter combination 3e5 times less certain than the best."""
 MAX_NAMED_PARAMETERS: Final = 4
 """Parameters that a message names of an open combination."""
 
@@ -43,9 +43,9 @@ def check_poses(state: AdjustmentState, equations: NormalEquations) -> None:
         UndeterminedParameters: the first pose that they do not.
     """
     for number, block in enumerate(equations.blocks):
-        open_ = np.flatnonzero(_is_singular(block.normal))
-        if len(open_):
-            pose = int(open_[0])
+        undetermined = np.flatnonzero(_is_singular(block.normal))
+        if len(undetermined):
+            pose = int(undetermined[0])
             seen = int(state.pose_sets[number].seen[pose].sum())
             raise UndeterminedParameters(
                 f"pose {pose + 1} (set {number + 1}) is not determined by its {seen} readings; "
@@ -103,11 +103,11 @@ def global_covariance(
     if not adjusted_parameters.any():
         return np.zeros((len(adjusted_parameters), len(adjusted_parameters)))
     sensors = sum(model.parameter_count for model in state.models)
-    middle = np.concatenate(
+    centroid = np.concatenate(
         [poses.marker_positions().reshape(-1, 3) for poses in state.pose_sets]
     ).mean(axis=0)
     centre = np.eye(len(adjusted_parameters))
-    centre[:sensors, :sensors] = centring(state.models, middle)
+    centre[:sensors, :sensors] = centring(state.models, centroid)
     back = np.linalg.inv(centre)
     # What is held is held in the user's frame: the columns of those that vary.
     change = (
@@ -159,7 +159,7 @@ def _check_determined(scaled: Array, motion: Array | None, names: Sequence[str])
         "the readings leave a combination of parameters open, mainly "
         f"{', '.join(names[index] for index in order)} (eigenvalue ratio "
         f"{max(values[0], 0.0) / values[-1]:.1e}, at least {MIN_SINGULAR_RATIO:g} is needed); add "
-        "poses that differ in place and direction, or a length",
+        "poses that differ in position and orientation, or a length",
         parameters=tuple(names[index] for index in order),
     )
 

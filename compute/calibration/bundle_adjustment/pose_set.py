@@ -114,8 +114,8 @@ class PoseSet:
 
     def marker_positions(self) -> Array:
         """Return the markers in the world, shape (B, K, 3) [mm]."""
-        turned: Array = np.einsum("bij,kj->bki", self.rotation, self.shape.marker_mm)
-        return turned + self.translation_mm[:, None]
+        rotated: Array = np.einsum("bij,kj->bki", self.rotation, self.shape.marker_mm)
+        return rotated + self.translation_mm[:, None]
 
     def marker_jacobian(self) -> Array:
         """Return d marker / d (rotations, translation), shape (B, K, 3, unknowns)."""

@@ -15,8 +15,9 @@ Loss = Literal["linear", "robust"]
 
 HUBER_LIMIT: Final = 3.0
 """Residual, in standard deviations, beyond which it counts by its size and not by its square
-(Huber, doi:10.1214/aoms/1177703732): of good readings 0.3 % lie beyond, so that the covariance
-is that of least squares; a wrong one pulls no more than one of three deviations."""
+(Huber, doi:10.1214/aoms/1177703732): of good readings 0.3 % lie beyond, so that the covariance is
+that of least squares; an outlier has no more influence than a residual of three standard
+deviations."""
 
 
 def total_loss(

@@ -47,14 +47,14 @@ def step_between(start: SensorModel, end: SensorModel) -> Array:
     Returns:
         Shape (``parameter_count``,), in the order of ``SensorModel.parameter_names``.
     """
-    turned = (
+    rotation = (
         Rotation.from_rotvec(end.rotation_vector_rad)
         * Rotation.from_rotvec(start.rotation_vector_rad).inv()
     )
     step = np.empty(start.parameter_count)
     step[0] = end.principal_distance_px - start.principal_distance_px
     step[1] = end.principal_point_px - start.principal_point_px
-    step[2:5] = turned.as_rotvec()
+    step[2:5] = rotation.as_rotvec()
     step[5] = end.offset_x_mm - start.offset_x_mm
     step[6] = end.offset_z_mm - start.offset_z_mm
     if start.distortion is not None and end.distortion is not None:

@@ -34,10 +34,10 @@ Array = NDArray[np.float64]
 
 MAX_ITERATIONS: Final = 200
 CONVERGENCE_TOLERANCE: Final = 1e-9
-"""Largest decrease of chi2 that a step may still promise at the end: its length is then less
-than 3e-5 standard deviations."""
+"""Predicted decrease of chi2 below which the search ends: the step is then shorter than 3e-5
+standard deviations."""
 ROUNDING_TOLERANCE: Final = 1e-13
-"""The same, relative to chi2: what its own rounding hides."""
+"""The same, relative to chi2, for rounding."""
 SCALE_TOLERANCE: Final = 1e-3
 """The same for the stages of a robust loss with a wider limit."""
 ROBUST_TOLERANCE: Final = 1e-6
@@ -45,9 +45,9 @@ ROBUST_TOLERANCE: Final = 1e-6
 COARSE_TOLERANCE: Final = 1e-2
 COARSE_STEPS: Final = 60
 UNDAMPED_THRESHOLD: Final = 1e-3
-"""Largest damping at which what a step promises tells how far the minimum is."""
+"""Largest damping at which the predicted decrease measures the distance to the minimum."""
 MAX_DAMPING: Final = 1e14
-"""Damping at which no step at all makes the sum smaller."""
+"""Damping at which no step decreases the loss."""
 
 
 def adjust(
@@ -182,7 +182,7 @@ class _Search:
         if loss == "linear":
             self.run(np.inf, tolerance)
             return
-        # Far from the minimum all residuals are large, and none says yet which is wrong.
+        # Far from the minimum all residuals are large, and outliers are not yet distinguishable.
         scale = robust_scale(self.state, self.residuals)
         while scale > 1.0:
             self.run(HUBER_LIMIT * scale, max(tolerance, SCALE_TOLERANCE))
@@ -203,15 +203,15 @@ class _Search:
         while True:
             weights = loss_weights(self.residuals, limit)
             equations = build_normal_equations(self.state, weights, self.prior)
-            # A prior that knows the frame a little would turn the whole world in the end, by
-            # steps that are straight where the way is bent.
+            # A weak prior of the frame would slowly rotate the whole world, by linear steps on a
+            # curved path.
             motion = self._motion() if self.free_datum else None
             while True:
                 if self.progress is not None:
                     self.progress(min(self.iterations / self.max_iterations, 1.0), "adjustment")
                 if self.iterations >= self.max_iterations:
                     raise NoConvergence(
-                        f"the adjustment has not settled after {self.iterations} steps "
+                        f"the adjustment has not converged after {self.iterations} steps "
                         f"(chi2 {loss:.6g}); start nearer, or look for wrong readings"
                     )
                 self.iterations += 1
@@ -223,7 +223,7 @@ class _Search:
                     motion,
                 )
                 local = reduced.local_steps(equations, step)
-                promised = -float(equations.gradient @ step) - sum(
+                predicted = -float(equations.gradient @ step) - sum(
                     float((block.gradient * one).sum())
                     for block, one in zip(equations.blocks, local, strict=True)
                 )
@@ -236,12 +236,12 @@ class _Search:
                 better = new <= loss
                 ending = (
                     damping <= UNDAMPED_THRESHOLD
-                    and promised <= CONVERGENCE_TOLERANCE + (tolerance + ROUNDING_TOLERANCE) * loss
+                    and predicted <= CONVERGENCE_TOLERANCE + (tolerance + ROUNDING_TOLERANCE) * loss
                 )
                 if better:
-                    # Less than was promised: the way bends, and shorter steps follow it.
-                    kept = (loss - new) / promised if promised > 0.0 else 1.0
-                    damping *= 0.1 if kept > 0.75 else 1.0 if kept > 0.25 else 3.0
+                    # A smaller decrease than predicted: the problem is curved, shorten the steps.
+                    gain_ratio = (loss - new) / predicted if predicted > 0.0 else 1.0
+                    damping *= 0.1 if gain_ratio > 0.75 else 1.0 if gain_ratio > 0.25 else 3.0
                     damping = max(damping, 1e-12)
                     self.state, self.residuals, loss = trial, residuals, new
                     break

@@ -108,7 +108,7 @@ def line_shape(
     """Return the shape of markers on a line.
 
     Args:
-        position_mm: their places along it, shape (K,), at least two, all different [mm].
+        position_mm: their positions along it, shape (K,), at least two, all different [mm].
         sigma_mm: standard deviation of each place [mm]; 0: exact; inf: only the distances count.
         distances: measured distances between markers.
 
@@ -118,12 +118,10 @@ def line_shape(
     along = np.asarray(position_mm, dtype=np.float64)
     if along.ndim != 1 or len(along) < 2 or not np.isfinite(along).all():
         raise InvalidParameter(
-            f"markers on a line at {along.tolist()} mm; give two or more finite places"
+            f"markers on a line at {along.tolist()} mm; give two or more finite positions"
         )
     if len(np.unique(along)) < len(along):
-        raise InvalidParameter(
-            f"markers on a line at {along.tolist()} mm; no two may be at one place"
-        )
+        raise InvalidParameter(f"markers on a line at {along.tolist()} mm; no two may coincide")
     marker = np.zeros((len(along), 3))
     marker[:, 0] = along - along.mean()
     changes = np.zeros((0, len(along), 3))

@@ -23,8 +23,8 @@ ALLOWANCE: Final = {
     "rotation_z_rad": 5e-3,
     "principal_distance_px": 10.0,
 }
-"""Standard deviation of what may have changed: a knock turns a sensor, warmth moves its lens. A
-shift of a sensor by some hundredths of a millimetre reads as a turn."""
+"""Standard deviations of changes: a knock rotates a sensor, a temperature change moves its lens. A
+translation by some hundredths of a millimetre is equivalent to a rotation."""
 EXACT_MM: Final = 1e-6
 
 
@@ -117,8 +117,8 @@ def check_update(
     for model in calibration.models:
         if model.cubic_per_px2 != 0.0:
             raise InvalidParameter(
-                f"sensor {model.name} has the cubic term {model.cubic_per_px2:g} of the published "
-                f"method {calibration.method}; only metric cameras are updated: calibrate again"
+                f"sensor {model.name} has the cubic term {model.cubic_per_px2:g} of the method "
+                f"{calibration.method}; only metric cameras are updated: calibrate again"
             )
     _changes(calibration, sensors, ALLOWANCE if allowance is None else allowance)
 
@@ -138,7 +138,7 @@ def _changes(
         if name not in known or not 0.0 < sigma < np.inf:
             raise InvalidParameter(
                 f"allowance has {name} = {sigma}; it must be one of "
-                f"{', '.join(sorted(known))} with a positive deviation"
+                f"{', '.join(sorted(known))} with a positive standard deviation"
             )
     return np.array(
         [

@@ -22,16 +22,16 @@ from compute.camera.stack import CameraStack
 Array = NDArray[np.float64]
 
 FALSE_ALARM_PROBABILITY: Final = 0.01
-"""Chance that a good calibration is called bad; divided by the sensors for each of them."""
+"""Probability of a false alarm; divided by the number of sensors for each of them."""
 EXPLANATIONS: Final = {
-    "rotation_y_rad": "turned about its slit",
-    "rotation_z_rad": "rolled about its view",
-    "principal_distance_px": "its lens went nearer or farther",
+    "rotation_y_rad": "rotated about its slit",
+    "rotation_z_rad": "rolled about its optical axis",
+    "principal_distance_px": "its lens moved along the optical axis",
     "rotation_x_rad": "tilted about its row",
-    "offset_z_mm": "moved along its view",
+    "offset_z_mm": "moved along its optical axis",
 }
-"""How a sensor may have moved, by one parameter; a shift along the row or of the principal point
-looks like a turn about the slit."""
+"""Single-parameter motions of a sensor; a translation along the row or a shift of the principal
+point is equivalent to a rotation about the slit."""
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ def _against_positions(
         )
     if not np.isfinite(positions).all():
         raise NonFiniteValue(
-            f"place {int(np.argwhere(~np.isfinite(positions))[0, 0]) + 1} is not finite"
+            f"position {int(np.argwhere(~np.isfinite(positions))[0, 0]) + 1} is not finite"
         )
     if not 0.0 <= stationary.position_sigma_mm < np.inf:
         raise InvalidParameter(

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 BEAM_WIDTH: Final = 16
 """Explanations that are taken further at each level, for up to about 100 readings."""
 MAX_PAIR_VALUES: Final = 240_000
-"""Pairs looked at in one level: many readings narrow the beam."""
+"""Largest number of pairs examined in one level: many readings narrow the beam."""
 MAX_LEVELS: Final = 12
 MAX_SHRUNK: Final = 6
 """Explanations of a level, the best ones, that are also tried with fewer errors."""

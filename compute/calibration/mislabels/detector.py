@@ -45,16 +45,16 @@ class LabelReport:
 Array = NDArray[np.float64]
 
 UNKNOWN_SIGMA: Final = ScalePrior(1.0, 0.3)
-"""Deviations in pixels of which nothing is known: a pixel's quantisation, for what it is worth."""
+"""Prior of an unknown noise in pixels: weakly, a pixel's quantisation."""
 UNKNOWN_SIGMA_FACTOR: Final = ScalePrior(1.0, 3.0)
-"""Stated deviations that are not believed."""
+"""Prior of the factor of standard deviations that the readings contradict."""
 POOLED_READINGS: Final = 6.0
-"""Readings' worth of what the other sensors of a device say about one's deviations."""
+"""Weight, in readings, of the other sensors' noise as a prior of one's."""
 LOG_ALTERNATIVE_PRIOR: Final = log(1e-4)
-"""Chance, before looking, that stated deviations are wrong by a common factor, or that a lens has
-a distortion that does not contradict them everywhere."""
+"""Log prior probability of a wrong common factor of the standard deviations, or of a lens with
+distortion that does not contradict them everywhere."""
 SUSPICIOUS_P_VALUE: Final = 1e-4
-"""Chance of squares so large, under the best explanation, that this is looked into."""
+"""p-value of the best hypothesis's sum of squares below which these are tried."""
 
 
 def find_label_errors(

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 WRONG_LABEL_PROBABILITY: Final = 0.03
-"""That a reading is wrong, before looking: every other sensor of 19 points has one."""
+"""Prior probability that a reading is wrong: every other sensor of 19 points has one."""
 EXCHANGE_PROBABILITY: Final = 0.02
-"""That a sensor has an exchanged pair, any of its pairs."""
+"""Prior probability that a sensor has an exchanged pair."""
 CYCLE_PROBABILITY: Final = 0.002
-"""That it has three labels, or more, in each other's places."""
+"""Prior probability that it has a cycle of three or more labels."""
 MISSING_LABEL_PROBABILITY: Final = 0.01
-"""That a reading carries the label of another point than its own, which has none."""
+"""Prior probability that a reading carries another point's label while its own point has none."""
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,9 @@ from compute.robust_statistics import BIWEIGHT_LIMIT, mad_sigma
 Array = NDArray[np.float64]
 
 CANDIDATES: Final[tuple[Preset, ...]] = ("symmetric-3", "all-3", "symmetric-5", "all-5")
-"""Lenses thought of, in the order of their terms."""
+"""Sets of distortion terms that are tried, in the order of their size."""
 READINGS_EACH: Final = 2
-"""Readings for each parameter, that a lens is thought of at all."""
+"""Smallest number of readings for each parameter to try a lens."""
 NOT_FITTED: Final[tuple[type[LumilineError], ...]] = (
     DegeneratePoints,
     NoConvergence,
@@ -54,7 +54,7 @@ def with_lens(data: SensorReadings, found: Hypothesis | None = None) -> SensorRe
 
     Args:
         data: one sensor's readings.
-        found: label errors to mend before the fit.
+        found: label errors to repair before the fit.
 
     Returns:
         The same readings with ``offset_px`` and ``extra``; None where no lens can be fitted, or

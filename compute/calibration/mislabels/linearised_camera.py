@@ -14,7 +14,7 @@ from compute.calibration.mislabels.marginal_likelihood import Evidence
 Array = NDArray[np.float64]
 
 MAX_PAIRS_PER_BATCH: Final = 90_000
-"""Pairs of readings, in both orders, that are worked out at a time: bounds the memory."""
+"""Largest number of ordered pairs of readings evaluated at a time; bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +106,7 @@ def evaluate_hypotheses(
     readings = np.array([one for one, _ in repaired]).reshape(-1, n)
     sigma = np.array([one for _, one in repaired]).reshape(-1, n)
     kept = np.isfinite(readings)
-    # The basis holds J over the deviation at its first place; one that moved keeps its reading's.
+    # The basis holds J over the sigma of the point's own reading, also where another was put.
     misfit = np.where(kept, np.where(kept, readings, 0.0) - camera.fitted, 0.0) / camera.sigma
     basis = camera.basis * kept[..., None]
     normal = basis.swapaxes(1, 2) @ basis

@@ -22,21 +22,21 @@ from compute.calibration.mislabels.linearised_camera import LinearisedCamera
 Array = NDArray[np.float64]
 
 EVALUATED_PER_SEARCH: Final = 12
-"""Explanations of a linear search that are worked out in the camera itself."""
+"""Hypotheses of a linearised search that are evaluated with the full camera."""
 EVALUATED_IN_LAST_SEARCH: Final = 40
-"""As many in the last one: what the probabilities rest on."""
+"""The same in the last search, on which the probabilities are based."""
 CLEAN_BEAM_WIDTH: Final = 6
-"""Beam where all squares look ordinary."""
+"""Beam width for readings without apparent outliers."""
 MAX_ROUNDS: Final = 8
 CLEAN_P_VALUE_THRESHOLD: Final = 1e-3
-"""Chance that squares as large as a clean sensor's make it look twice."""
+"""p-value of the sum of squares below which a sensor is not clean."""
 OUTLIER_SIGMA_THRESHOLD: Final = 5.0
-"""Residuals of a robust start beyond this many of its deviations are its wrong readings."""
+"""Normalised residual of a robust start beyond which a reading is an outlier."""
 SIGMA_RATIO_THRESHOLD: Final = 3.0
-"""Stated deviations are not believed where those of the nearer half are this many times larger."""
+"""Noise of the better-fitting half over the given sigma from which sigma is rejected."""
 MANY_OUTLIERS_COUNT_THRESHOLD: Final = 8
 MANY_OUTLIERS_SHARE_THRESHOLD: Final = 0.2
-"""More readings than this, and this share of them, far off: no few labels."""
+"""More outliers than this number and share cannot be a few wrong labels."""
 MAX_REASSIGNMENTS: Final = 200
 
 

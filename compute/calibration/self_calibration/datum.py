@@ -61,7 +61,7 @@ def to_start_frame(adjusted: AdjustmentResult, start: Sequence[SensorModel]) -> 
     )
     held = np.zeros(sum(model.parameter_count for model in start), dtype=np.bool_)
     fitted = cloud
-    # Lenses that are wrong by much may have the cloud behind them: as the cameras stand, then.
+    # With bad lenses the cloud may lie behind one: keep the rigid motion between the cameras.
     with suppress(NoConvergence):
         fitted = adjust(start, [cloud], free=held).pose_sets[0]
     rotation = fitted.rotation[0]
@@ -89,20 +89,20 @@ def to_first_pose_frame(
     translation = origin_mm - rotation @ poses.translation_mm[pose]
     count = len(adjusted.sensor_covariance)
     motion = rigid_motion_jacobian(adjusted.models)
-    # How the pose's own unknowns (turns about its axes, translation) move with the world.
+    # Jacobian of the pose's unknowns (rotations, translation) by a motion of the world.
     own = np.zeros((6, 6))
     own[:3, :3] = rotation
     x, y, z = poses.translation_mm[pose].tolist()
     own[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     own[3:, 3:] = np.eye(3)
-    follow = motion @ np.linalg.inv(own)
+    camera_motion = motion @ np.linalg.inv(own)
     crossed = adjusted.pose_sensor_covariance(index)[pose][:, :count]
-    pulled = follow @ crossed
+    crossed_motion = camera_motion @ crossed
     covariance = (
         adjusted.sensor_covariance
-        - pulled
-        - pulled.T
-        + follow @ adjusted.pose_covariance(index)[pose] @ follow.T
+        - crossed_motion
+        - crossed_motion.T
+        + camera_motion @ adjusted.pose_covariance(index)[pose] @ camera_motion.T
     )
     return DatumResult(
         tuple(transform_world(model, rotation, translation) for model in adjusted.models),
@@ -134,7 +134,7 @@ def _rigid_motion_between(
         [given.rotation.T @ found.rotation for found, given in zip(models, start, strict=True)]
     )
     rotation = Rotation.from_matrix(rotations).mean().as_matrix()
-    # The lens is known but for its shift along the slit: two equations of each camera.
+    # The lens is known except for its offset along the slit: two equations a camera.
     rows, right = [], []
     for found, given in zip(models, start, strict=True):
         turned = found.rotation @ rotation.T

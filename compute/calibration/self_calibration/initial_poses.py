@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 PROCRUSTES_ITERATIONS = 20
 DISTANCE_RATIO = 1.5
-"""How much nearer or farther than most a pose starts at most, where cameras are not trusted."""
+"""Largest ratio of a pose's distance to the median one, either way, with untrusted cameras."""
 
 
 def triangulate(cameras: CameraStack, readings_px: Array) -> Array:
@@ -165,7 +165,7 @@ def _shape(target: CalibrationTarget, marker_mm: Array) -> TargetShape:
     centred = complete - complete.mean(axis=1, keepdims=True)
     known = target.distance
     length = np.linalg.norm(centred[:, known.first] - centred[:, known.second], axis=1)
-    # Generalised Procrustes: turn all to their mean, again and again; the median pose first.
+    # Generalised Procrustes: rotate all to their mean, iteratively; the median pose first.
     size = np.sqrt((centred**2).sum(axis=(1, 2)))
     mean = centred[np.argsort(size, kind="stable")[len(size) // 2]]
     for _ in range(PROCRUSTES_ITERATIONS):

@@ -18,12 +18,12 @@ from compute.reconstruction.triangulation import chi2_limit
 Array = NDArray[np.float64]
 
 CONTRADICTION_PROBABILITY: Final = 1e-6
-"""Chance that a good pose is taken for one that holds a wrong reading."""
+"""Probability that a good pose is taken for one with an outlier."""
 WORSE_RATIO_THRESHOLD: Final = 10.0
-"""Squared misfit over the median of all, in their degrees of freedom, that is no fault of the
-cameras, as long as these are not known well."""
+"""Reduced chi2 of a pose over the median of all from which its own readings are at fault, and not
+the cameras, which may still be inaccurate."""
 SINGLE_OUTLIER_RATIO_THRESHOLD: Final = 20.0
-"""By how much chi2 must be lower without one reading than without any other for it to blame."""
+"""Difference of chi2 to that without any other reading that identifies the outlier."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +52,9 @@ def screen_poses(models: Sequence[SensorModel], start: InitialPoses) -> Screened
     dof = poses.seen.sum(axis=(1, 2)) - poses.unknowns
     misfit = np.where(dof > 0, chi2 / np.maximum(dof, 1), 0.0)
     checked = misfit[dof > 0]
-    usual = float(np.median(checked)) if len(checked) else 0.0
+    typical = float(np.median(checked)) if len(checked) else 0.0
     limits = _limits(dof) / np.maximum(dof, 1)
-    good = (misfit <= np.maximum(limits, WORSE_RATIO_THRESHOLD * usual)) & np.isfinite(chi2)
+    good = (misfit <= np.maximum(limits, WORSE_RATIO_THRESHOLD * typical)) & np.isfinite(chi2)
     return ScreenedPoses(InitialPoses(poses, start.pose_index), misfit, good)
 
 
@@ -92,7 +92,7 @@ def find_outlier_readings(
         where = (np.arange(len(fitted)), marker[fit], sensor[fit])
         whole = replace(fitted, readings_px=select_poses(poses, pose[fit]).readings_px)
         off[fit] = AdjustmentState(tuple(models), (whole,)).residuals()[0][where]
-    found, places, sizes = [], [], []
+    found, marker_and_sensor, sizes = [], [], []
     for number in range(len(poses)):
         own = np.flatnonzero(pose == number)
         dof = len(own) - 1 - poses.unknowns
@@ -102,10 +102,10 @@ def find_outlier_readings(
         if chi2[order[1]] - chi2[order[0]] < SINGLE_OUTLIER_RATIO_THRESHOLD:
             continue
         found.append(number)
-        places.append((marker[order[0]], sensor[order[0]]))
+        marker_and_sensor.append((marker[order[0]], sensor[order[0]]))
         sizes.append(off[order[0]])
     return (
         np.array(found, dtype=np.intp),
-        np.array(places, dtype=np.intp).reshape(-1, 2),
+        np.array(marker_and_sensor, dtype=np.intp).reshape(-1, 2),
         np.array(sizes),
     )

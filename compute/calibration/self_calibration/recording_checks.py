@@ -16,11 +16,10 @@ from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
 Array = NDArray[np.float64]
 
 SCALE_LIMIT: Final = 1.6
-"""Ratio, either way, of the distances between the lenses as found to those of the start, that is
-no error of the start any more."""
+"""Largest ratio, either way, of the distances between the lenses to those of the start."""
 OBSERVED_SCALE_LIMIT: Final = 200.0
-"""Ratio, either way, of the lengths as the start's cameras see them to those given, from which a
-search is in vain; cameras that are 30 % wrong, with angles wrong by 5 degrees, reached 85."""
+"""Largest ratio, either way, of lengths as the starting cameras see them to the known ones; cameras
+that are 30 % wrong, with angles wrong by 5 degrees, reached 85."""
 UNITS: Final = {"m": 1000.0, "cm": 10.0, "inches": 25.4, "feet": 304.8}
 UNIT_TOLERANCE: Final = 1.6
 CONIC_LIMIT: Final = 0.01

@@ -182,7 +182,7 @@ class _SelfCalibrationState:
         ]
 
     def starts(self, trusted: bool) -> list[InitialPoses]:
-        """Place all poses with the current cameras, without undetermined ones."""
+        """Fit all poses to the current cameras, without undetermined ones."""
         starts = []
         for recording, sigma in zip(self.kept_recordings(), self.sigma, strict=True):
             start = start_poses(self.models, recording, sigma, trusted=trusted)
@@ -191,7 +191,7 @@ class _SelfCalibrationState:
         return starts
 
     def screen_poses(self) -> list[InitialPoses]:
-        """Place all poses with the current cameras, without contradictory ones."""
+        """Fit all poses to the current cameras, without contradictory ones."""
         starts = []
         for start in self.starts(True):
             fitted = screen_poses(self.models, start)
@@ -208,9 +208,9 @@ class _SelfCalibrationState:
             fitted = screen_poses(self.models, start)
             bad = select_poses(start.poses, ~fitted.good)
             if len(bad):
-                poses, places, off = find_outlier_readings(self.models, bad)
+                poses, indices, residuals = find_outlier_readings(self.models, bad)
                 own = start.pose_index[~fitted.good][poses]
-                self._reject_readings(number, np.column_stack([own, places]), off)
+                self._reject_readings(number, np.column_stack([own, indices]), residuals)
 
     def adjusted(self, starts: Sequence[InitialPoses]) -> AdjustmentResult:
         """Adjust all sensors and poses, and keep the cameras."""
@@ -229,17 +229,21 @@ class _SelfCalibrationState:
         """Reject the largest outlier of each pose that has one; return how many."""
         count = 0
         for number, start in enumerate(starts):
-            places, off = worst_readings(adjusted, number)
-            places[:, 0] = start.pose_index[places[:, 0]]
-            self._reject_readings(number, places, off)
-            count += len(places)
+            indices, residuals = worst_readings(adjusted, number)
+            indices[:, 0] = start.pose_index[indices[:, 0]]
+            self._reject_readings(number, indices, residuals)
+            count += len(indices)
         return count
 
-    def _reject_readings(self, number: int, places: NDArray[np.intp], off: Array) -> None:
-        for (pose, marker, sensor), size in zip(places.tolist(), off.tolist(), strict=True):
+    def _reject_readings(self, number: int, indices: NDArray[np.intp], residuals: Array) -> None:
+        for (pose, marker, sensor), residual in zip(
+            indices.tolist(), residuals.tolist(), strict=True
+        ):
             self.readings[number][pose, marker, sensor] = np.nan
             name = self.models[sensor].name
-            self.rejected.append(RejectedMeasurement(number + 1, pose + 1, marker + 1, name, size))
+            self.rejected.append(
+                RejectedMeasurement(number + 1, pose + 1, marker + 1, name, residual)
+            )
 
     def check_share(self, starts: Sequence[InitialPoses]) -> None:
         """Raise NoConvergence if too large a share of the readings was rejected."""

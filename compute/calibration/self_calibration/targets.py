@@ -26,7 +26,7 @@ class Wand:
         sigma_mm: standard deviation of each place [mm]; 0: exact.
 
     Raises:
-        InvalidParameter: fewer than two markers, or two at one place.
+        InvalidParameter: fewer than two markers, or two that coincide.
     """
 
     position_mm: tuple[float, ...]
@@ -35,8 +35,8 @@ class Wand:
     def __post_init__(self) -> None:
         if len(self.position_mm) < 2:
             raise InvalidParameter(
-                f"a wand with {len(self.position_mm)} marker tells no length, and without one "
-                "the scale is open; give it two markers or more, with their places along it in mm",
+                f"a wand with {len(self.position_mm)} marker has no length, which leaves "
+                "the scale open; give two markers or more, with their positions along it in mm",
                 markers=len(self.position_mm),
             )
         if not 0.0 <= self.sigma_mm < np.inf:

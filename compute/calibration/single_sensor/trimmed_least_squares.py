@@ -11,7 +11,7 @@ from compute.calibration.single_sensor.projective_camera import (
 Array = NDArray[np.float64]
 
 RANDOM_SUBSETS = 300
-"""With six wrong readings in 19, one of 30 subsets of seven is clean: the chance that none of
+"""With six wrong readings in 19, one of 30 subsets of seven is clean: the probability that none of
 300 is, is 3e-5; with four wrong ones 2e-18."""
 REFINED_SUBSETS = 10
 SEED = 1981  # Any: the draw decides where the search starts, not what it finds.

@@ -154,7 +154,7 @@ def test_the_sensor_that_moved_is_named(client: Any, given: dict[str, Any]):
     assert drift["parameter"] == "rotation_z_rad"
     assert abs(drift["change"] - 3e-3) < 5 * drift["change_sigma"]
     assert f"Sensor {NAMES[MOVED]} is off" in found["in_words"][1]
-    assert "rolled about its view, by" in found["in_words"][1]
+    assert "rolled about its optical axis, by" in found["in_words"][1]
     assert found["against"] == given.get("against", "positions")
 
 

@@ -25,7 +25,7 @@ TABLE: Final = """
         }
         return place;
     };
-    // Weights of the degree + 1 coefficients and their slopes, as of ``compute.mapping.b_spline_basis``.
+    // Weights of the degree + 1 coefficients and their slopes, as of ``compute.mapping.b_splines``.
     auto basis = [](double t, auto kind, double* weight, double* slope) {
         const double s = 1.0 - t;
         if (decltype(kind)::degree == 1) {

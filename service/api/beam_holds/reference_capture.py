@@ -14,13 +14,6 @@ from compute.pose.tool_calibration.digitising import (
 )
 from compute.pose.transform import Transform
 from service.api.beam_holds.schema import NewReference
-from service.pipeline.beam_hold_spec import (
-    Spec,
-    WatchedLitMarkers,
-    WatchedStrobedMarkers,
-    WatchedTool,
-)
-from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.beam_hold_observer import (
     HoldObserver,
     LitMarkerObserver,
@@ -28,6 +21,13 @@ from service.pipeline.beam_hold_observer import (
     ToolObserver,
     lit_places,
 )
+from service.pipeline.beam_hold_spec import (
+    Spec,
+    WatchedLitMarkers,
+    WatchedStrobedMarkers,
+    WatchedTool,
+)
+from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.taps import SingleCalibrationTap, collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation

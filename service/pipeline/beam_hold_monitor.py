@@ -191,7 +191,7 @@ class BeamHoldMonitor:
                 if reference.calibration_id is None
                 else f'with calibration "{reference.calibration_id}"'
             )
-            now = f'"{batch.calibration_id}" is in force'
+            now = f'"{batch.calibration_id}" is active'
         else:
             then = _with_table(reference.table_id)
             now = f"readings are corrected {_with_table(batch.table_id)} now"

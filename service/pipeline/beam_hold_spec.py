@@ -83,8 +83,8 @@ class HoldReference:
     Args:
         id: another for each reference that was taken.
         at: when it was.
-        calibration_id: then in force; the places mean something in its world only.
-        table_id: the correction table then in force.
+        calibration_id: then active; the places mean something in its world only.
+        table_id: the correction table then active.
         pose: T_world_tool, of a tool.
         positions_mm: of markers, shape (M, 3) [mm].
         covariances_mm2: of these, shape (M, 3, 3) [mm^2].

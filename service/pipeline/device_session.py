@@ -63,7 +63,7 @@ class DeviceSession:
         self._taps_lock = Lock()
         self.taps: tuple[Tap, ...] = ()
         """Who takes batches beside the streams; replaced as a whole, so that it may be read."""
-        self.in_force = NO_ACTIVE_CALIBRATION
+        self.active_calibration = NO_ACTIVE_CALIBRATION
         """What batches are processed with; changed in the compute thread, as they are."""
         self.processed = 0
         self.latency = LatencyHistogram()

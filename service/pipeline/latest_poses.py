@@ -20,9 +20,9 @@ class PoseEntry:
         sequence: number of the frame.
         exposure_ns: middle of its exposure on the host's clock [ns].
         poses: of all tools of the device, by name; those that are not seen too.
-        calibration_id: the calibration in force.
+        calibration_id: the active calibration.
         frame_rate_hz: frames of the device per second; 0 when not known.
-        table_id: the correction table in force with it; None: none.
+        table_id: the active correction table; None: none.
         arrived_s: when it was made, as time.monotonic() counts [s]: the wall clock may be set.
     """
 

@@ -267,7 +267,7 @@ class PipelineManager:
 
         def switch() -> None:
             session.processor.set_calibration(*given)
-            session.in_force = found
+            session.active_calibration = found
 
         self._compute.submit(switch).result()
 
@@ -315,7 +315,7 @@ class PipelineManager:
 
     def attach(self, session: DeviceSession, tap: Tap) -> None:
         """Give a tap all batches of a session from now on."""
-        tap.prepare(session.in_force)
+        tap.prepare(session.active_calibration)
         session.attach(tap)
 
     def detach(self, session: DeviceSession, tap: Tap) -> None:

@@ -39,7 +39,7 @@ def reconstruct_points(
     """Return the points of all frames and the frame that each belongs to.
 
     Args:
-        active: the calibration in force, of S sensors.
+        active: the active calibration, of S sensors.
         frames: F frames.
         peaks: of their F x S lines.
         use: which of them are used, and which doubted.

@@ -29,7 +29,7 @@ class Tap(Protocol):
     """Takes the batches of a running device beside the streams."""
 
     def prepare(self, found: ActiveCalibration) -> None:
-        """Learn what is about to be in force; called in a thread that may wait."""
+        """Learn the calibration that becomes active next; called in a thread that may wait."""
         ...
 
     def offer(self, batch: FrameBatch) -> None:
@@ -97,25 +97,25 @@ def _readings(batch: FrameBatch, lines: slice, *, strobed: bool) -> tuple[Array,
 
 
 class SingleCalibrationTap:
-    """Remembers what the first batch was made with; ends when one was made otherwise."""
+    """Base of taps that need one calibration and table throughout; ends when they change."""
 
     def __init__(self) -> None:
         self.ended = Event()
-        """Set when there is enough, or another calibration or table came into force."""
+        """Set when there is enough, or another calibration or table became active."""
         self.switched = False
-        """Whether another calibration or table came into force meanwhile."""
-        self.in_force: tuple[str | None, str | None] | None = None
+        """Whether another calibration or table became active meanwhile."""
+        self.active_ids: tuple[str | None, str | None] | None = None
         """Calibration and table of the first batch; None: none came."""
 
     def prepare(self, found: ActiveCalibration) -> None:
-        """Do nothing: the batches say what they were made with."""
+        """Do nothing: the batches name their calibration and table."""
 
     def _goes_on(self, batch: FrameBatch) -> bool:
         """Return whether all that came was made with the same, and more is wanted."""
         own = (batch.calibration_id, batch.table_id)
-        if self.in_force is None:
-            self.in_force = own
-        if own != self.in_force:
+        if self.active_ids is None:
+            self.active_ids = own
+        if own != self.active_ids:
             self.switched = True
             self.ended.set()
         return not self.ended.is_set()

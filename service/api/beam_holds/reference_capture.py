@@ -136,8 +136,8 @@ def capture_reference(
             "reference was measured; measure it again",
             device=device_id,
         )
-    calibration_id, table_id = tap.in_force or (None, None)
-    if tap.in_force is not None and calibration_id is None:
+    calibration_id, table_id = tap.active_ids or (None, None)
+    if tap.active_ids is not None and calibration_id is None:
         raise NoActiveCalibration(
             f'device "{device_id}" has no active calibration, and so no places; activate one',
             device=device_id,

@@ -54,7 +54,7 @@ def measure(
             "measured; check again",
             device=device_id,
         )
-    calibration_id, table_id = tap.in_force or (None, None)
+    calibration_id, table_id = tap.active_ids or (None, None)
     if calibration_id is None:
         raise NoActiveCalibration(
             f'device "{device_id}" has no active calibration, and so no points; activate one',

@@ -61,7 +61,7 @@ def digitise_point(
     gap_s = max(_LEAST_GAP_S, _GAP_FRAMES / rate) if rate > 0.0 else _LEAST_GAP_S
     waiting = _Digitiser(pointer, frame, asked, gap_s)
     collect(live, session, waiting.tap, asked.timeout_s, waiting.tap.ended, waiting.look)
-    calibration, table = waiting.tap.in_force or ("", None)
+    calibration, table = waiting.tap.active_ids or ("", None)
     if calibration is None:
         raise NoActiveCalibration(
             f'device "{pointer.device}" has no active calibration, and so no poses; activate one',
@@ -110,8 +110,8 @@ class _Digitiser:
             CalibrationSwitched: the frame is not one of what is in force.
         """
         of = self._frame.provenance
-        if of is not None and self.tap.in_force is not None:
-            why = of.invalid_reason(*self.tap.in_force)
+        if of is not None and self.tap.active_ids is not None:
+            why = of.invalid_reason(*self.tap.active_ids)
             if why is not None:
                 raise CalibrationSwitched(why, frame=self._frame.name)
         for pose, reference in self.tap.drained():

@@ -52,7 +52,7 @@ def capture_geometry(live: PipelineManager, asked: NewCapturedTool) -> tuple[Rig
             "tool was captured; capture it again",
             device=asked.device,
         )
-    calibration_id = (tap.in_force or (None, None))[0]
+    calibration_id = (tap.active_ids or (None, None))[0]
     if calibration_id is None:
         raise NoActiveCalibration(
             f'device "{asked.device}" has no active calibration, and so no points; activate one',
@@ -69,7 +69,7 @@ def capture_geometry(live: PipelineManager, asked: NewCapturedTool) -> tuple[Rig
             frames=min(one.poses for one in still),
             sigma_mm=[float(np.sqrt(np.trace(one.covariance_mm2))) for one in still],
             calibration=calibration_id,
-            table=(tap.in_force or (None, None))[1],
+            table=(tap.active_ids or (None, None))[1],
         ),
     )
 

@@ -118,7 +118,7 @@ def _looked_at(
             "markers were measured; do it again",
             device=request.device,
         )
-    if tap.in_force is None or tap.in_force[0] is None:
+    if tap.active_ids is None or tap.active_ids[0] is None:
         raise NoActiveCalibration(
             f'device "{request.device}" has no active calibration, and so no points; activate one',
             device=request.device,
@@ -137,7 +137,7 @@ def _looked_at(
             f"must be in at least {MIN_FRAMES}{without}",
             frames=min(counts),
         )
-    return [_still(tap.observations[number]) for number in numbers], tap.in_force
+    return [_still(tap.observations[number]) for number in numbers], tap.active_ids
 
 
 def _still(observations: list[MarkerObservation]) -> StationaryPoint:

@@ -51,7 +51,7 @@ def calibrate_tip(
             f"({seen or 'no frame came'}{f'; {tap.reason}' if tap.reason else ''})",
             poses=0,
         )
-    calibration_id, table_id = tap.in_force or (None, None)
+    calibration_id, table_id = tap.active_ids or (None, None)
     return _found(kind, chosen) | {"calibration": calibration_id, "table": table_id}
 
 

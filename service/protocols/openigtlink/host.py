@@ -43,7 +43,7 @@ class Landmark:
         position_mm: in the coordinates of ``owner`` [mm].
         owner: the tool, or the device, that it is fixed to.
         made_with: the registration that it is of, and what that was measured with; None: it
-            holds with whatever is in force.
+            holds with whatever is active.
     """
 
     name: str

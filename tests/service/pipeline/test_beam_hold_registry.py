@@ -235,7 +235,7 @@ def test_frames_that_are_passed_over_between_others_hold_nothing(released: Bench
 @pytest.mark.parametrize(
     ("world", "words"),
     [
-        ({"calibration": "other"}, 'was taken with calibration "cal", and "other" is in force'),
+        ({"calibration": "other"}, 'was taken with calibration "cal", and "other" is active'),
         ({"calibration": None}, "no active calibration"),
         ({"table": "map"}, 'without a correction table, and readings are corrected by table "map"'),
     ],

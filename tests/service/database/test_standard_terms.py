@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 from alembic import command
-from service.database.consistency import find_inconsistencies
 from sqlalchemy import text
 from sqlalchemy.orm import Session
 

@@ -1,11 +1,11 @@
-"""DiagonalisedBasis: tensor B-splines over a grid, turned so that a difference penalty is diagonal."""
+"""DiagonalisedBasis: tensor B-splines in which a difference penalty is diagonal."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.mapping.b_spline_basis import b_spline_basis
+from compute.mapping.b_splines import b_spline_basis
 from compute.mapping.grid import VoxelGrid
 
 Array = NDArray[np.float64]
@@ -20,26 +20,24 @@ POLYNOMIAL_SHARE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class DiagonalisedBasis:
-    """The smoothest R of the tensor splines' functions, by their differences.
+    """The R smoothest eigenfunctions of a difference penalty on tensor B-splines.
 
     P-splines (P. H. C. Eilers and B. D. Marx, Flexible smoothing with B-splines and penalties,
-    1996, doi:10.1214/ss/1038425655) with differences along each axis, ``penalty = sum_a w_a
-    |D_a c|^2``. The sum is one of Kronecker products with unit matrices, so the eigenvectors of
-    D'D along each axis make it diagonal whatever the weights of the axes (I. D. Currie, M.
-    Durban, P. H. C. Eilers, 2006, doi:10.1111/j.1467-9868.2006.00543.x). The roughest of
-    these functions can be left out where data are too few to tell of them (S. N. Wood, 2003,
-    doi:10.1111/1467-9868.00374).
+    1996, doi:10.1214/ss/1038425655) with differences along each axis, ``penalty = sum_a w_a |D_a
+    c|^2``. The sum is one of Kronecker products with unit matrices, so the eigenvectors of D'D
+    along each axis diagonalise it for any weights of the axes (I. D. Currie, M. Durban, P. H. C.
+    Eilers, 2006, doi:10.1111/j.1467-9868.2006.00543.x). The roughest functions can be dropped where
+    data are too few to determine them (S. N. Wood, 2003, doi:10.1111/1467-9868.00374).
 
-    Along an axis the differences cost the first functions, polynomials, nothing; there are 4^3
-    products of them, more than few measurements tell apart. So they are given a share of what the
-    first oscillating function costs, less by the power with which the costs grow with the number
-    of turns; and the constant what the cheapest of the others costs: as the penalty's weight
-    grows, the correction goes to none.
+    Differences do not penalise polynomials along an axis; there are 4^3 products of them, more than
+    few measurements determine. They get a share of the first oscillating function's penalty, lower
+    by the power with which penalties grow with the number of oscillations; the constant gets that
+    of the cheapest other function, so that a large weight removes the whole correction.
 
     Args:
         grid: the voxels.
         vectors: eigenvectors along each axis, shapes (K_a, K_a).
-        costs: their penalties, scaled to one length along all axes, shape (R, 3).
+        costs: penalties along each axis, scaled to one length, shape (R, 3).
         function_index: index of the function along each axis, shape (R, 3).
     """
 
@@ -50,7 +48,12 @@ class DiagonalisedBasis:
 
     @classmethod
     def of(cls, grid: VoxelGrid, max_functions: int) -> "DiagonalisedBasis":
-        """Make the basis of at most ``max_functions`` functions."""
+        """Make the basis of a grid.
+
+        Args:
+            grid: the voxels.
+            max_functions: largest number of functions.
+        """
         unit = float(np.prod(grid.pitch_mm)) ** (1.0 / 3.0)
         vectors, values = [], []
         for cells, pitch in zip(grid.cells, grid.pitch_mm, strict=True):
@@ -74,13 +77,13 @@ class DiagonalisedBasis:
         return len(self.function_index)
 
     def penalty(self, weights: Array) -> Array:
-        """Return the functions' penalties with weights of the axes (3,), shape (R,)."""
+        """Return the functions' penalties, shape (R,), for weights of the axes (3,)."""
         total: Array = self.costs @ weights
         raised: Array = np.maximum(total, total[total > 0.0].min())
         return raised
 
     def values(self, points_mm: Array) -> Array:
-        """Return the functions at points (N, 3), shape (N, R)."""
+        """Evaluate the functions at points (N, 3), shape (N, R)."""
         cell, cell_coordinate, _ = self.grid.locate(points_mm)
         product = np.ones((len(points_mm), len(self)))
         for axis, turned in enumerate(self.vectors):
@@ -91,7 +94,7 @@ class DiagonalisedBasis:
         return product
 
     def coefficients(self, amounts: Array) -> Array:
-        """Return the splines' coefficients (Kx, Ky, Kz) for amounts (R,) of the functions."""
+        """Return the splines' coefficients (Kx, Ky, Kz) for coefficients (R,) of the functions."""
         full = np.zeros([len(turned) for turned in self.vectors])
         full[tuple(self.function_index.T)] = amounts
         for axis, turned in enumerate(self.vectors):

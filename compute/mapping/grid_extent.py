@@ -1,4 +1,4 @@
-"""The grid of a map: over the box of its measurements, by a pitch or by their spacing."""
+"""Voxel grid of a map over the box of its measurements."""
 
 from typing import Final
 
@@ -17,7 +17,7 @@ MAX_ALONG: Final = 256
 
 
 def point_spacing(measured: MappingMeasurements) -> float:
-    """Return the distance between neighbours, were the points spread evenly [mm]."""
+    """Return the mean distance between neighbouring points, as if evenly spread [mm]."""
     volume = float(ConvexHull(measured.points_mm).volume)
     return float(np.cbrt(volume / len(measured.points_mm)))
 
@@ -25,15 +25,15 @@ def point_spacing(measured: MappingMeasurements) -> float:
 def grid_for_points(
     measured: MappingMeasurements, spacing: float, settings: MappingSettings
 ) -> VoxelGrid:
-    """Return the grid over the box of the points.
+    """Return the grid over the box of the measurements.
 
     Args:
-        measured: the points.
-        spacing: their distance, the pitch where none is asked for [mm].
-        settings: what is asked for.
+        measured: the measurements.
+        spacing: mean distance between neighbours, the pitch if the settings have none [mm].
+        settings: the mapping settings.
 
     Raises:
-        InvalidParameter: the pitch makes more cells than can be held.
+        InvalidParameter: the pitch makes too many cells.
     """
     low, high = measured.points_mm.min(axis=0), measured.points_mm.max(axis=0)
     given = settings.pitch_mm

@@ -1,4 +1,4 @@
-"""How smooth a correction is: penalties, and what each is worth by cross-validation over blocks."""
+"""Penalty selection by cross-validation over blocks, with probabilities of penalties."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -40,10 +40,10 @@ class FittedPenalty:
     """A penalty and the fit with it.
 
     Args:
-        weight: of the penalty [1/px^2].
-        axes: weights of the axes against one another, shape (3,).
+        weight: weight of the penalty [1/px^2].
+        axes: relative weights of the axes, shape (3,).
         fit: the fit.
-        score: how badly left-out blocks are predicted, see ``LeftOutErrors.deviances``; a mean.
+        score: mean deviance of left-out blocks, see ``LeftOutErrors.deviances``.
     """
 
     weight: float
@@ -54,12 +54,13 @@ class FittedPenalty:
 
 @dataclass(frozen=True, eq=False)
 class PenaltyTrial:
-    """How well left-out blocks are predicted with one penalty.
+    """Cross-validation of one penalty.
 
     Args:
-        weight, axes: as in FittedPenalty.
-        deviances: of the blocks, as the variances are known or have a factor.
-        scaled_deviance: their sum with the likeliest factor of all variances.
+        weight: weight of the penalty [1/px^2].
+        axes: relative weights of the axes, shape (3,).
+        deviances: of the blocks, with known variances or their factor, shape (B,).
+        scaled_deviance: their sum with the maximum-likelihood factor of all variances.
         scale: that factor.
     """
 
@@ -71,18 +72,18 @@ class PenaltyTrial:
 
     @property
     def total(self) -> float:
-        """Minus twice the log density of all left-out blocks, but for a constant."""
+        """Minus twice the log density of all left-out blocks, up to a constant."""
         return float(self.deviances.sum())
 
 
 @dataclass(frozen=True, eq=False)
 class PenaltyPosterior:
-    """Penalties that were tried.
+    """Penalties with their probabilities.
 
     Args:
-        trials: all of them.
-        best: index of the one by which blocks are predicted best.
-        probabilities: probabilities of the trials, shape (K,).
+        trials: the K penalties.
+        best: index of the one that predicts blocks best.
+        probabilities: of the penalties, shape (K,).
     """
 
     trials: tuple[PenaltyTrial, ...]
@@ -90,10 +91,11 @@ class PenaltyPosterior:
     probabilities: Array
 
     def contradicts_variances(self, limit: float) -> bool:
-        """Tell whether left-out blocks want larger variances by more than ``limit``.
+        """Return whether left-out blocks demand larger variances.
 
-        Twice the difference of log densities, of one factor of all variances against none. The
-        residuals need not show it: a fit that takes noise for the field's leaves none.
+        Tests twice the log likelihood ratio of a common factor of all variances against ``limit``.
+        The
+        residuals need not show it: a fit that follows the noise leaves none.
         """
         likeliest = min(self.trials, key=lambda trial: trial.scaled_deviance)
         least = min(trial.total for trial in self.trials)
@@ -103,7 +105,14 @@ class PenaltyPosterior:
 def fit_penalty(
     problem: PenalisedProblem, functions: DiagonalisedBasis, weight: float, axes: Array
 ) -> FittedPenalty:
-    """Fit with a given penalty."""
+    """Fit with a given penalty.
+
+    Args:
+        problem: the samples.
+        functions: the penalised functions.
+        weight: weight of the penalty [1/px^2].
+        axes: relative weights of the axes, shape (3,).
+    """
     fit = problem.solve(weight * functions.penalty(axes))
     deviances = fit.left_out().deviances(known_variance=problem.known_variance)
     return FittedPenalty(weight, axes, fit, float(deviances.sum()) / len(problem.samples))
@@ -112,7 +121,14 @@ def fit_penalty(
 def evaluate_penalty(
     problem: PenalisedProblem, functions: DiagonalisedBasis, weight: float, axes: Array
 ) -> PenaltyTrial:
-    """Try a given penalty."""
+    """Cross-validate a given penalty.
+
+    Args:
+        problem: the samples.
+        functions: the penalised functions.
+        weight: weight of the penalty [1/px^2].
+        axes: relative weights of the axes, shape (3,).
+    """
     left_out = problem.solve(weight * functions.penalty(axes)).left_out()
     scaled_deviance = left_out.deviances(known_variance=False)
     known = left_out.deviances(known_variance=True) if problem.known_variance else scaled_deviance
@@ -122,7 +138,13 @@ def evaluate_penalty(
 def single_penalty(
     problem: PenalisedProblem, functions: DiagonalisedBasis, weight: float
 ) -> PenaltyPosterior:
-    """Return a penalty that is held for known."""
+    """Return the posterior of a penalty that is known.
+
+    Args:
+        problem: the samples.
+        functions: the penalised functions.
+        weight: weight of the penalty [1/px^2].
+    """
     return PenaltyPosterior(
         (evaluate_penalty(problem, functions, weight, np.ones(3)),), 0, np.ones(1)
     )
@@ -133,20 +155,21 @@ def cross_validate_penalties(
     functions: DiagonalisedBasis,
     on_trial: Callable[[], None] = lambda: None,
 ) -> PenaltyPosterior:
-    """Return penalties and how probable each is by the blocks that it leaves out.
+    """Return penalties with their probabilities by cross-validation over blocks.
 
-    By the density that the fit without a block gives its samples, so that the variances count as
-    the errors do (S. Sundararajan and S. S. Keerthi, 2001, doi:10.1162/08997660151134343). Blocks
-    and not single points: neighbours share what is wrong with both, and a fit that follows it
-    would be thought good.
+    The score is the predictive density of left-out blocks, which tests variances as well as errors
+    (S. Sundararajan and S. S. Keerthi, 2001, doi:10.1162/08997660151134343). Blocks, not single
+    points: errors of neighbours are correlated, and a fit that follows them would score too well.
 
-    The weights lie on a lattice, the axes' against one another, too, as corrections change less
-    along the depth than across it: all weights with equal axes, then those about the best with
-    one axis' weight raised or lowered, and again about the best of these.
+    The weights lie on a grid, the axes' relative weights included, as corrections vary less along
+    the
+    depth than across it: first all weights with equal axes, then those about the best with one
+        axis'
+    weight raised or lowered, and again about the best of these.
 
     Args:
         problem: the samples.
-        functions: the penalised functions, as many as the problem says.
+        functions: the penalised functions of the problem.
         on_trial: called after each trial.
     """
     penalty_grid = _PenaltyGrid(problem, functions, on_trial)
@@ -188,7 +211,7 @@ def cross_validate_penalties(
 
 
 class _PenaltyGrid:
-    """Trials by their place: steps of the weight, and of the axes' weights."""
+    """Trials on a grid: steps of the weight and of the relative weights of the axes."""
 
     def __init__(
         self, problem: PenalisedProblem, functions: DiagonalisedBasis, on_trial: Callable[[], None]
@@ -199,7 +222,7 @@ class _PenaltyGrid:
         self._balanced_weight = float(samples / np.median(functions.penalty(np.ones(3))))
 
     def trial(self, step: int, axes: Axes) -> PenaltyTrial:
-        """Return the trial at a place."""
+        """Return the trial at a grid node."""
         node = (step, axes)
         if node not in self.evaluated:
             self.evaluated[node] = evaluate_penalty(
@@ -212,7 +235,7 @@ class _PenaltyGrid:
         return self.evaluated[node]
 
     def null_penalty(self) -> tuple[int, Axes]:
-        """Try all weights with equal axes; return the place of the least that corrects nothing."""
+        """Try all weights with equal axes; return the smallest that leaves no correction."""
         equal = (0, 0, 0)
         steps = range(MAX_STEPS, -MAX_STEPS - 1, -COARSE_STRIDE)
         totals = [self.trial(step, equal) for step in steps]
@@ -226,7 +249,7 @@ class _PenaltyGrid:
         return steps[last], equal
 
     def best(self, axes: Axes | None = None) -> tuple[int, Axes]:
-        """Return the place of the smoothest of those that do as well as any."""
+        """Return the smoothest node whose score is as good as the best."""
         least = min(trial.total for trial in self.evaluated.values())
         return max(
             (
@@ -240,7 +263,7 @@ class _PenaltyGrid:
         )
 
     def refine(self, axes: Axes) -> None:
-        """Try the weights between on a line that counts: the lattice may be wide for its peak."""
+        """Try the weights between on a line with a good score: the grid may miss its peak."""
         totals = {
             step: trial.total for (step, same), trial in self.evaluated.items() if same == axes
         }
@@ -252,7 +275,7 @@ class _PenaltyGrid:
             self.search_line(axes, step, 1, COARSE_STRIDE - 1)
 
     def search_line(self, axes: Axes, start: int, stride: int, reach: int = 2 * MAX_STEPS) -> None:
-        """Try weights up and down from a place as long as one may be found that counts."""
+        """Try larger and smaller weights from a node while a good score is possible."""
         for way in (stride, -stride):
             step, before = start, np.inf
             while abs(step) <= MAX_STEPS:
@@ -267,7 +290,7 @@ class _PenaltyGrid:
 
 
 def step_widths(nodes: list[tuple[int, Axes]]) -> Array:
-    """Return how much of its axes' line each place stands for, in steps."""
+    """Return the share of its line that each node represents, in steps."""
     widths = np.empty(len(nodes))
     for number, (step, axes) in enumerate(nodes):
         others = [other for other, same in nodes if same == axes and other != step]
@@ -278,12 +301,12 @@ def step_widths(nodes: list[tuple[int, Axes]]) -> Array:
 
 
 def _posterior_probabilities(trials: tuple[PenaltyTrial, ...], prior: Array) -> Array:
-    """Return the trials' probabilities, shape (K,), from those before the data, up to a factor.
+    """Return the trials' posterior probabilities, shape (K,), from unnormalised priors.
 
-    Weights by the density of left-out data are too sure of themselves, as another sample would
-    have had others: their mean over Bayesian bootstrap replicates of the blocks is taken
+    Weights by the density of left-out data are overconfident, as another sample would have given
+    others: their mean over Bayesian bootstrap replicates of the blocks is taken
     ("pseudo-BMA+"; Y. Yao, A. Vehtari, D. Simpson, A. Gelman, 2018, doi:10.1214/17-BA1091). The
-    replicates are the same whenever the number of blocks is.
+    replicates depend on the number of blocks only.
     """
     deviances = np.stack([trial.deviances for trial in trials])
     blocks = deviances.shape[1]

@@ -1,4 +1,4 @@
-"""Plan: what a device will reach over its working volume, before it is built."""
+"""Plan: a device's coverage and precision over its working volume, from its profile."""
 
 from typing import Final
 
@@ -42,7 +42,7 @@ def plan(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Plan:
-    """Work out what a device will reach.
+    """Compute a device's coverage, precision, rates and ghost points.
 
     Args:
         profile: the device.
@@ -133,7 +133,7 @@ def _ghosts(
     trials: int,
     seed: int,
 ) -> tuple[tuple[GhostCount, ...], tuple[str, ...]]:
-    """Return the expected ghosts, and how they were counted or why not."""
+    """Return the expected ghosts, and notes on how they were computed or why not."""
     if most < 2:
         return (), ()
     if not 3 <= len(device.names) <= MAX_SENSORS:
@@ -213,7 +213,7 @@ def _sensors(device: PlanningDevice, lines: SimulatedReadings) -> tuple[PlannedS
 
 
 def _saturation_notes(lines: SimulatedReadings) -> tuple[str, ...]:
-    """Say that lines are saturated, where they are."""
+    """Return notes on saturated stripes."""
     if not lines.saturated.any():
         return ()
     share = 100 * lines.saturated.sum() / lines.visible.sum()

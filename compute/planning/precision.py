@@ -1,4 +1,4 @@
-"""Precision: the covariance that points will have, from the readings' standard deviations."""
+"""Precision: predicted covariance of points from the readings' standard deviations."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """How precisely N points can be reconstructed; NaN where they cannot.
+    """Predicted precision of N points; NaN where they cannot be reconstructed.
 
     Args:
         covariance_mm2: shape (N, 3, 3) [mm^2].
@@ -51,7 +51,7 @@ def point_precision(cameras: CameraStack, points_mm: Array, sigma_px: Array) -> 
 
 
 def precision_from_jacobian(gradient_px_per_mm: Array, sigma_px: Array) -> Precision:
-    """Return the covariance ``(sum_s g g' / sigma_s^2)^-1``, g the slope of each reading.
+    """Return the precision from the readings' gradients: ``(sum_s g g' / sigma_s^2)^-1``.
 
     This is the covariance of the weighted least-squares solution of [5.22]-[5.24] for exactly
     known sensors, and what ``compute.reconstruction`` gives for the same readings. It is of the
@@ -85,7 +85,7 @@ def precision_from_jacobian(gradient_px_per_mm: Array, sigma_px: Array) -> Preci
 
 
 def propagated_sigma(gradient_px_per_mm: Array, sigma_px: Array, error_px: Array) -> Array:
-    """Return the standard deviations of points by errors of readings that the weights ignore.
+    """Return the points' standard deviations due to reading errors that the weights ignore.
 
     The points are those of ``precision_from_jacobian``, weighted by the noise; what moves them are
     errors that differ from sensor to sensor independently, such as the pixels' fixed pattern:
@@ -118,11 +118,7 @@ def propagated_sigma(gradient_px_per_mm: Array, sigma_px: Array, error_px: Array
 
 
 def _weighted(gradient_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the slopes over their deviations, 0 for readings without use, and which have one.
-
-    Raises:
-        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
-    """
+    """Return gradients over standard deviations, 0 for unusable readings, and the usable ones."""
     shape = gradient_px_per_mm.shape[:2]
     given = np.asarray(sigma_px, dtype=np.float64)
     if given.shape not in (shape, shape[1:]):
@@ -146,7 +142,7 @@ def _weighted(gradient_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArra
 
 
 def _informative(sigma: Array) -> NDArray[np.bool_]:
-    """Say which readings the reconstruction will use, shape (N, S)."""
+    """Return which readings the reconstruction uses, shape (N, S)."""
     seen = np.isfinite(sigma)
     if sigma.shape[1] < 4:
         return seen

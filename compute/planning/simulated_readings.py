@@ -1,4 +1,4 @@
-"""Readings: what the sensors read of a grid's points: light, noise and pattern of every line."""
+"""Simulated readings of a grid of points: light, noise and pattern of every stripe."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _BATCH_POINTS: Final = 128  # points traced at once; between them progress is to
 
 @dataclass(frozen=True, eq=False)
 class SimulatedReadings:
-    """What S sensors read of N points; NaN where a sensor does not see a point.
+    """Readings of N points by S sensors; NaN where a sensor does not see a point.
 
     Args:
         cameras: perspective cameras calibrated on the exact readings.
@@ -54,7 +54,7 @@ class SimulatedReadings:
 def simulate_readings(
     device: PlanningDevice, points_mm: Array, progress: Progress
 ) -> SimulatedReadings:
-    """Form the lines of points and work out how well they can be read.
+    """Form the stripes of points and compute the precision of their readings.
 
     Args:
         device: the sensors.

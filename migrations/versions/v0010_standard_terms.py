@@ -35,6 +35,10 @@ _CALIBRATION: Final[Names] = {
 }
 """Members of ``content.result`` of a calibration."""
 
+_REMOVED: Final = frozenset({"iteration_change_px", "derived"})
+"""Members of ``content.result`` that were removed, and so was ``settings.method``: the thesis's
+methods are no setting any more. All had defaults: a downgrade need not restore them."""
+
 _DOCUMENTS: Final[dict[tuple[str, str], tuple[Names, Names]]] = {
     ("devices", "tracking"): (
         {
@@ -145,6 +149,7 @@ def _rename(direction: Callable[[Names], Names]) -> None:
         for (table, column), (members, values) in _DOCUMENTS.items():
             _rename_column(bind, tables, table, column, direction(members), direction(values))
         _rename_calibrations(bind, tables, direction(_CALIBRATION))
+        _remove_method_of_runs(bind, tables)
 
 
 def _rename_column(
@@ -162,7 +167,7 @@ def _rename_calibrations(bind: sa.Connection, tables: sa.MetaData, members: Name
     for key, content in bind.execute(sa.select(rows.c.id, rows.c.content)).all():
         if not isinstance(content, dict) or "result" not in content:
             continue
-        result = _renamed(content["result"], members, {})
+        result = _without_removed(_renamed(content["result"], members, {}))
         if result == content["result"]:
             continue
         changed = content | {"result": result}
@@ -171,6 +176,30 @@ def _rename_calibrations(bind: sa.Connection, tables: sa.MetaData, members: Name
             rows.update().where(rows.c.id == key).values(content=changed, content_hash=digest)
         )
         _rename_parent(bind, sa.Table("correction_tables", tables, autoload_with=bind), key, digest)
+
+
+def _without_removed(result: dict[str, Any]) -> dict[str, Any]:
+    """Return a calibration's result without the members that were removed."""
+    kept: dict[str, Any] = _pruned(result)
+    if isinstance(kept.get("settings"), dict):
+        kept["settings"] = {k: v for k, v in kept["settings"].items() if k != "method"}
+    return kept
+
+
+def _pruned(document: Any) -> Any:
+    if isinstance(document, dict):
+        return {name: _pruned(value) for name, value in document.items() if name not in _REMOVED}
+    return [_pruned(value) for value in document] if isinstance(document, list) else document
+
+
+def _remove_method_of_runs(bind: sa.Connection, tables: sa.MetaData) -> None:
+    """Remove the method from requests of calibration runs, which know one method."""
+    rows = sa.Table("runs", tables, autoload_with=bind)
+    query = sa.select(rows.c.id, rows.c.request).where(rows.c.kind == "calibration")
+    for key, request in bind.execute(query).all():
+        if isinstance(request, dict) and "method" in request:
+            rest = {name: value for name, value in request.items() if name != "method"}
+            bind.execute(rows.update().where(rows.c.id == key).values(request=rest))
 
 
 def _rename_parent(bind: sa.Connection, rows: sa.Table, calibration: str, digest: str) -> None:

@@ -8,8 +8,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.measurement_noise import MeasurementNoise
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, MeasurementNoise
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.correspondence import Predictor
 from compute.reconstruction.solver import PointSolver

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.measurement_noise import MeasurementNoise
+from compute.calibration.result import MeasurementNoise
 from compute.signal.peaks import PeakBatch, PeakFlag
 
 Array = NDArray[np.float64]

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from compute.calibration.calibrate import calibrate
 from compute.calibration.settings import CalibrationSettings
-from compute.calibration.single_sensor.distortion_fit import LensOffsets
-from compute.calibration.single_sensor.levenberg_marquardt import minimise
+from compute.calibration.single_sensor.camera_fit import LensOffsets, minimise
 from compute.calibration.single_sensor.metric_fit import fit_metric_cameras
 from compute.calibration.single_sensor.projective_camera import ProjectiveCamera
 from compute.camera.field_distortion import symmetric_terms
@@ -158,7 +157,7 @@ def _calibrated(device: Device, near: tuple[SensorModel, ...] | None) -> Array |
             device.readings_px,
             device.geometry,
             np.full(device.readings_px.shape, device.sigma_px),
-            near=near,
+            initial_models=near,
         )
     except LumilineError:
         return None

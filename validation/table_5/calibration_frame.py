@@ -8,7 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.calibrate import calibrate
-from compute.calibration.thesis_methods.eleven_parameter_bundle import (
+from compute.camera.dlt import collinearity_parameters_of
+from compute.camera.model import SensorModel
+from validation.thesis_data import DFW_V500, csv_rows, load_test
+from validation.thesis_methods.eleven_parameter_bundle import (
     PARAMETER_ORDER,
     THESIS_SWEEPS,
     StepGrid,
@@ -16,9 +19,6 @@ from compute.calibration.thesis_methods.eleven_parameter_bundle import (
     project_eleven_parameters,
     stepwise_bundle,
 )
-from compute.camera.dlt import collinearity_parameters_of
-from compute.camera.model import SensorModel
-from validation.thesis_data import DFW_V500, csv_rows, load_test
 
 Array = NDArray[np.float64]
 

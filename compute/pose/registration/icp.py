@@ -19,10 +19,10 @@ from compute.errors import (
 from compute.pose.registration.absolute_orientation import fit_isotropic_similarity
 from compute.pose.registration.surface import Surface
 from compute.pose.transform import Transform, cross_matrix, nearest_rotation
+from compute.robust_statistics import MAD_OF_NORMAL
 
 Array = NDArray[np.float64]
 
-_NORMAL_MEDIAN: Final = 0.6745
 _HALVINGS: Final = 10
 _MIN_RESTART_POINTS: Final = 100
 """Points, at least, by which other starts are tried: fewer than twice as many."""
@@ -299,7 +299,7 @@ def _stiffness(alignment: _Alignment, centre: Array) -> tuple[float, Array]:
 def _covariance(alignment: _Alignment, normal: Array, centre: Array, length: float) -> Array:
     """Return the covariance of turn and translation."""
     # Trimming takes the tails off: the deviation comes from the median.
-    sigma = float(np.median(alignment.off)) / _NORMAL_MEDIAN
+    sigma = float(np.median(alignment.off)) / MAD_OF_NORMAL
     sigma *= float(np.sqrt(len(alignment.off) / (len(alignment.off) - 6.0)))
     scale = np.diag([1.0 / length] * 3 + [1.0] * 3)
     centred = sigma**2 * scale @ np.linalg.inv(normal) @ scale

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from compute.calibration.single_sensor.m_estimators import biweight
 from compute.camera.rotation import rotation_matrix
 from compute.errors import HighError, NoConvergence, TooFewPoses, TooLittleRotation
 from compute.pose.tool_calibration.orientation_coverage import OrientationCoverage
 from compute.pose.tool_calibration.pose_validation import validate_poses
 from compute.pose.transform import cross_matrix
+from compute.robust_statistics import biweight
 
 Array = NDArray[np.float64]
 

@@ -12,6 +12,7 @@ from scipy.linalg import cho_solve
 from scipy.ndimage import maximum_filter1d
 from scipy.sparse import csr_array
 
+from compute.robust_statistics import MAD_TO_SIGMA
 from compute.signal.thesis_pipeline.steps import (
     Array,
     ScanFilter,
@@ -24,7 +25,6 @@ Mask = NDArray[np.bool_]
 
 MAX_DEGREE: Final = 30
 _ROUNDING: Final = 1e-10  # of the largest value: what a fit of a polynomial leaves of itself
-_NORMAL_MAD: Final = 1.4826
 _SINGULAR: Final = 1e-11  # of an information of ones: polynomials that the pixels do not see
 
 
@@ -72,7 +72,7 @@ class PeakMask:
         for _ in range(self.rounds):
             fitted = fitted + _step(information, _product(basis, np.where(free, residual, 0.0)))
             residual = scan - _product(across, fitted)
-            noise = _NORMAL_MAD * float(np.median(np.abs(residual[free])))
+            noise = MAD_TO_SIGMA * float(np.median(np.abs(residual[free])))
             peak = residual > max(self.above_sigma * noise, floor)
             # A lone pixel may be noise; it goes, but does not take its neighbours with it.
             wide = peak & (np.roll(peak, 1) | np.roll(peak, -1))

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from compute.calibration.calibrate import calibrate
-from compute.calibration.measurement_noise import measurement_sigma
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, measurement_sigma
 from tests.compute.rig import control_points, geometry, project, rig
 
 Source = Literal["given", "residuals", "assumed"]

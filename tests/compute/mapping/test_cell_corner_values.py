@@ -1,7 +1,6 @@
 import numpy as np
 
-from compute.mapping.cell_corner_values import corner_values
-from compute.mapping.cell_support import cell_corners
+from compute.mapping.cell_support import cell_corners, corner_values
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import NdBSpline, RegularGridInterpolator
 
 from compute.errors import InvalidParameter, NonFiniteValue
-from compute.mapping.b_spline_basis import b_spline_basis
+from compute.mapping.b_splines import b_spline_basis
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable, Degree
 

@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.calibration.calibrate import calibrate
-from compute.calibration.measurement_noise import measurement_sigma
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, measurement_sigma
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter

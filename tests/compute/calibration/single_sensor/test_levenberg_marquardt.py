@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from compute.calibration.single_sensor.levenberg_marquardt import OffsetPrior, minimise
+from compute.calibration.single_sensor.camera_fit import OffsetPrior, minimise
 from compute.camera.stack import CameraStack
 from tests.compute.distorted_rig import distorted_rig, field_points, seen_readings
 from tests.compute.rig import control_points, project, rig

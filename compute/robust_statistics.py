@@ -1,8 +1,7 @@
-"""Robust loss: Tukey's biweight, under which a gross error loses all its weight.
+"""M-estimators: Tukey's biweight and Huber's weights, and the scale of residuals.
 
-Huber's loss, which keeps a pull of some deviations, is enough far from the edge of a frame, but a
-wrong reading of an outer point has much leverage: a loss that comes back to zero, from a start
-that the wrong readings did not make, leaves no trace of it.
+Huber's weights leave a wrong reading of an outer point, which has much leverage, its influence.
+The biweight redescends: from a start that outliers did not affect, they get no weight at all.
 """
 
 from typing import Final
@@ -19,30 +18,36 @@ EFFICIENCY_LOSS: Final = 1.01934
 HUBER_LIMIT: Final = 1.5
 MAD_OF_NORMAL: Final = 0.6745
 """Median of the absolute value of a standard normal deviate."""
+MAD_TO_SIGMA: Final = 1.4826
+"""Standard deviation over that median, rounded on its own."""
 
 
 def biweight(standardised: Array) -> Array:
-    """Return the weights (1 - (z / BIWEIGHT_LIMIT)^2)^2, 0 beyond, of z's shape.
+    """Return Tukey's weights (1 - (z / BIWEIGHT_LIMIT)^2)^2, 0 beyond, of z's shape.
 
-    A. E. Beaton, J. W. Tukey, Technometrics 16 (1974) 147-185, doi:10.1080/00401706.1974.10489171.
+    A. E. Beaton, J. W. Tukey, Technometrics 16 (1974) 147-185,
+    doi:10.1080/00401706.1974.10489171.
     """
     weights: Array = np.maximum(1.0 - (standardised / BIWEIGHT_LIMIT) ** 2, 0.0) ** 2
     return weights
 
 
 def huber(standardised: Array) -> Array:
-    """Return the weights min(1, HUBER_LIMIT / |z|), of z's shape (doi:10.1214/aoms/1177703732)."""
+    """Return Huber's weights min(1, HUBER_LIMIT / |z|), of z's shape.
+
+    P. J. Huber, doi:10.1214/aoms/1177703732.
+    """
     weights: Array = HUBER_LIMIT / np.maximum(np.abs(standardised), HUBER_LIMIT)
     return weights
 
 
 def mad_sigma(residuals: Array, used: NDArray[np.bool_], parameters: int) -> Array:
-    """Return each sensor's deviation from the median of its absolute residuals, shape (S,).
+    """Estimate each sensor's noise from the median of its absolute residuals, shape (S,).
 
     Args:
         residuals: shape (N, S).
-        used: which there are, shape (N, S).
-        parameters: fitted for a sensor: residuals are smaller for it.
+        used: which of them exist, shape (N, S).
+        parameters: number fitted for a sensor; the fit makes as many residuals small.
     """
     scales = []
     for column, rows in zip(residuals.T, used.T, strict=True):

@@ -1,22 +1,56 @@
-"""Splines through values at nodes: coefficients of tensor B-splines that interpolate."""
+"""Uniform B-splines of degree 1 and 3: basis in a cell, and interpolation."""
 
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.mapping.b_spline_basis import b_spline_basis
+from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
 
 Array = NDArray[np.float64]
 
 
-def interpolate_corners(values: Array) -> Array:
-    """Return cubic coefficients (nx + 3, ...) through values at the cells' corners (nx + 1, ...).
+def b_spline_basis(cell_coordinate: Array, degree: int) -> tuple[Array, Array]:
+    """Return the B-spline basis in a cell and its derivatives.
 
-    Along each axis the spline is "not-a-knot": its third derivative does not jump at the first
-    and last inner knot (C. de Boor, A Practical Guide to Splines, chapter IV); over one or two
-    cells it is the straight line or the parabola.
+    C. de Boor, A Practical Guide to Splines, chapter IX; the weights are 0 or more and add up
+    to 1.
+
+    Args:
+        cell_coordinate: in the cell, from 0 to 1, any shape (...).
+        degree: 1 or 3.
+
+    Returns:
+        Weights of the degree + 1 coefficients and their derivatives, both of shape (..., degree +
+        1).
+
+    Raises:
+        InvalidParameter: another degree.
+    """
+    t = np.asarray(cell_coordinate, dtype=np.float64)
+    if degree == 1:
+        return np.stack([1.0 - t, t], axis=-1), np.stack([-np.ones_like(t), np.ones_like(t)], -1)
+    if degree != 3:
+        raise InvalidParameter(f"degree is {degree}; it must be 1 or 3")
+    s = 1.0 - t
+    weights = [s**3, 4.0 - 6.0 * t**2 + 3.0 * t**3, 4.0 - 6.0 * s**2 + 3.0 * s**3, t**3]
+    derivatives = [-3.0 * s**2, 9.0 * t**2 - 12.0 * t, 12.0 * s - 9.0 * s**2, 3.0 * t**2]
+    return np.stack(weights, axis=-1) / 6.0, np.stack(derivatives, axis=-1) / 6.0
+
+
+def interpolate_corners(values: Array) -> Array:
+    """Return the cubic spline through values at the cells' corners.
+
+    Along each axis the spline is "not-a-knot": its third derivative is continuous at the first and
+    last inner knot (C. de Boor, A Practical Guide to Splines, chapter IV); over one or two cells it
+    is the straight line or the parabola.
+
+    Args:
+        values: shape (nx + 1, ny + 1, nz + 1).
+
+    Returns:
+        Coefficients, shape (nx + 3, ny + 3, nz + 3).
     """
     coefficients = values
     for axis in range(3):
@@ -33,9 +67,9 @@ def interpolate_corners(values: Array) -> Array:
 
 
 def interpolate_function(grid: VoxelGrid, function: Callable[[Array], Array]) -> Array:
-    """Return cubic coefficients of a smooth function of space, shape (nx + 3, ny + 3, nz + 3).
+    """Return the cubic spline through a function of space, shape (nx + 3, ny + 3, nz + 3).
 
-    It is met at nx + 3 equal steps along each axis.
+    It interpolates at nx + 3 equal steps along each axis.
 
     Args:
         grid: the voxels.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.single_sensor.normalised_dlt import normalisation
+from compute.calibration.single_sensor.projective_camera import normalisation
 from compute.errors import NoConvergence
 
 Array = NDArray[np.float64]

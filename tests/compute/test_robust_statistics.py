@@ -8,14 +8,14 @@ from scipy.stats import norm
 
 from compute.calibration.calibrate import calibrate
 from compute.calibration.settings import CalibrationSettings
-from compute.calibration.single_sensor.m_estimators import (
+from compute.camera.stack import CameraStack
+from compute.errors import DegeneratePoints
+from compute.robust_statistics import (
     BIWEIGHT_LIMIT,
     EFFICIENCY_LOSS,
     biweight,
     huber,
 )
-from compute.camera.stack import CameraStack
-from compute.errors import DegeneratePoints
 from tests.compute.distorted_rig import (
     distorted_rig,
     field_points,

@@ -6,15 +6,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.single_sensor.normalised_dlt import dlt_matrix
 from compute.camera.dlt import (
     CollinearityParameters,
-    collinearity_parameters_of,
-    model_from_collinearity,
-    model_from_matrix,
 )
-from compute.camera.model import SensorGeometry, SensorModel
-from compute.errors import InvalidParameter, NoConvergence, TooFewPoints
+from compute.camera.model import SensorGeometry
+from compute.errors import InvalidParameter, NoConvergence
 
 Array = NDArray[np.float64]
 
@@ -154,46 +150,6 @@ def stepwise_bundle(
             sensor=sensor,
         )
     return StepwiseBundle(from_array(values), np.array(errors), at)
-
-
-def stepwise_model(
-    points_mm: Array, readings_px: Array, sensor: SensorGeometry, near: SensorModel | None = None
-) -> SensorModel:
-    """Return the camera that the thesis's optimisation ends with, from 500 values, 13 passes.
-
-    Args:
-        points_mm: control points that the sensor saw, shape (N, 3), N >= 12 (section 5.3).
-        readings_px: its readings, shape (N,) [px].
-        sensor: its geometry.
-        near: the first estimate, Table 5.10: the sensor as it was set up. None: the camera of
-            the normalised linear transformation.
-
-    Raises:
-        TooFewPoints: fewer than 12 readings.
-        DegeneratePoints: the linear transformation is undetermined.
-        InvalidParameter, NoConvergence: as in ``stepwise_bundle``; also where the optimisation
-            ends with points on both sides of the lens.
-    """
-    if len(points_mm) < MIN_POINTS:
-        raise TooFewPoints(
-            f"sensor {sensor.name} saw {len(points_mm)} control points; the stepwise optimisation "
-            f"of eleven coefficients needs at least {MIN_POINTS}, the metric method 7",
-            sensor=sensor.name,
-            points=len(points_mm),
-        )
-    middle = points_mm.mean(axis=0)
-    if near is None:
-        near = model_from_matrix(dlt_matrix(points_mm, readings_px, sensor.name), sensor, middle)
-    grid = StepGrid.around(collinearity_parameters_of(near), sensor)
-    found = stepwise_bundle(points_mm, readings_px, sensor.name, grid).parameters
-    depth = (points_mm - np.array(found.centre_mm)) @ np.array(found.axis)
-    if not ((depth > 0.0).all() or (depth < 0.0).all()):
-        raise NoConvergence(
-            f"sensor {sensor.name}: the stepwise optimisation ended with control points on both "
-            "sides of the lens; use the metric method",
-            sensor=sensor.name,
-        )
-    return model_from_collinearity(found, sensor, middle)
 
 
 def _error(values: Array, points_mm: Array, readings: Array) -> Array:

@@ -33,7 +33,7 @@ from benchmarks.triangulation import rig
 from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
 from compute.pose.estimation.pose_fit import fit_pose
-from compute.pose.measurement_model import MeasurementModel
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ImmSettings, MotionMode, ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose

@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.tracking.candidate_tracks import CandidateTracks, ConfirmedCandidates
-from compute.tracking.measurement_model import MeasurementModel
-from compute.tracking.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.native.associator import Associator
 from compute.tracking.settings import TrackerSettings

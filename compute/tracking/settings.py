@@ -29,8 +29,6 @@ class TrackerSettings:
         max_prediction_sigma_px: where a sensor's reading is predicted less well than this (standard deviation),
             a track takes no peak of it; where one is four times as bad, it takes no single peaks
             at all, but points of three sensors or more [px].
-        suspect_sigma_factor: by which standard deviations of saturated, overlapping and ill-fitted peaks
-            grow.
         confirm_hits: exposures that must have seen a track, after its first, before it is a marker.
         confirm_misses: exposures that may miss it until then; with one more it ends. The second one
             must see it.
@@ -55,7 +53,6 @@ class TrackerSettings:
     resolution_px: float = 4.0
     gate_sigma: float = 4.5
     max_prediction_sigma_px: float = 10.0
-    suspect_sigma_factor: float = 3.0
     confirm_hits: int = 3
     confirm_misses: int = 2
     false_track_probability: float = 1e-6
@@ -85,7 +82,7 @@ class TrackerSettings:
             if not 0.0 < value < 1.0:
                 raise InvalidParameter(f"{name} is {value}; it must lie between 0 and 1")
         _check("gate_sigma", self.gate_sigma, above=1.0)
-        for name in ("suspect_sigma_factor", "confirm_hits", "max_hypotheses"):
+        for name in ("confirm_hits", "max_hypotheses"):
             value = getattr(self, name)
             if not (isfinite(value) and value >= 1):
                 raise InvalidParameter(f"{name} is {value}; it must be 1 or more")

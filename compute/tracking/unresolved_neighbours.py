@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.measurements import Measurements
+from compute.measurement.measurements import Measurements
 from compute.tracking.settings import TrackerSettings
 
 Array = NDArray[np.float64]

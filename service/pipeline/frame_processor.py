@@ -8,7 +8,8 @@ import numpy as np
 from compute.calibration.result import Calibration
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
-from compute.reconstruction.correspondence import Predictor
+from compute.measurement.measurement_model import MeasurementModel
+from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.solver import PointSolver, load_kernels
 from compute.signal.peaks import PeakBatch
 from hardware.driver import DeviceDescription
@@ -17,7 +18,7 @@ from service.pipeline.blas_threads import limit_blas_threads
 from service.pipeline.detection_stage import DetectionStage
 from service.pipeline.expected_scans import ExpectedScans, expected_scans
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.point_stage import CalibrationSolver, no_points, points_of, usable_peaks
+from service.pipeline.point_stage import CalibrationSolver, solve_points, weigh_peaks
 from service.pipeline.tracker_factory import TrackerFactory
 from service.pipeline.tracking_config import TrackingConfig
 from service.pipeline.tracking_stage import TrackingStage
@@ -118,7 +119,7 @@ class FrameProcessor:
             None if table is None else table_id,
             PointSolver(calibration.models, covariance, table, self._compute_device, threads=1),
             table,
-            Predictor.of(calibration.models, covariance, table),
+            MeasurementModel.of(calibration.models, covariance, table),
         )
         self._motion.set_calibration(self._active)
 
@@ -159,16 +160,16 @@ class FrameProcessor:
     ) -> FrameBatch:
         """Do the rest for frames whose peaks are found; their lines are not looked at."""
         active = self._active
-        usable = None
+        measurements = None
         if active is None or not self._finding.reads:
-            points, owner = no_points(len(self._names)), np.empty(0, dtype=np.intp)
+            points, owner = PointBatch.empty(len(self._names)), np.empty(0, dtype=np.intp)
         else:
-            usable = usable_peaks(active, frames, peaks, self._finding.use)
-            points, owner = points_of(active, frames, usable)
+            measurements = weigh_peaks(active, frames, peaks, self._finding.flag_policy)
+            points, owner = solve_points(active, frames, measurements)
         motion = None
         begin = time.perf_counter()
         if self._motion.is_enabled:
-            motion = self._motion.find(frames, usable, points, owner, track)
+            motion = self._motion.find(frames, measurements, points, owner, track)
         self._tracking_s = time.perf_counter() - begin
         return FrameBatch(
             self._device_id,

@@ -9,14 +9,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.pose.acquisition.acquisition_backoff import AcquisitionBackoff
 from compute.pose.acquisition.acquisition_strobed import MarkerExposure
 from compute.pose.centred_markers import CentredMarkers
-from compute.pose.filtering.association import MAX_EXCLUDED_NIS, Measurements, ToolObservation
+from compute.pose.filtering.association import MAX_EXCLUDED_NIS, ToolObservation
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel
 from compute.pose.filtering.pose_filter import PoseState, predict
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import MotionSettings
 from compute.pose.tool_pose import PoseStatus

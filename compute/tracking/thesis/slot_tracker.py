@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence import Correspondence
-from compute.tracking.measurements import Measurements
 from compute.tracking.thesis.point_reconstruction import SolvedPoints, SpacePoints
 from compute.tracking.thesis.settings import ThesisSettings
 from compute.tracking.thesis.track_report import TrackReport

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.tracking.association import AssociationResult, associate
 from compute.tracking.imm_states import mix_and_predict
-from compute.tracking.measurement_model import MeasurementModel
-from compute.tracking.measurements import Measurements
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.native.associator import Associator
 from compute.tracking.settings import TrackerSettings

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.measurements import Measurements
+from compute.measurement.measurements import Measurements
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.unresolved_neighbours import (
     NEIGHBOUR_FIELDS,

@@ -19,7 +19,7 @@ from compute.pose.acquisition.acquisition_strobed import (
     acquire_strobed,
 )
 from compute.pose.centred_markers import CentredMarkers
-from compute.pose.measurement_model import MeasurementModel
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.tool_tracking import tool_tracker
 from compute.pose.tool_tracking.tool_tracker import ToolTracker

@@ -301,7 +301,7 @@ def test_a_found_tool_knows_its_share_of_the_calibrations_errors() -> None:
     assert found.valid
     state = tracker._tools[0].state
     assert state is not None
-    columns = tracker.model.common.reshape(28, -1)
+    columns = tracker.model.covariance_factor.reshape(28, -1)
     assert columns @ columns.T == pytest.approx(CALIBRATION, abs=1e-12)
     for error in range(0, 28, 5):
         # Cameras that are off by one deviation of this error, and no noise.

@@ -49,7 +49,7 @@ def test_innovations_are_in_standard_deviations(space: SpacePoints) -> None:
     readings = space.model.cameras.project(PLACE[None]) + 0.3
     off = space.innovation(readings, np.full((1, 5), 0.1), PLACE[None], np.zeros((1, 3, 3)))
     np.testing.assert_allclose(off, 3.0, rtol=1e-6)
-    jacobian = space.model.predict(PLACE[None]).jacobian[0]
+    jacobian = space.model.predict(PLACE[None]).jacobian_px_per_mm[0]
     wide = space.innovation(readings, np.full((1, 5), 0.1), PLACE[None], 0.01 * np.eye(3)[None])
     expected = 0.3 / np.sqrt(0.01 + 0.01 * (jacobian**2).sum(axis=1))
     np.testing.assert_allclose(wide[0], expected, rtol=1e-6)

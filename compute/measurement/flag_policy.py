@@ -244,7 +244,7 @@ def policy_table() -> str:
         "|---|---|---|---|---|---|",
     ]
     for where, rules in (
-        ("always", STANDARD_RULES),
+        ("in general", STANDARD_RULES),
         ("fitted peaks", FIT_RULES),
         ("stripes of known shape", KNOWN_SHAPE_RULES),
         ("shadows of coded windows", SHADOW_RULES),

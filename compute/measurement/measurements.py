@@ -49,7 +49,7 @@ class Measurements:
     ) -> "Measurements":
         """Check the peaks of an exposure and weigh their flags.
 
-        A peak of infinite standard deviation is not used.
+        A peak whose standard deviation is infinite or NaN is not used.
 
         Args:
             position_px: shape (S, K); NaN where there is no peak [px].
@@ -72,7 +72,7 @@ class Measurements:
                 raise InvalidParameter(
                     f"{name} has the shape {value.shape}; it must be {position.shape}"
                 )
-        bad = np.isfinite(position) & ~(sigma > 0.0)
+        bad = np.isfinite(position) & (sigma <= 0.0)
         if bad.any():
             sensor, peak = (int(index) for index in np.argwhere(bad)[0])
             raise InvalidParameter(
@@ -164,18 +164,18 @@ class Measurements:
     def sort(self) -> "Measurements":
         """Return the usable peaks of an exposure in ascending order, those that are none behind.
 
-        Equal positions are ordered by their standard deviations, so that the result does not
+        Equal positions are ordered by their variances, then by their flags, so that the result does not
         depend on the order of the peaks. Columns without any usable peak are left out.
         """
         position, columns = self.position_px, max(int(self.count.max(initial=0)), 1)
-        order = position.argsort(axis=-1, kind="stable")
-        if (position[:, 1:] == position[:, :-1]).any():
-            # Equal peaks, side by side or not.
-            order = np.lexsort((self.variance_px2, position), axis=-1)
-        order = order[:, :columns]
         rows = np.arange(len(position))[:, None]
+        order = position.argsort(axis=-1, kind="stable")
+        ascending = position[rows, order]
+        if (ascending[:, 1:] == ascending[:, :-1]).any():
+            order = np.lexsort((self.flags, self.variance_px2, position), axis=-1)
+        order = order[:, :columns]
         return Measurements(
-            position[rows, order],
+            ascending[:, :columns],
             self.variance_px2[rows, order],
             self.flags[rows, order],
             self.can_initiate[rows, order],

@@ -29,7 +29,7 @@ class PointFlag(IntFlag):
     AMBIGUOUS = 32
     """Another grouping of the sensors' peaks is as likely."""
     SUSPECT_PEAK = 64
-    """One of its peaks is saturated or merged with another."""
+    """One of its peaks is suspect by the flag policy."""
     OUTSIDE_MAP = 128
     """The correction table vouches for the reading of some used sensor not there."""
 

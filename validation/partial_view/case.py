@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix, rotation_vector
-from compute.pose.estimation.pose_fit import PoseFit, fit_pose
 from compute.measurement.measurement_model import MeasurementModel
+from compute.pose.estimation.pose_fit import PoseFit, fit_pose
 from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import point_jacobian

@@ -2,7 +2,7 @@
 
 from functools import lru_cache
 from math import inf
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,9 @@ from compute.reconstruction.correspondence.result import Group
 from compute.reconstruction.correspondence.rigid_bodies import BodyMatch, body_matches
 from compute.reconstruction.correspondence.set_packing import SetPacking, solve_set_packing
 from compute.reconstruction.correspondence.settings import MatchSettings
-from compute.reconstruction.point_batch import PointBatch
+
+if TYPE_CHECKING:
+    from compute.reconstruction.point_batch import PointBatch
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
-from compute.tracking.imm_states import ImmStates
 from compute.measurement.measurement_model import MeasurementModel
+from compute.tracking.imm_states import ImmStates
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import states_from_points

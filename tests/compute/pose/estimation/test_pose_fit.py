@@ -13,9 +13,9 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.estimation.pose_fit import fit_pose
 from compute.pose.estimation.pose_initialisation import initial_pose_from_points
-from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import Transform
 from tests.compute.distorted_rig import distorted_rig

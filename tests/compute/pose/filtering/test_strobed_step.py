@@ -9,16 +9,17 @@ from hypothesis import strategies as st
 
 from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable, Degree
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering import association
-from compute.pose.filtering.association import Measurements, ToolObservation, associate
+from compute.pose.filtering.association import ToolObservation, associate
 from compute.pose.filtering.imm_model import ImmModel
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.native.kernel import step_kernel
 from compute.pose.filtering.native.strobed_step import Step, StrobedStepKernel, load_kernels
 from compute.pose.filtering.pose_filter import STATES, PoseState, predict_measurement
 from compute.pose.filtering.second_order import second_order_prediction
-from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ImmSettings, MotionMode, MotionSettings
 from compute.pose.tool_pose import ToolPose
@@ -66,9 +67,9 @@ class Case:
         self.model = MeasurementModel.of(cameras, covariance, corrections)
         markers = 60.0 * rng.standard_normal((int(rng.integers(3, 6)), 3))
         self.centred = CentredMarkers.of(RigidBody("tool", markers, tuple(range(len(markers)))))
-        self.common_errors = self.model.covariance_factor.shape[2] + (degree is not None) * sensors * len(
-            markers
-        )
+        self.common_errors = self.model.covariance_factor.shape[2] + (
+            degree is not None
+        ) * sensors * len(markers)
         self.imm = ImmModel.of(MotionSettings(), kind)
         self.step = StrobedStepKernel(self.model, self.imm, self.centred, self.common_errors, GATE)
         self.before = ImmState.of(self._state(), self.imm)
@@ -95,7 +96,7 @@ class Case:
         position = np.full((sensors, peaks), np.nan)
         position[:, 0] = np.where(rng.random(sensors) < missing, np.nan, where)
         position[:, 1:] = rng.uniform(0.0, PIXELS, (sensors, peaks - 1))
-        flags = np.where(rng.random(position.shape) < 0.1, int(PeakFlag.JOINT), 0)
+        flags = np.where(rng.random(position.shape) < 0.1, int(PeakFlag.POOR_FIT), 0)
         position = rng.permuted(position, axis=1)
         return Measurements.of(position, rng.uniform(0.03, 0.1, position.shape), flags)
 
@@ -224,7 +225,9 @@ def test_readings_that_do_not_fit_one_another_are_left_to_numpy() -> None:
     arms = (case.centred.markers_mm @ widest_state.rotation.T)[[lit]]
     expected = case.model.predict(arms + widest_state.centroid_mm, with_common_errors=True)
     deviation = np.sqrt(
-        predict_measurement(widest_state, arms, expected, expected.common_jacobian_px).covariance.diagonal()
+        predict_measurement(
+            widest_state, arms, expected, expected.common_jacobian_px
+        ).covariance.diagonal()
     )
     sigma, flags = np.full((4, 1), 0.05), np.zeros((4, 1), np.int32)
     # Each by itself is within its gate, as the tool is uncertain; together they contradict.

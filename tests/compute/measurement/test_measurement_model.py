@@ -9,8 +9,8 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable
-from compute.reconstruction.triangulation import reconstruct
 from compute.measurement.measurement_model import MeasurementModel
+from compute.reconstruction.triangulation import reconstruct
 from tests.compute.distorted_rig import distorted_rig
 from tests.compute.rig import control_points, rig
 

@@ -212,8 +212,7 @@ def _lookup(rules: tuple[FlagRule, ...]) -> FlagLookup:
     has = np.array([(every & int(rule.flag)) != 0 for rule in rules])
 
     def any_of(values: Sequence[bool]) -> NDArray[np.bool_]:
-        found: NDArray[np.bool_] = has[np.array(values, dtype=np.bool_)].any(axis=0)
-        return found
+        return np.asarray(has[np.array(values, dtype=np.bool_)].any(axis=0))
 
     factor = np.array([rule.sigma_factor for rule in rules])[:, None]
     added = np.array([rule.added_sigma_px for rule in rules])[:, None]

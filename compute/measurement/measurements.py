@@ -98,13 +98,13 @@ class Measurements:
             amplitude: maxima above the background [counts].
             policy: what the flags mean.
         """
-        usable = np.isfinite(position_px) & np.isfinite(sigma_px)
-        variance = np.where(usable, sigma_px, 1.0) ** 2
+        # Finite where both are.
+        usable = np.isfinite(position_px + sigma_px)
+        whole = np.count_nonzero(usable) == usable.size
+        variance = (sigma_px if whole else np.where(usable, sigma_px, 1.0)) ** 2
         if not np.count_nonzero(flags):
             none = np.zeros(position_px.shape, dtype=np.bool_)
-            position = position_px
-            if np.count_nonzero(usable) != usable.size:
-                position = np.where(usable, position_px, np.nan)
+            position = position_px if whole else np.where(usable, position_px, np.nan)
             return cls(position, variance, flags, usable, none, none, position_px, amplitude)
         by_flags = policy.lookup
         usable &= ~by_flags.refused[flags]
@@ -125,8 +125,8 @@ class Measurements:
         """Return the number of sensors."""
         return int(self.position_px.shape[-2])
 
-    def exposure(self, index: int) -> "Measurements":
-        """Return one of several exposures; the arrays are shared."""
+    def exposure(self, index: int | NDArray[np.intp]) -> "Measurements":
+        """Return one of several exposures, or some of them."""
         return Measurements(
             self.position_px[index],
             self.variance_px2[index],
@@ -146,7 +146,9 @@ class Measurements:
     @cached_property
     def sigma_px(self) -> Array:
         """Standard deviations, flags weighed, shape (S, K) [px]; NaN where nothing is usable."""
-        return np.where(self.usable, np.sqrt(self.variance_px2), np.nan)
+        sigma: Array = np.sqrt(self.variance_px2)
+        sigma[np.isnan(self.position_px)] = np.nan
+        return sigma
 
     def only(self, chosen: NDArray[np.bool_]) -> "Measurements":
         """Return the chosen ones of the peaks, shape (S, K), at their indices."""
@@ -164,8 +166,8 @@ class Measurements:
     def sort(self) -> "Measurements":
         """Return the usable peaks of an exposure in ascending order, those that are none behind.
 
-        Equal positions are ordered by their variances, then by their flags, so that the result does not
-        depend on the order of the peaks. Columns without any usable peak are left out.
+        Equal positions are ordered by their variances, then by their flags, so that the result does
+        not depend on the order of the peaks. Columns without any usable peak are left out.
         """
         position, columns = self.position_px, max(int(self.count.max(initial=0)), 1)
         rows = np.arange(len(position))[:, None]
@@ -194,7 +196,8 @@ class Measurements:
     @cached_property
     def count(self) -> NDArray[np.intp]:
         """Number of usable peaks of each sensor, shape (S,)."""
-        return self.usable.sum(axis=-1)
+        count: NDArray[np.intp] = self.usable.sum(axis=-1)
+        return count
 
     @cached_property
     def capacity(self) -> dict[int, int]:
@@ -242,8 +245,7 @@ class Measurements:
         """
         with np.errstate(invalid="ignore"):
             apart = np.abs(self.position_px - reading_px[..., None])
-        near: NDArray[np.bool_] = (apart <= distance_px).any(axis=2)
-        return near
+        return np.asarray((apart <= distance_px).any(axis=2))
 
     def log_density(self, min_per_px: float, min_extent_px: float = 0.0) -> Array:
         """Return the log of how densely each sensor's peaks lie, whoever's they are.

@@ -49,7 +49,8 @@ class PointUpdate:
     Args:
         states: of T tracks.
         nis: shape (T,).
-        log_likelihood_ratio: log likelihood ratio of the readings to false peaks, missed ones with it, (T,).
+        log_likelihood_ratio: log likelihood ratio of the readings to false peaks, missed ones with
+            it, (T,).
         predicted: the readings of the points.
     """
 

@@ -22,20 +22,22 @@ class TrackerSettings:
         mean_sojourn_s: mean time that a marker keeps to one of two interacting models [s].
         start_speed_mm_s: standard deviation of a new track's velocity along each axis [mm/s].
         start_acceleration_mm_s2: likewise of its acceleration [mm/s^2].
-        detection_probability: probability that a sensor has a peak of a marker that lies in its view.
+        detection_probability: probability that a sensor has a peak of a marker that lies in its
+            view.
         clutter_density_per_px: expected number of false peaks per pixel and exposure.
         resolution_px: distance of two peaks at which every second pair is found as one peak [px].
         gate_sigma: readings further than this from their prediction are not a track's.
-        max_prediction_sigma_px: where a sensor's reading is predicted less well than this (standard deviation),
-            a track takes no peak of it; where one is four times as bad, it takes no single peaks
-            at all, but points of three sensors or more [px].
+        max_prediction_sigma_px: where a sensor's reading is predicted less well than this (standard
+            deviation), a track takes no peak of it; where one is four times as bad, it takes no
+            single peaks at all, but points of three sensors or more [px].
         confirm_hits: exposures that must have seen a track, after its first, before it is a marker.
         confirm_misses: exposures that may miss it until then; with one more it ends. The second one
             must see it.
         false_track_probability: chance that is accepted for a track of false peaks to be confirmed.
         coast_s: how long a confirmed track is predicted without being seen, then it ends [s].
-        initiation_interval_s: least time between two searches for new markers in peaks that are left over,
-            while none has just begun [s]. A strobed marker without a track is sought at once.
+        initiation_interval_s: least time between two searches for new markers in peaks that are
+            left over, while none has just begun [s]. A strobed marker without a track is sought at
+            once.
         max_hypotheses: joint hypotheses of one cluster and sensor that are kept.
 
     Raises:

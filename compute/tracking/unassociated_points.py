@@ -1,4 +1,4 @@
-"""Points of peaks that no track explains."""
+"""Points from peaks that no track explains."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -107,6 +107,6 @@ class UnassociatedPointFinder:
         free: NDArray[np.bool_],
         part: SearchPart,
     ) -> tuple[IntersectionPoints, float]:
-        """Return all points, ghosts with them, where free peaks meet; see ``intersection_points``."""
+        """Return all intersections of free peaks, ghosts included."""
         starting = peaks.only(free & peaks.can_initiate)
         return intersection_points(self.solve, self.model, starting, part, self.settings)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +62,7 @@ def weigh_peaks(
     """
     noise = active.measurement_noise
     shape = (len(frames), len(noise.sensor_sigma_px), -1)
-    position = peaks.position_px.reshape(shape).astype(np.float64)
-    flags = np.where(np.isfinite(position), peaks.flags.reshape(shape), 0).astype(np.int32)
+    position, flags = peaks.position_px.reshape(shape), peaks.flags.reshape(shape)
     # By frame, peak and sensor for the calibration's figures, which are by sensor.
     own = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
     sigma = noise.sigma(own)
@@ -86,10 +85,11 @@ def solve_points(
     """
     strobed = [index for index, frame in enumerate(frames) if frame.marker is not None]
     parts: list[tuple[int, PointBatch]] = []
+    if len(strobed) == len(frames):
+        points = _solve_strobed(active, measurements)
+        return points, np.arange(len(frames), dtype=np.intp)
     if strobed:
-        points = _solve_strobed(active, measurements, np.array(strobed))
-        if len(strobed) == len(frames):
-            return points, np.arange(len(frames), dtype=np.intp)
+        points = _solve_strobed(active, measurements.exposure(np.array(strobed)))
         parts += [(frame, points.part(row, row + 1)) for row, frame in enumerate(strobed)]
     for index, frame in enumerate(frames):
         if frame.marker is None:
@@ -99,17 +99,20 @@ def solve_points(
     return PointBatch.concatenate([points for _, points in parts]), owner.astype(np.intp)
 
 
-def _solve_strobed(
-    active: CalibrationSolver, measurements: Measurements, frames: NDArray[np.intp]
-) -> PointBatch:
-    """Return one point for each strobed frame.
+def _solve_strobed(active: CalibrationSolver, measurements: Measurements) -> PointBatch:
+    """Return one point for each of the frames, which are all strobed.
 
     A strobed exposure shows one marker: the brightest peak is it, weaker ones are reflections.
     """
-    position = measurements.position_px[frames]
-    brightest = np.where(np.isfinite(position), measurements.amplitude[frames], -1.0).argmax(axis=2)
-    at = frames[:, None], np.arange(position.shape[1]), brightest
-    points = active.solver.solve(measurements.position_px[at], measurements.sigma_px[at])
+    position, sigma = measurements.position_px, measurements.sigma_px
+    at: tuple[Any, ...] = (..., 0)
+    if measurements.max_count > 1:
+        light = np.where(measurements.usable, measurements.amplitude, -1.0)
+        frame = np.arange(len(position))[:, None]
+        at = frame, np.arange(len(measurements)), light.argmax(axis=2)
+    points = active.solver.solve(position[at], sigma[at])
+    if not np.count_nonzero(measurements.suspect):
+        return points
     return _flag_points(points, None, measurements.suspect[at])
 
 

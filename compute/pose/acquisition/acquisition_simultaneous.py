@@ -115,7 +115,8 @@ def acquire_simultaneous(
             and observation.count_contradictions(free) > observation.readings
         ):
             reason = (
-                f"{observation.readings} readings are where its geometry among the points puts it, and "
+                f"{observation.readings} readings are where its geometry among the points puts it, "
+                "and "
                 f"{observation.count_contradictions(free)} are not where they must be"
             )
             starts.append(_failed(model, tool, PoseStatus.INVALID, reason, len(place)))

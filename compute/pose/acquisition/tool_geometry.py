@@ -116,7 +116,8 @@ def check_distinguishable(
         min_markers: so many alike markers are too many; tools are known by this many.
 
     Raises:
-        IndistinguishableTools: two tools have subsets of markers that look alike, or share a strobe slot.
+        IndistinguishableTools: two tools have subsets of markers that look alike, or share a strobe
+            slot.
         NonFiniteValue: a coordinate is NaN or infinite.
     """
     for first, second in combinations(tools, 2):

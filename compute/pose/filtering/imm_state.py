@@ -83,7 +83,7 @@ class ImmState:
 
     @cached_property
     def packed(self) -> Array:
-        """All numbers one after another: the widest's pose, the chances, ``offsets`` and ``covariances``."""
+        """Widest pose, mode probabilities, ``offsets`` and ``covariances`` in one array."""
         pose = self.widest_state
         return np.concatenate(
             [

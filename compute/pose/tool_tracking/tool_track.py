@@ -53,8 +53,8 @@ class ToolTrack:
         exposures_since_search: exposures since it was last looked for in vain.
         backoff: when it is looked for again, a strobed one.
         fit_history: whether its last exposures fitted it.
-        exposures_to_confirm: exposures that must fit, in a row, before a strobed tool that was just found is
-            believed: it may have been found from a false peak.
+        exposures_to_confirm: exposures that must fit, in a row, before a strobed tool that was just
+            found is believed: it may have been found from a false peak.
         lit_by_slot: which of its markers an exposure lights, as far as asked.
         status: of a lost tool.
         reason: why it is lost.
@@ -219,8 +219,8 @@ class ToolTrack:
         """Return that its readings do not fit it, those that were left out of it as well.
 
         All that its last exposures offered is judged, of one cycle of its markers and of
-        CONSISTENCY_CYCLES: a marker that is bent has its readings left out frame after frame, and what
-        is left agrees with a pose that is wrong.
+        CONSISTENCY_CYCLES: a marker that is bent has its readings left out frame after frame, and
+        what is left agrees with a pose that is wrong.
 
         Args:
             probability: chance that right readings are taken for wrong ones.

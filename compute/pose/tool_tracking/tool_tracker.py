@@ -51,9 +51,10 @@ MISFIT: Final = "the readings do not fit it where it was and how it moved"
 class ToolTracker:
     """Poses of tools from the peaks of each frame; the same input gives the same poses.
 
-    A tool that is tracked has a filter (``compute.pose.filtering.pose_filter``), which every reading of its
-    markers updates, be they lit in turn or together. A strobed tool that is lost is found from the
-    last exposures of its markers, one whose markers are lit together among reconstructed points.
+    A tool that is tracked has a filter (``compute.pose.filtering.pose_filter``), which every
+    reading of its markers updates, be they lit in turn or together. A strobed tool that is lost is
+    found from the last exposures of its markers, one whose markers are lit together among
+    reconstructed points.
 
     Args:
         cameras: S calibrated cameras, one by one or stacked.

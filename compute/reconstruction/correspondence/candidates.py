@@ -38,7 +38,8 @@ class Candidates:
         chi2: of the readings, and of the predicted point where there is one, shape (C,).
         dof: of freedom of ``chi2``, shape (C,).
         log_marginal: log of the integral of the readings' likelihood over space, shape (C,) [mm^3].
-        log_marginal_capped: the same, but not larger for being less determined than ``PRIOR_EXTENT_MM``.
+        log_marginal_capped: the same, but not larger for being less determined than
+            ``PRIOR_EXTENT_MM``.
         predicted: index of the predicted point that it would be, -1: none, shape (C,).
         log_density: log of that point's density at the position, shape (C,) [1/mm^3]; 0: none.
     """

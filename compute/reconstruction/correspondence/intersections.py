@@ -46,7 +46,8 @@ class IntersectionPoints:
         sigma_px: of the peaks; NaN where there is none, shape (N, S).
         log_ratio: log likelihood ratio of these peaks being one marker's to being no one's,
             integrated over space [mm^3]; other sensors missed it, shape (N,).
-        log_ratio_with_prior: with a marker anywhere; minus infinity where three peaks say nothing, shape (N,).
+        log_ratio_with_prior: with a marker anywhere; minus infinity where three peaks say nothing,
+            shape (N,).
     """
 
     choice: NDArray[np.intp]

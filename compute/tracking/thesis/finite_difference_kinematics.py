@@ -1,4 +1,4 @@
-"""FiniteDifferenceKinematics: velocity and acceleration of a marker by differences of its last three points."""
+"""FiniteDifferenceKinematics: velocity and acceleration from a marker's last three points."""
 
 from collections import deque
 from typing import Final

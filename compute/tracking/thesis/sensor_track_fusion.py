@@ -1,4 +1,4 @@
-"""SensorTrackFusion: markers lit together, tracked along each sensor and then put together in space."""
+"""SensorTrackFusion: tracks along each sensor, joined to markers in space."""
 
 from collections.abc import Callable
 from typing import Final

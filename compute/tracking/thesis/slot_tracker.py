@@ -1,4 +1,4 @@
-"""SlotTracker: markers that are lit together, or the one of a strobe slot, by one of the methods."""
+"""SlotTracker: base of the thesis's trackers of one strobe slot, or of all markers together."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence

@@ -28,12 +28,12 @@ class ThesisTracker:
     """Follows markers by a method of the thesis, exposure by exposure, in place of ``Tracker``.
 
     - "window" and "probabilistic": tracks along each sensor, then points of equal tracks
-      (``SensorTrackFusion``). Velocity and acceleration are differences of the points (``FiniteDifferenceKinematics``); ``nis``
-      is NaN, since the method has no innovation, and ``dof`` the number of sensors that saw
-      the marker.
-    - "eight-state": tracks in space by [6.11] (``PointTracker``). Acceleration along Z is 0: the model
-      has none there, and its rows and columns in the covariance are NaN. ``nis`` is that of the
-      point, of three ``dof``; NaN where a point was not predicted.
+      (``SensorTrackFusion``). Velocity and acceleration are differences of the points
+      (``FiniteDifferenceKinematics``); ``nis`` is NaN, since the method has no innovation, and
+      ``dof`` the number of sensors that saw the marker.
+    - "eight-state": tracks in space by [6.11] (``PointTracker``). Acceleration along Z is 0: the
+      model has none there, and its rows and columns in the covariance are NaN. ``nis`` is that of
+      the point, of three ``dof``; NaN where a point was not predicted.
 
     A marker is reported from its third point on, when velocity and acceleration are known (by
     "eight-state" from the first on, as tentative). Each strobe slot is followed by itself, so that

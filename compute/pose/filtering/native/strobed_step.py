@@ -1,4 +1,4 @@
-"""StrobedStepKernel: a strobed tool's exposure in one launch: predicted, its readings found and taken."""
+"""StrobedStepKernel: prediction, gating and update of a strobed tool in one launch."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final

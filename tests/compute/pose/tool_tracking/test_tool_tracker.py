@@ -742,7 +742,7 @@ def test_names_and_shapes_are_checked() -> None:
         ToolTracker(rig(), [pointer()]).step(
             0,
             0,
-            Measurements.of(np.zeros((3, 1)), np.zeros((3, 1)), np.zeros((3, 1), np.int32)),
+            Measurements.of(np.zeros((3, 1)), np.ones((3, 1))),
             None,
         )
 

@@ -5,6 +5,7 @@ import pytest
 
 from compute.camera.stack import CameraStack
 from compute.reconstruction.correspondence import Correspondence
+from compute.reconstruction.point_batch import PointBatch
 from compute.tracking.thesis.point_reconstruction import SolvedPoints, SpacePoints
 from compute.tracking.thesis.slot_tracker import SlotTracker
 from tests.compute.tracking.moving_markers import MIDDLE_MM, PIXELS, ring
@@ -60,7 +61,7 @@ def test_an_ambiguous_group_of_three_sensors_is_no_marker() -> None:
     none = np.full(5, -1)
     groups = Correspondence(
         peaks.astype(float), np.ones((5, 4)), np.array([True, False, True, True, False]),
-        peaks, none, none, none, 0,
+        PointBatch.empty(4), peaks, none, none, none, 0,
     )  # fmt: skip
     place = np.zeros((5, 3))
     place[4] = np.nan

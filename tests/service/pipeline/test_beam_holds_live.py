@@ -21,7 +21,7 @@ from lumiline.client.stream import Stream
 from service.cli import app
 from tests.running_server import serving
 
-GUIDE = Path(__file__).parents[4] / "docs" / "holds.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "holds.md"
 MARKERS = [[0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0], [20.0, 15.0, 40.0]]
 SCENE = {"kind": "moving-tools", "moving": False, "tools": [{"markers_mm": MARKERS}]}
 WATCH = {"kind": "strobed-markers", "markers": [0, 1, 2, 3]}
@@ -203,7 +203,7 @@ def test_prometheus_knows(client: Client, hold: str) -> None:
 
 
 def lumiline(client: Client, *arguments: str, code: int = 0) -> str:
-    given = ["holds", *arguments, "--url", client._server.url]
+    given = ["beam-holds", *arguments, "--url", client._server.url]
     run = CliRunner().invoke(app, given, env={"COLUMNS": "160"})
     assert run.exit_code == code, run.output
     return run.output

@@ -1,4 +1,4 @@
-"""Reconstructed points: a batch as arrays, one point as a value."""
+"""PointBatch and PointEstimate: reconstructed points as arrays, and one as a value."""
 
 from dataclasses import dataclass
 from enum import IntFlag

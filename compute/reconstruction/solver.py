@@ -1,4 +1,4 @@
-"""PointSolver: readings to points in one kernel, on one device, for one calibration."""
+"""PointSolver: triangulation by one native kernel, for one calibration on one device."""
 
 from collections.abc import Sequence
 from typing import Any, Final

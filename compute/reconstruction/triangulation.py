@@ -1,4 +1,4 @@
-"""Weighted non-linear reconstruction: points that fit the readings, with their covariance."""
+"""Weighted non-linear triangulation with covariance: the NumPy definition."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

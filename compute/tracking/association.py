@@ -1,4 +1,4 @@
-"""Association: which peaks of a frame are which track's, and the filter's update by them."""
+"""Association of peaks with tracks, sensor by sensor, and the filter update (JPDA)."""
 
 from dataclasses import dataclass
 
@@ -36,7 +36,7 @@ RELINEARISATION_STEP_MM = 0.3
 """A step as long as this is taken once more, with slopes at its end: 1e-4 px at 1.5 m."""
 MAX_ITERATIONS = 3
 LOST_SIGMA_FACTOR = 4.0
-"""A track is lost where a reading's predicted sigma exceeds this times ``max_prediction_sigma_px``."""
+"""Predicted sigma of a reading, in ``max_prediction_sigma_px``, beyond which a track is lost."""
 PRUNED_WEIGHT_THRESHOLD = 0.01
 """Share of joint hypotheses that were not followed, beyond which a track is ambiguous."""
 SUSPECT_RESIDUAL_SIGMA = 3.0

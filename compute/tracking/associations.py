@@ -1,4 +1,4 @@
-"""Seen: what each track saw in one exposure, gathered for the report."""
+"""Associations: the peaks that each track took in one exposure."""
 
 from dataclasses import dataclass, fields
 from typing import Self

@@ -1,4 +1,4 @@
-"""Blinking markers: who is who, by the codes that they blink over successive scans.
+"""Blink decoding: identification of markers by their codes over successive scans.
 
 Thesis, section 4.6: a target "releases pulses of light, which could also be modulated for easier
 identification"; here by pulse codes, one bit a scan.

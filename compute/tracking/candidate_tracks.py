@@ -1,4 +1,4 @@
-"""Tracklets: markers, perhaps, each followed on its own until the peaks say which are."""
+"""CandidateTracks: tentative tracks of a dense scene, confirmed as a consistent set."""
 
 from dataclasses import dataclass, fields
 from math import log

@@ -1,4 +1,4 @@
-"""create_tracker: what follows markers, by the method that the settings name."""
+"""create_tracker: the marker tracker of the method that the settings name."""
 
 from typing import TYPE_CHECKING
 

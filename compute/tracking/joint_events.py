@@ -1,4 +1,4 @@
-"""Joint hypotheses: which of a sensor's peaks belongs to which of the tracks that contend for them.
+"""Joint association events of the tracks that compete for a sensor's peaks (JPDA).
 
 All of a cluster's hypotheses that matter as long as there are few; beyond, the most likely partial
 ones are carried on, track by track, and the weight of what is given up is bounded.

@@ -1,4 +1,4 @@
-"""Crowd: the search for markers where one exposure does not tell which peaks are whose."""
+"""MultiScanInitiator: track initiation over several exposures of a dense scene."""
 
 from typing import Final
 

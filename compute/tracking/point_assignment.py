@@ -1,4 +1,4 @@
-"""Points of left-over peaks matched with tracks that are new or were lost."""
+"""Assignment of points from unassociated peaks to tentative and lost tracks."""
 
 from dataclasses import dataclass
 

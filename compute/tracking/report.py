@@ -1,4 +1,4 @@
-"""The report: tracks and what they saw as a TrackBatch of one instant."""
+"""to_track_batch: the tracks after an exposure as a TrackBatch."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""TrackerSettings: how markers move, what sensors miss and invent, when a track begins and ends."""
+"""TrackerSettings: motion, detection, initiation and termination parameters."""
 
 from dataclasses import dataclass
 from math import isfinite

@@ -1,4 +1,4 @@
-"""ImmStates of new tracks: at a place by readings, of any velocity, or as they are given."""
+"""Initial states of tracks, from readings at a point or from a prior."""
 
 import numpy as np
 from numpy.typing import NDArray

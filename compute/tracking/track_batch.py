@@ -1,4 +1,4 @@
-"""Tracks at one instant: a batch as arrays."""
+"""TrackBatch: tracks at one instant as arrays."""
 
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag

@@ -1,5 +1,4 @@
-"""TrackInitiator: markers found in left-over peaks, as new tracks or as those that were lost."""
-
+"""TrackInitiator: new and recovered tracks from unassociated peaks."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,9 +181,7 @@ class TrackInitiator:
         """Update tentative tracks, of which the velocity is known, by peaks that are left."""
         if len(rows) == 0:
             return
-        unassociated = peaks.only(
-            free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_))
-        )
+        unassociated = peaks.only(free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_)))
         found = self._associator.associate(
             tracks.states.rows(rows), tracks.bias[rows], unassociated
         )

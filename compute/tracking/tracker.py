@@ -1,4 +1,4 @@
-"""Tracker: many moving markers, followed directly on the sensors' readings."""
+"""Tracker: multi-target tracking on the sensors' readings."""
 
 from math import log
 

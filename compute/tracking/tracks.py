@@ -1,4 +1,4 @@
-"""Tracks: all that is kept of each track from frame to frame, as arrays."""
+"""Tracks: all state that is kept of each track between exposures, as arrays."""
 
 from dataclasses import dataclass, fields
 from typing import Self

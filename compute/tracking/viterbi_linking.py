@@ -1,4 +1,4 @@
-"""Sequences: points of several exposures that follow one another as a marker's would."""
+"""ViterbiLinker: points of several exposures linked to the likeliest sequences."""
 
 from collections import deque
 from dataclasses import dataclass

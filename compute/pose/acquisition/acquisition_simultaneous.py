@@ -1,4 +1,4 @@
-"""Lit start: tools whose markers are lit together, found among the points of a frame."""
+"""Acquisition of tools whose markers are lit together, from the points of an exposure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

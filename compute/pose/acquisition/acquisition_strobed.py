@@ -1,4 +1,4 @@
-"""Strobed start: a tool found from exposures of its markers one after the other.
+"""Acquisition of a strobed tool from exposures of its markers one after the other.
 
 While the markers are lit in turn the tool moves: its last readings fit no single pose. They tell
 one roughly, with a deviation that grows with their age; from there a filter runs over the

@@ -1,4 +1,4 @@
-"""Association: which peaks of a frame are which markers of the tools that are being tracked.
+"""Association of peaks with the markers of tracked tools.
 
 All markers of a tool move as one, so its peaks are found jointly: first those that only one marker
 of one tool can have made, which update the tool's pose; then, with the narrower expectations of

@@ -1,4 +1,4 @@
-"""ImmModel: how a tool's state changes under each mode of motion, as matrices made once."""
+"""ImmModel: transition and noise matrices of a tool under each motion mode."""
 
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,4 +1,4 @@
-"""Pose filter: a tool's pose, velocity and angular velocity, straight from readings of any time.
+"""Pose filter: error-state Kalman filter of pose, velocity and angular velocity.
 
 An error-state Kalman filter on SE(3) x R^6 with constant velocity (J. Sola, arXiv:1711.02508),
 which a single reading can update: the markers of a strobed tool are never seen at one instant, and

@@ -1,4 +1,4 @@
-"""Curvature: what a pose's uncertainty does to readings beyond the linear.
+"""Second-order correction of predicted readings for a pose's uncertainty.
 
 A filter that updates a pose known to a tenth of a radian by readings good to a hundredth of a
 millimetre is wrong at once: the markers move on arcs and it follows the tangent, by far more than

@@ -1,4 +1,4 @@
-"""Pose report: the state of a filter as a ToolPose, with its status and the reason for it."""
+"""Pose report: a filter state as a ToolPose, with status and reason."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""ToolTrack: a tool and what a tracker knows of it from frame to frame."""
+"""ToolTrack: the state of one tool between exposures."""
 
 from collections import deque
 from collections.abc import Callable
@@ -232,8 +232,8 @@ class ToolTrack:
         if times >= EXCLUSION_COUNT_THRESHOLD:
             return (
                 f"marker {exposures.argmax() + 1} does not fit the tool's geometry, or another "
-                f"does not: in {times} of its last {CONSISTENCY_CYCLES} exposures readings were left "
-                "out of the pose"
+                f"does not: in {times} of its last {CONSISTENCY_CYCLES} exposures readings were "
+                "left out of the pose"
             )
         cycle = list(self.recent_residuals)[-max(1, len(self.recent_updates)) :]
         # An error of the calibration is the same in all of them: they do not average it away.

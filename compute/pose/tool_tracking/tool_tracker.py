@@ -1,4 +1,4 @@
-"""ToolTracker: poses of all tools of a device, frame by frame, each with what it is worth."""
+"""ToolTracker: poses of all tools of a device, exposure by exposure."""
 
 from collections import deque
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Which peaks of the sensors belong to one marker, when several are seen at once."""
+"""Correspondence: which peaks of the sensors belong to one marker."""
 
 from compute.reconstruction.correspondence.grouping import group_peaks
 from compute.reconstruction.correspondence.intersections import (

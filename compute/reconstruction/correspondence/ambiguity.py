@@ -1,4 +1,4 @@
-"""Doubt: how likely a group is wrong in ways that no other set of candidates shows."""
+"""ErrorEstimate: probability that a group is wrong, beyond what other sets of candidates show."""
 
 from dataclasses import dataclass
 from math import exp, log, pi

@@ -1,4 +1,4 @@
-"""Pool: a frame's candidates, what was decided of them, and the groups that came of it."""
+"""CandidateSet: the candidates of an exposure and the groups that are chosen from them."""
 
 from functools import lru_cache
 from math import inf

@@ -1,4 +1,4 @@
-"""Candidates: combinations of peaks that meet in a point, and how likely each is a marker."""
+"""Candidates: combinations of peaks that intersect, with their likelihoods."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

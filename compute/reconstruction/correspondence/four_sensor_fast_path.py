@@ -1,4 +1,4 @@
-"""Small frames: few peaks on four sensors, of which nothing competes for any, in one pass.
+"""Fast path for small exposures on four sensors in which no peak is contested.
 
 What ``Pool`` does step by step, for the usual case on the live path: with the same result.
 """

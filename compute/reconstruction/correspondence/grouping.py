@@ -1,4 +1,4 @@
-"""Grouping of peaks to markers: candidates, the likeliest set of them, and what is in doubt."""
+"""group_peaks: grouping of an exposure's peaks to markers, with their ambiguity."""
 
 from collections.abc import Sequence
 from typing import Final

@@ -1,4 +1,4 @@
-"""Combinations step by step: three sensors make a point, which says where the others see it."""
+"""Incremental search: triples of peaks, extended by the gated peaks of further sensors."""
 
 from dataclasses import dataclass
 from math import sqrt

@@ -1,4 +1,4 @@
-"""Meeting points: all combinations of a frame's peaks that meet, ghosts among them."""
+"""All intersections of an exposure's peaks, ghosts included."""
 
 from dataclasses import dataclass
 from math import comb, inf, log

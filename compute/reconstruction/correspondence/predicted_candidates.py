@@ -1,4 +1,4 @@
-"""Candidates for predicted points: continuity in time as one more observation of a marker."""
+"""Candidates for predicted points: a track's prediction as one more observation."""
 
 from dataclasses import dataclass
 from math import log, pi

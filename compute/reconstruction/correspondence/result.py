@@ -1,4 +1,4 @@
-"""Correspondence: readings grouped to markers."""
+"""Correspondence: readings grouped to markers, with their points."""
 
 from dataclasses import dataclass
 

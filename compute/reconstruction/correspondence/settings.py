@@ -1,4 +1,4 @@
-"""MatchSettings: what is assumed of peaks and markers when they are grouped, and the bounds."""
+"""MatchSettings: model of peaks and markers for grouping, and limits of the search."""
 
 from dataclasses import dataclass
 from math import log

@@ -327,8 +327,8 @@ class SensorTrackFusion(SlotTracker):
                 flags |= TrackFlag.OUTSIDE_MAP
             reports.append(
                 TrackReport(
-                    one.identity, self.marker, one.exposures_to_confirm > 0, mean, covariance, taken, flags,
-                    dof=int((taken >= 0).sum()),
+                    one.identity, self.marker, one.exposures_to_confirm > 0, mean, covariance,
+                    taken, flags, dof=int((taken >= 0).sum()),
                 )
             )  # fmt: skip
         return reports

@@ -33,8 +33,9 @@ from scipy.spatial.transform import Rotation
 from benchmarks.triangulation import rig
 from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.pose.estimation.pose_fit import fit_pose
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ImmSettings, MotionMode, ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose
@@ -233,9 +234,11 @@ def track(
                 poses[index] = tracker.step(
                     round(1e9 * number / rate),
                     number,
-                    frame.peaks_px,
-                    np.full(frame.peaks_px.shape, SIGMA_PX),
-                    np.zeros(frame.peaks_px.shape, dtype=np.int32),
+                    Measurements.of(
+                        frame.peaks_px,
+                        np.full(frame.peaks_px.shape, SIGMA_PX),
+                        np.zeros(frame.peaks_px.shape, dtype=np.int32),
+                    ),
                     frame.marker,
                     points,
                 )

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
+from compute.measurement.measurements import Measurements
 from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import ToolPose
 from compute.reconstruction.point_batch import PointBatch
@@ -23,9 +24,7 @@ class MarkerTrackerProtocol(Protocol):
     def step(
         self,
         time_ns: int,
-        position_px: Array,
-        sigma_px: Array,
-        peak_flags: NDArray[np.int32],
+        measurements: Measurements,
         marker: int | None,
     ) -> TrackBatch:
         """Process the readings of a frame; return the tracks after it."""
@@ -43,9 +42,7 @@ class ToolTrackerProtocol(Protocol):
         self,
         time_ns: int,
         sequence: int,
-        position_px: Array,
-        sigma_px: Array,
-        peak_flags: NDArray[np.int32],
+        measurements: Measurements,
         marker: int | None,
         points: PointBatch | None,
     ) -> tuple[ToolPose, ...]:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix
+from compute.measurement.measurement_model import MeasurementModel
 from compute.optics.profiles.profile_loader import load_profile
 from compute.planning.coverage import is_visible
-from compute.pose.measurement_model import MeasurementModel
 from compute.signal.cramer_rao import position_bound
 from validation.map_bound.optotrak import CONTROL, RESOLUTION_MM, fit_scale
 from validation.map_bound.point_errors import fit, mapped
@@ -98,7 +98,7 @@ class Laboratory:
         """Return readings and their deviations of points (N, 3), shapes (N, S) [px]."""
         exact, sigma = simulate_readings(self.scene, points_mm, self.sigma_px)
         if not self.traced:
-            exact = np.where(np.isfinite(exact), self.model.expected(points_mm)[0], np.nan)
+            exact = np.where(np.isfinite(exact), self.model.linearise(points_mm)[0], np.nan)
         return exact + sigma * rng.standard_normal(exact.shape), sigma
 
 

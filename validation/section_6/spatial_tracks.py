@@ -10,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
+from compute.measurement.measurements import Measurements
 from compute.signal.peaks import PeakBatch
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.track_batch import TrackBatch, TrackState
@@ -81,9 +82,11 @@ def track(
     rows = [
         tracker.step(
             round(float(time) * 1e9),
-            _stacked([batch.position_px[frame] for batch in peaks], room),
-            _stacked([batch.sigma_px[frame] for batch in peaks], room),
-            _stacked([batch.flags[frame] for batch in peaks], room, 0.0).astype(np.int32),
+            Measurements.of(
+                _stacked([batch.position_px[frame] for batch in peaks], room),
+                _stacked([batch.sigma_px[frame] for batch in peaks], room),
+                _stacked([batch.flags[frame] for batch in peaks], room, 0.0).astype(np.int32),
+            ),
             None,
         )
         for frame, time in enumerate(time_s)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_vector
+from compute.measurement.measurements import Measurements
 from compute.pose.settings import ImmSettings, MotionMode, ToolTrackerSettings
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from validation.partial_view.scene import COVARIANCE, SIGMA_PX, rig
@@ -88,7 +89,10 @@ def track_run(run: Run, course: str, rate_hz: float, imm: ImmSettings) -> Scores
     tips = run.tip_mm
     for k in range(count):
         (pose,) = tracker.step(
-            int(run.time_ns[k]), k, run.readings_px[k][:, None], sigma, flags, int(run.marker[k])
+            int(run.time_ns[k]),
+            k,
+            Measurements.of(run.readings_px[k][:, None], sigma, flags),
+            int(run.marker[k]),
         )
         ok[k] = pose.valid
         if pose.covariance is None:

@@ -1,15 +1,15 @@
 """Tables of coefficients and errors that Tables 5.10 to 5.14 share."""
 
 import numpy as np
-from compute.calibration.thesis_methods.eleven_parameter_bundle import (
-    PARAMETER_ORDER,
-)
 from numpy.typing import NDArray
 
 from validation.result_tables import Cell, ResultTable
 from validation.table_5.calibration_frame import (
     SENSORS,
     error_mm2,
+)
+from validation.thesis_methods.eleven_parameter_bundle import (
+    PARAMETER_ORDER,
 )
 
 Array = NDArray[np.float64]

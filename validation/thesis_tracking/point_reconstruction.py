@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable
-from compute.reconstruction.correspondence import Correspondence, Predictor, group_peaks
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
+from compute.reconstruction.correspondence import Correspondence, group_peaks
 from compute.reconstruction.point_batch import PointFlag
-from compute.tracking.measurement_model import MeasurementModel
 from validation.thesis_tracking.settings import MIN_SENSORS
 
 Array = NDArray[np.float64]
@@ -74,7 +75,6 @@ class SpacePoints:
 
         self.model = MeasurementModel(cameras, parameter_covariance, corrections, pixels)
         self._solver = PointSolver(cameras, parameter_covariance, corrections, "cpu", threads=1)
-        self._predictor = Predictor(cameras, parameter_covariance, corrections, pixels)
 
     def solve(
         self, readings_px: Array, sigma_px: Array, predicted_mm: Array, predicted_covariance: Array
@@ -137,9 +137,12 @@ class SpacePoints:
         """
         predicted = self.model.predict(predicted_mm)
         spread = np.einsum(
-            "nsi,nij,nsj->ns", predicted.jacobian, predicted_covariance, predicted.jacobian
+            "nsi,nij,nsj->ns",
+            predicted.jacobian_px_per_mm,
+            predicted_covariance,
+            predicted.jacobian_px_per_mm,
         )
-        bias = np.diagonal(self.model.bias_covariance(predicted_mm), axis1=1, axis2=2)
+        bias = np.diagonal(self.model.systematic_covariance(predicted_mm), axis1=1, axis2=2)
         off: Array = (readings_px - predicted.reading_px) / np.sqrt(spread + bias + sigma_px**2)
         return off
 
@@ -148,7 +151,6 @@ class SpacePoints:
         few = int(np.isfinite(readings_px).sum(axis=1).max()) <= _MOST_TOGETHER
         return group_peaks(
             lambda readings, sigma: self._solver.solve(readings, np.where(sigma > 0.0, sigma, 1.0)),
-            readings_px,
-            sigma_px,
-            predict=self._predictor if few else None,
+            Measurements.of(readings_px, sigma_px),
+            model=self.model if few else None,
         )

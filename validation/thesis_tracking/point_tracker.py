@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.triangulation import chi2_limit
-from compute.tracking.measurements import Measurements
 from compute.tracking.track_batch import TrackFlag
 from validation.thesis_tracking.eight_state import EightState, EightStateModel
 from validation.thesis_tracking.finite_difference_kinematics import (
@@ -91,7 +91,7 @@ class PointTracker(SlotTracker):
         """Return the lane's markers after one exposure."""
         for one in self._markers:
             one.state, one.time_ns = self._at(one, time_ns), time_ns
-        position = np.where(peaks.usable, peaks.position_px, np.nan)
+        position = peaks.position_px
         sigma = np.sqrt(peaks.variance_px2)
         chosen = self._chosen(position, sigma)
         seen = self._updated(chosen, position, sigma, time_ns)
@@ -120,8 +120,10 @@ class PointTracker(SlotTracker):
         place = np.stack([one.state.position_mm for one in self._markers])
         spread = np.stack([one.state.covariance[:3, :3] for one in self._markers])
         predicted = self.space.model.predict(place)
-        variance = np.einsum("nsi,nij,nsj->ns", predicted.jacobian, spread, predicted.jacobian)
-        variance += np.diagonal(self.space.model.bias_covariance(place), axis1=1, axis2=2)
+        variance = np.einsum(
+            "nsi,nij,nsj->ns", predicted.jacobian_px_per_mm, spread, predicted.jacobian_px_per_mm
+        )
+        variance += np.diagonal(self.space.model.systematic_covariance(place), axis1=1, axis2=2)
         lost = np.array([one.missed > 0 for one in self._markers])
         for sensor, row in enumerate(position):
             off = row[None] - predicted.reading_px[:, sensor, None]

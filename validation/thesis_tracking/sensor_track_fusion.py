@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.measurements import Measurements
+from compute.measurement.measurements import Measurements
 from compute.tracking.track_batch import TrackFlag
 from validation.thesis_tracking.fused_marker import (
     FusedMarker,
@@ -75,7 +75,7 @@ class SensorTrackFusion(SlotTracker):
     def step(self, time_ns: int, peaks: Measurements) -> list[TrackReport]:
         """Return the lane's markers after one exposure."""
         scans = self._clock.step(time_ns)
-        position = np.where(peaks.usable, peaks.position_px, np.nan)
+        position = peaks.position_px
         deviation = np.sqrt(peaks.variance_px2)
         for _ in range(min(scans - 1, self.settings.coast_scans + 1)):
             # An exposure that was lost on the way is a scan without points.

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
-from compute.tracking.measurements import Measurements
-from compute.tracking.settings import TrackerSettings
+from compute.measurement.measurements import Measurements, check_sensors
 from compute.tracking.track_batch import TrackBatch
 from validation.thesis_tracking.point_reconstruction import SpacePoints
 from validation.thesis_tracking.point_tracker import PointTracker
@@ -22,8 +21,6 @@ from validation.thesis_tracking.window_sensor_tracker import WindowSensorTracker
 
 Array = NDArray[np.float64]
 
-_PEAKS = TrackerSettings()
-"""What flags of peaks mean, as for our tracker."""
 _ALL_LIT = -1
 
 
@@ -81,9 +78,7 @@ class ThesisTracker:
     def step(
         self,
         time_ns: int,
-        position_px: Array,
-        sigma_px: Array,
-        peak_flags: NDArray[np.int32],
+        peaks: Measurements,
         marker: int | None,
     ) -> TrackBatch:
         """Return all tracks after one exposure; arguments and errors as of ``Tracker.step``."""
@@ -94,7 +89,7 @@ class ThesisTracker:
             )
         if marker is not None and marker < 0:
             raise InvalidParameter(f"marker is {marker}; it must be 0 or more, or None")
-        peaks = Measurements.of(position_px, sigma_px, peak_flags, len(self._space.model), _PEAKS)
+        check_sensors(peaks, len(self._space.model))
         self._time_ns = time_ns
         # A light that has been dark for so long begins anew: its scans are too far apart.
         limit_ns = 1e9 * self.settings.coast_s

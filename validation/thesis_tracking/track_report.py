@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.measurements import REPORTED_FLAGS, Measurements
+from compute.measurement.measurements import Measurements
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
 
 Array = NDArray[np.float64]
@@ -52,10 +52,9 @@ def reports_to_track_batch(reports: Sequence[TrackReport], peaks: Measurements) 
     state = np.where(count > 0, TrackState.CONFIRMED, TrackState.COASTING)
     flags = np.array([int(one.flags) for one in ordered], dtype=np.int32)
     flags |= np.where(count < 3, np.int32(TrackFlag.FEW_SENSORS), np.int32(0))
-    if peaks.flags.size:
-        marks = peaks.flags[np.arange(sensors), np.maximum(taken, 0)]
-        doubtful = (used & ((marks & REPORTED_FLAGS) != 0)).any(axis=1)
-        flags |= np.where(doubtful, np.int32(TrackFlag.SUSPECT_PEAK), np.int32(0))
+    if np.count_nonzero(peaks.suspect):
+        suspect = (used & peaks.suspect[np.arange(sensors), np.maximum(taken, 0)]).any(axis=1)
+        flags |= np.where(suspect, np.int32(TrackFlag.SUSPECT_PEAK), np.int32(0))
     mean = np.stack([one.mean for one in ordered])
     return TrackBatch(
         np.array([one.identity for one in ordered], dtype=np.int64),

@@ -39,7 +39,8 @@ class IcpSettings:
         trim: share of the points, those furthest off, that are left out at every step, below a
             half.
         max_steps: before it is given up; halved ones count.
-        min_stiffness_ratio: smallest share of the best held motion's stiffness that the worst held one
+        min_stiffness_ratio: smallest share of the best held motion's stiffness that the worst held
+            one
             may have: the square of the ratio of their deviations.
         max_rms_mm: largest RMS distance of the points kept [mm].
         start_turn_rad: how far the start may be turned from the truth [rad]: it is done again
@@ -72,8 +73,8 @@ class IcpRegistration:
         kept: which points were used, shape (N,).
         rms_mm: of those [mm].
         steps: how many it took.
-        stiffness_ratio: stiffness of the worst held motion over the best's, from 0 to 1; turns count by the
-            RMS distance of the points from their middle.
+        stiffness_ratio: stiffness of the worst held motion over the best's, from 0 to 1; turns
+            count by the RMS distance of the points from their middle.
         weakest_motion: that motion in words.
         other: the answer nearest to as good that another start led to, if it differs; None: all
             starts agree, or were not asked.
@@ -155,8 +156,10 @@ def register_surface(
     weakest_motion = _describe_motion(axes[:, 0], centre)
     if stiffness_ratio < wanted.min_stiffness_ratio:
         raise UndeterminedParameters(
-            f"the surface does not hold {weakest_motion}: its stiffness is {stiffness_ratio:.1e} of the best held "
-            f"motion's; at least {wanted.min_stiffness_ratio:.0e} is needed. Take points where the surface "
+            f"the surface does not hold {weakest_motion}: its stiffness is {stiffness_ratio:.1e} "
+            "of the best held "
+            f"motion's; at least {wanted.min_stiffness_ratio:.0e} is needed. Take points where "
+            "the surface "
             "bends another way",
             stiffness_ratio=stiffness_ratio,
             needed=wanted.min_stiffness_ratio,

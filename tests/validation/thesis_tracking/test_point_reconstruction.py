@@ -5,6 +5,7 @@ import pytest
 
 from compute.camera.stack import CameraStack
 from compute.reconstruction.correspondence import Correspondence
+from compute.reconstruction.point_batch import PointBatch
 from tests.compute.tracking.moving_markers import MIDDLE_MM, PIXELS, ring
 from validation.thesis_tracking.point_reconstruction import SolvedPoints, SpacePoints
 from validation.thesis_tracking.slot_tracker import SlotTracker
@@ -49,7 +50,7 @@ def test_innovations_are_in_standard_deviations(space: SpacePoints) -> None:
     readings = space.model.cameras.project(PLACE[None]) + 0.3
     off = space.innovation(readings, np.full((1, 5), 0.1), PLACE[None], np.zeros((1, 3, 3)))
     np.testing.assert_allclose(off, 3.0, rtol=1e-6)
-    jacobian = space.model.predict(PLACE[None]).jacobian[0]
+    jacobian = space.model.predict(PLACE[None]).jacobian_px_per_mm[0]
     wide = space.innovation(readings, np.full((1, 5), 0.1), PLACE[None], 0.01 * np.eye(3)[None])
     expected = 0.3 / np.sqrt(0.01 + 0.01 * (jacobian**2).sum(axis=1))
     np.testing.assert_allclose(wide[0], expected, rtol=1e-6)
@@ -60,7 +61,7 @@ def test_an_ambiguous_group_of_three_sensors_is_no_marker() -> None:
     none = np.full(5, -1)
     groups = Correspondence(
         peaks.astype(float), np.ones((5, 4)), np.array([True, False, True, True, False]),
-        peaks, none, none, none, 0,
+        PointBatch.empty(4), peaks, none, none, none, 0,
     )  # fmt: skip
     place = np.zeros((5, 3))
     place[4] = np.nan

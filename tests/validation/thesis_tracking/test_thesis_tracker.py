@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
+from compute.measurement.measurements import Measurements
 from compute.signal.peaks import PeakFlag
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
 from tests.compute.tracking.moving_markers import MIDDLE_MM, PIXELS, Sensing, peaks_of, ring
@@ -65,7 +66,9 @@ def follow(
             lit[np.arange(len(lit)) != marker] = np.nan
         peaks = peaks_of(cameras, lit, sensing, rng)[:3]
         if frame not in skipped:
-            reports.append(one.step(1 + round(frame * STEP_S * 1e9), *peaks, marker))
+            reports.append(
+                one.step(1 + round(frame * STEP_S * 1e9), Measurements.of(*peaks), marker)
+            )
     return reports
 
 
@@ -260,7 +263,7 @@ def test_peaks_that_are_saturated_are_reported_and_clipped_ones_not_used() -> No
         peaks = peaks_of(cameras, place, Sensing(), np.random.default_rng(frame))
         flags = peaks[2].copy()
         flags[0], flags[1] = PeakFlag.CLIPPED, PeakFlag.SATURATED
-        batch = one.step(frame * 10_000_000, *peaks[:2], flags, None)
+        batch = one.step(frame * 10_000_000, Measurements.of(*peaks[:2], flags), None)
     assert batch.peaks.tolist() == [[-1, 0, 0, 0]]
     assert batch.flags.tolist() == [TrackFlag.SUSPECT_PEAK]
 
@@ -268,14 +271,19 @@ def test_peaks_that_are_saturated_are_reported_and_clipped_ones_not_used() -> No
 def test_frames_without_peaks() -> None:
     for method in METHODS:
         one, nothing = tracker(given(method)), np.empty((4, 0))
-        assert len(one.step(1, nothing, nothing, np.empty((4, 0), np.int32), None)) == 0
+        assert (
+            len(one.step(1, Measurements.of(nothing, nothing, np.empty((4, 0), np.int32)), None))
+            == 0
+        )
         follow_on = circling(10)
         rng = np.random.default_rng(1)
         for frame, place in enumerate(follow_on, 1):
             peaks = peaks_of(CameraStack.of(ring()), place, Sensing(), rng)[:3]
-            batch = one.step(frame * 10_000_000, *peaks, None)
+            batch = one.step(frame * 10_000_000, Measurements.of(*peaks), None)
         assert len(batch) == 2
-        after = one.step(115_000_000, nothing, nothing, np.empty((4, 0), np.int32), None)
+        after = one.step(
+            115_000_000, Measurements.of(nothing, nothing, np.empty((4, 0), np.int32)), None
+        )
         assert after.state.tolist() == [TrackState.COASTING] * 2
 
 
@@ -309,10 +317,12 @@ def test_sensors_times_and_markers_that_cannot_be_are_refused() -> None:
         ThesisTracker(CameraStack.of(ring()[:2]), given("window"))
     one = tracker(given("window"))
     nothing = np.full((4, 1), np.nan), np.full((4, 1), np.nan), np.zeros((4, 1), np.int32)
-    one.step(10, *nothing, None)
+    one.step(10, Measurements.of(*nothing), None)
     with pytest.raises(InvalidParameter, match="time_ns is 10"):
-        one.step(10, *nothing, None)
+        one.step(10, Measurements.of(*nothing), None)
     with pytest.raises(InvalidParameter, match="marker is -1"):
-        one.step(11, *nothing, -1)
+        one.step(11, Measurements.of(*nothing), -1)
     with pytest.raises(InvalidParameter, match="position_px has the shape"):
-        one.step(12, np.zeros((3, 1)), np.ones((3, 1)), np.zeros((3, 1), np.int32), None)
+        one.step(
+            12, Measurements.of(np.zeros((3, 1)), np.ones((3, 1)), np.zeros((3, 1), np.int32)), None
+        )

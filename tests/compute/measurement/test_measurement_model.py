@@ -9,8 +9,8 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable
+from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.triangulation import reconstruct
-from compute.tracking.measurement_model import MeasurementModel
 from tests.compute.distorted_rig import distorted_rig
 from tests.compute.rig import control_points, rig
 
@@ -54,7 +54,7 @@ def test_predicted_readings_reconstruct_to_the_place(kind: str) -> None:
         moved[axis] = step
         more, less = model.predict(places + moved), model.predict(places - moved)
         jacobian = (more.reading_px - less.reading_px) / (2.0 * step)
-        assert np.abs(predicted.jacobian[..., axis] - jacobian).max() < 1e-5
+        assert np.abs(predicted.jacobian_px_per_mm[..., axis] - jacobian).max() < 1e-5
 
 
 def test_constant_errors_are_those_of_reconstruction() -> None:
@@ -71,16 +71,16 @@ def test_constant_errors_are_those_of_reconstruction() -> None:
     stated = reconstruct(
         cameras, predicted.reading_px, np.full(4, 0.05), covariance, corrections
     ).covariance_mm2
-    for place, own in enumerate(model.bias_covariance(places)):
+    for place, own in enumerate(model.systematic_covariance(places)):
         weight = np.linalg.inv(own + 0.05**2 * np.eye(4))
-        jacobian = predicted.jacobian[place]
+        jacobian = predicted.jacobian_px_per_mm[place]
         right = np.linalg.inv(jacobian.T @ weight @ jacobian)
         assert np.allclose(right, stated[place], rtol=0.02)
 
 
 def test_the_tables_variance_is_a_constant_error() -> None:
     corrections, places = table(), control_points(5)
-    own = MeasurementModel(CameraStack.of(rig()), None, corrections).bias_covariance(places)
+    own = MeasurementModel(CameraStack.of(rig()), None, corrections).systematic_covariance(places)
     assert np.allclose(np.diagonal(own, axis1=1, axis2=2), corrections.at(places).variance_px2)
     assert np.count_nonzero(own) == own.shape[0] * own.shape[1]
 

@@ -12,11 +12,12 @@ help:
 	@echo "make lint   ruff, mypy --strict, import contracts"
 	@echo "make serve  the service on port 8000"
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): pyproject.toml lumiline/pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "installing into $(VENV) ..."
 	@PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
-		$(BIN)/python -m pip install --disable-pip-version-check --editable '.[dev]'
+		$(BIN)/python -m pip install --disable-pip-version-check \
+		--editable ./lumiline --editable '.[dev]'
 	@touch $(STAMP)
 
 demo: $(STAMP)

@@ -140,14 +140,14 @@ class PenaltyGrid:
         for way in (stride, -stride):
             step, before = start, np.inf
             while abs(step) <= MAX_STEPS:
-                here = self.trial(step, axes).total
+                total = self.trial(step, axes).total
                 least = min(trial.total for trial in self.evaluated.values())
                 if (
-                    here > min(least + ABANDON_DEVIANCE_THRESHOLD, before)
+                    total > min(least + ABANDON_DEVIANCE_THRESHOLD, before)
                     or abs(step - start) > reach
                 ):
                     break
-                step, before = step + way, max(here, least + ABANDON_DEVIANCE_THRESHOLD)
+                step, before = step + way, max(total, least + ABANDON_DEVIANCE_THRESHOLD)
 
 
 def step_widths(nodes: list[tuple[int, Axes]]) -> Array:

@@ -1,4 +1,4 @@
-"""Single point and point to point: what they report is what was put in."""
+"""Single-point and point-to-point tests recover what was simulated."""
 
 import numpy as np
 import pytest

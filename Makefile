@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 help:
 	@echo "make demo   the main job, end to end: real service, simulated device, measured frames"
 	@echo "make test   the test suite, without the few dearest tests: make test-slow"
-	@echo "make lint   ruff, mypy --strict, import contracts"
+	@echo "make lint   ruff, mypy --strict, import contracts, the kernels' C++ headers"
 	@echo "make serve  the service on port 8000"
 
 $(STAMP): pyproject.toml lumiline/pyproject.toml constraints.txt
@@ -39,6 +39,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.compute.native.lint
 
 serve: $(STAMP)
 	$(BIN)/lumiline serve

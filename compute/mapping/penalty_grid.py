@@ -83,7 +83,12 @@ class PenaltyGrid:
         self._balanced_weight = float(samples / np.median(functions.penalty(np.ones(3))))
 
     def trial(self, step: int, axes: Axes) -> PenaltyTrial:
-        """Return the trial at a grid node."""
+        """Return the trial at a grid node.
+
+        Args:
+            step: steps of the weight from the balanced one.
+            axes: steps of the relative weights of the axes.
+        """
         node = (step, axes)
         if node not in self.evaluated:
             self.evaluated[node] = evaluate_penalty(
@@ -136,7 +141,14 @@ class PenaltyGrid:
             self.search_line(axes, step, 1, COARSE_STRIDE - 1)
 
     def search_line(self, axes: Axes, start: int, stride: int, reach: int = 2 * MAX_STEPS) -> None:
-        """Try larger and smaller weights from a node while a good score is possible."""
+        """Try larger and smaller weights from a node while a good score is possible.
+
+        Args:
+            axes: steps of the relative weights of the axes.
+            start: step of the weight at which the search begins.
+            stride: steps between trials.
+            reach: largest distance from ``start``, in steps.
+        """
         for way in (stride, -stride):
             step, before = start, np.inf
             while abs(step) <= MAX_STEPS:

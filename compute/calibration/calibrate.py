@@ -212,8 +212,8 @@ def _fit_distortion(
         )
     else:
         named = isinstance(requested, str)
-        own = preset_terms(requested) if isinstance(requested, str) else requested
-        terms = (own,) * len(models)
+        sensor_terms = preset_terms(requested) if isinstance(requested, str) else requested
+        terms = (sensor_terms,) * len(models)
         selection = DistortionSelection(str(requested) if named else "terms", "as asked")
     _report_progress(progress, 0.7, f"distortion {selection.chosen}")
     return fit_distorted(observed, models, terms, lens_offsets, settings.loss, weights), selection

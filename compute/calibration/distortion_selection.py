@@ -151,29 +151,35 @@ def first_within_standard_error(order: Sequence[int], excess: Array, error: Arra
 
 
 def _unfitted_candidate(name: str, note: str) -> CandidateTerms:
-    own = () if name == "none" else preset_terms(name)
-    return CandidateTerms(name, own, free_parameters(own), None, None, None, None, note)
+    terms = () if name == "none" else preset_terms(name)
+    return CandidateTerms(name, terms, free_parameters(terms), None, None, None, None, note)
 
 
 def _supported_terms(
     observed: ControlObservations, folds: NDArray[np.bool_], name: str, names: tuple[str, ...]
 ) -> tuple[tuple[tuple[Term, ...], ...], tuple[tuple[str, str], ...]]:
     """Return each sensor's terms: those of the set, or of a smaller one where points are few."""
-    sets = [(one, () if one == "none" else preset_terms(one)) for one in names]
+    sets = [
+        (candidate, () if candidate == "none" else preset_terms(candidate)) for candidate in names
+    ]
     sets = sets[: names.index(name) + 1]
     terms, reduced_terms = [], []
     for sensor, rows in zip(observed.sensors, observed.seen.T, strict=True):
         fewest = int((folds & rows).sum(axis=1).min())
-        able = [
-            one
-            for one in sets
-            if free_parameters(one[1]) + MIN_SPARE_READINGS <= fewest or not one[1]
+        supported = [
+            candidate
+            for candidate in sets
+            if free_parameters(candidate[1]) + MIN_SPARE_READINGS <= fewest or not candidate[1]
         ]
         # The set itself, or the one with most parameters of those before it.
-        own = able[-1] if able[-1][0] == name else max(able, key=lambda one: len(one[1]))
-        terms.append(own[1])
-        if own[0] != name:
-            reduced_terms.append((sensor.name, own[0]))
+        selected = (
+            supported[-1]
+            if supported[-1][0] == name
+            else max(supported, key=lambda candidate: len(candidate[1]))
+        )
+        terms.append(selected[1])
+        if selected[0] != name:
+            reduced_terms.append((sensor.name, selected[0]))
     return tuple(terms), tuple(reduced_terms)
 
 

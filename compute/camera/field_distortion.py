@@ -110,7 +110,7 @@ def check_terms(terms: Sequence[Term]) -> None:
             )
         if min(term) < 0 or term in terms[:number]:
             raise InvalidParameter(
-                f"terms has {term} at place {number}; powers must be 0 or more, each pair once",
+                f"terms has {term} at index {number}; powers must be 0 or more, each pair once",
                 terms=term,
             )
 

@@ -191,7 +191,7 @@ class CameraStack:
         return readings_px + self.cubic_per_px2 * (readings_px - self.principal_point_px) ** 3
 
     def correction_derivative(self, readings_px: Array) -> Array:
-        """Return d corrected / d reading, shape (..., S): scales a reading's deviation."""
+        """Return d corrected / d reading, shape (..., S): scales a reading's sigma."""
         return 1.0 + 3.0 * self.cubic_per_px2 * (readings_px - self.principal_point_px) ** 2
 
     def project(self, points_mm: Array) -> Array:

@@ -30,10 +30,10 @@ from compute.progress import Progress
 Array = NDArray[np.float64]
 
 MAX_FUNCTIONS = 1200
-"""Smooth functions that are fitted, at most; about ten along each axis of a cube."""
+"""Largest number of fitted functions; about ten along each axis of a cube."""
 MIN_FUNCTIONS = 120
 FUNCTIONS_PER_POINT = 2
-_TYPICAL_TRIALS = 25  # of smoothness, about: for the progress alone
+_TYPICAL_TRIALS = 25  # of penalties, about; for the progress report only
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +67,12 @@ def build_table(
     Args:
         models: the calibration's S cameras.
         calibration_hash: content hash of the calibration.
-        measured: readings of markers at N known places.
+        measured: readings of markers at N known positions.
         parameter_covariance: joint covariance of the cameras' parameters, shape (P, P), where the
             calibration was made from other measurements than these. None: from these; then
             they tell its error, too.
         settings: how to build it.
-        progress: told the share done and the stage; what it raises passes through.
+        progress: called with the fraction done and the stage.
 
     Raises:
         InvalidParameter, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor, TooFewPoints,

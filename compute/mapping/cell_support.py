@@ -13,7 +13,8 @@ from compute.mapping.grid import VoxelGrid
 Array = NDArray[np.float64]
 
 REACH = 2.0
-"""How near measurements must be, in distances between neighbours."""
+"""Radius in which measurements support a cell, in mean distances between neighbours."""
+_MAX_ITERATIONS = 20
 
 
 def find_supported_cells(
@@ -31,12 +32,12 @@ def find_supported_cells(
         min_neighbours: smallest number of points near the cell.
         spacing_mm: mean distance between neighbouring points [mm].
     """
-    middles = cell_centres(grid)
-    near = within_hull(seen_mm, middles)
-    # From the cell's middle to its corners comes on top, so that a wide cell has its neighbours.
+    centres = cell_centres(grid)
+    inside = within_hull(seen_mm, centres)
+    # Plus the distance from the cell's centre to its corners, for wide cells.
     reach = REACH * spacing_mm + 0.5 * float(np.linalg.norm(grid.pitch_mm))
-    counts = cKDTree(seen_mm).query_ball_point(middles, reach, return_length=True)
-    found: NDArray[np.bool_] = (near & (counts >= min_neighbours)).reshape(grid.cells)
+    counts = cKDTree(seen_mm).query_ball_point(centres, reach, return_length=True)
+    found: NDArray[np.bool_] = (inside & (counts >= min_neighbours)).reshape(grid.cells)
     return found
 
 
@@ -79,10 +80,10 @@ def check_no_holes(valid: NDArray[np.bool_], grid: VoxelGrid, sensor: str) -> No
         )
     holes = np.argwhere(binary_fill_holes(valid) & ~valid)
     if len(holes):
-        place = np.asarray(grid.origin_mm) + (holes[0] + 0.5) * np.asarray(grid.pitch_mm)
+        position = np.asarray(grid.origin_mm) + (holes[0] + 0.5) * np.asarray(grid.pitch_mm)
         raise TooFewPoints(
             f"sensor {sensor}'s measurements leave a hole of {len(holes)} cells, the first around "
-            f"{np.round(place, 1).tolist()} mm; add points there, or take a larger pitch",
+            f"{np.round(position, 1).tolist()} mm; add points there, or take a larger pitch",
             sensor=sensor,
             cells=len(holes),
         )
@@ -104,9 +105,6 @@ def _lattice(grid: VoxelGrid, node_positions: Sequence[NDArray[np.floating]]) ->
     return lattice
 
 
-_MAX_ITERATIONS = 20
-
-
 def corner_values(grid: VoxelGrid, function: Callable[[Array], Array]) -> Array:
     """Return positive values at the corners whose interpolation has the function's means.
 
@@ -123,8 +121,8 @@ def corner_values(grid: VoxelGrid, function: Callable[[Array], Array]) -> Array:
         Shape (nx + 1, ny + 1, nz + 1).
     """
     values = function(cell_corners(grid)).reshape([cells + 1 for cells in grid.cells])
-    middles = function(cell_centres(grid)).reshape(grid.cells)
-    wanted = (_mean_of_corners(values) + 2.0 * middles) / 3.0
+    centres = function(cell_centres(grid)).reshape(grid.cells)
+    wanted = (_mean_of_corners(values) + 2.0 * centres) / 3.0
     around = _sum_around(np.ones(grid.cells))
     for _ in range(_MAX_ITERATIONS):
         values = values * _sum_around(wanted / _mean_of_corners(values)) / around

@@ -12,10 +12,10 @@ Array = NDArray[np.float64]
 
 DEGREE = 3
 PENALTY_ORDER = 4
-"""Of the differences that are penalised; over a single cell, third ones. The fields of lenses are
-smooth: with second differences the same data take twice as many parameters."""
+"""Order of the penalised differences; third ones over a single cell. The fields of lenses are
+smooth: with second differences the same data need twice as many parameters."""
 POLYNOMIAL_SHARE = 0.01
-"""What polynomials cost of what the oscillating functions' costs would say for them."""
+"""Penalty of polynomials, relative to the extrapolated penalties of oscillating functions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +59,13 @@ class DiagonalisedBasis:
         for cells, pitch in zip(grid.cells, grid.pitch_mm, strict=True):
             order = min(PENALTY_ORDER, cells + DEGREE - 1)
             difference = np.diff(np.eye(cells + DEGREE), n=order, axis=0)
-            found, turned = np.linalg.eigh(difference.T @ difference)
-            vectors.append(turned)
-            # Per length and not per cell, so that no axis counts for being finely divided.
+            eigenvalues, eigenvectors = np.linalg.eigh(difference.T @ difference)
+            vectors.append(eigenvectors)
+            # Per length, not per cell, so that a finely divided axis has no larger weight.
             growth = (np.arange(order) / order) ** (2 * order)
-            found[:order] = POLYNOMIAL_SHARE * found[order] * growth
-            turned[:, :order] = _polynomials(cells + DEGREE, order)
-            values.append(found * (unit / pitch) ** (2 * order))
+            eigenvalues[:order] = POLYNOMIAL_SHARE * eigenvalues[order] * growth
+            eigenvectors[:, :order] = _polynomials(cells + DEGREE, order)
+            values.append(eigenvalues * (unit / pitch) ** (2 * order))
         index = np.indices([len(one) for one in values]).reshape(3, -1).T
         costs = np.stack([values[axis][index[:, axis]] for axis in range(3)], axis=1)
         smoothest = np.sort(np.argsort(costs.sum(axis=1), kind="stable")[:max_functions])
@@ -86,19 +86,19 @@ class DiagonalisedBasis:
         """Evaluate the functions at points (N, 3), shape (N, R)."""
         cell, cell_coordinate, _ = self.grid.locate(points_mm)
         product = np.ones((len(points_mm), len(self)))
-        for axis, turned in enumerate(self.vectors):
+        for axis, eigenvectors in enumerate(self.vectors):
             weights, _ = b_spline_basis(cell_coordinate[:, axis], DEGREE)
             reach = cell[:, axis, None] + np.arange(DEGREE + 1)
-            along = np.einsum("nd,ndk->nk", weights, turned[reach])
+            along = np.einsum("nd,ndk->nk", weights, eigenvectors[reach])
             product *= along[:, self.function_index[:, axis]]
         return product
 
     def coefficients(self, amounts: Array) -> Array:
         """Return the splines' coefficients (Kx, Ky, Kz) for coefficients (R,) of the functions."""
-        full = np.zeros([len(turned) for turned in self.vectors])
+        full = np.zeros([len(eigenvectors) for eigenvectors in self.vectors])
         full[tuple(self.function_index.T)] = amounts
-        for axis, turned in enumerate(self.vectors):
-            full = np.moveaxis(np.tensordot(turned, full, axes=(1, axis)), 0, axis)
+        for axis, eigenvectors in enumerate(self.vectors):
+            full = np.moveaxis(np.tensordot(eigenvectors, full, axes=(1, axis)), 0, axis)
         return full
 
 

@@ -14,9 +14,9 @@ from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
 Array = NDArray[np.float64]
 
 MIN_POINTS = 8
-"""Of each sensor: the corners of one cell."""
+"""Smallest number of points of a sensor: the corners of one cell."""
 MIN_EXTENT_SHARE = 0.1
-"""Least share of the extent of all points, along their axes, that a sensor's points must have."""
+"""Smallest extent of a sensor's points relative to that of all, along their principal axes."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from compute.mapping.penalty_selection import PenaltyPosterior
 Array = NDArray[np.float64]
 
 MIN_SHARE = 1e-3
-"""Of a penalty, below which it is left away."""
+"""Probability relative to the best below which a penalty is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,16 +71,16 @@ def average(
         trial = penalties.trials[number]
         fit = problem.solve(trial.weight * functions.penalty(trial.axes))
         left_out = fit.left_out()
-        own = factor(fit)
-        covariance += share * own * fit.covariance()
-        variance += share * own * left_out.sigma**2
+        variance_factor = factor(fit)
+        covariance += share * variance_factor * fit.covariance()
+        variance += share * variance_factor * left_out.sigma**2
         amounts.append(fit.amounts)
         errors.append(left_out.error)
         parameters.append(fit.effective_parameters)
-        factors.append(own)
+        factors.append(variance_factor)
     mean, error = probabilities @ np.stack(amounts), probabilities @ np.stack(errors)
-    apart = np.sqrt(probabilities)[:, None] * (np.stack(amounts) - mean)
-    covariance += apart.T @ apart
+    between = np.sqrt(probabilities)[:, None] * (np.stack(amounts) - mean)
+    covariance += between.T @ between
     variance += probabilities @ (np.stack(errors) - error) ** 2
     return AveragedFit(
         mean,

@@ -47,7 +47,7 @@ class PenalisedProblem:
     def solve(self, penalty: Array) -> "PenalisedFit":
         """Fit with prior precisions (R,) of the penalised functions."""
         precision = np.concatenate([penalty, self.others_precision])
-        # Where next to nothing is penalised, samples are too few to tell all functions apart.
+        # With a tiny penalty, samples may be too few to determine all functions.
         precision = np.maximum(precision, _LEAST_PRECISION * np.trace(self.gram))
         normal = self.gram + np.diag(precision)
         precision_factor = cholesky(normal, lower=True, check_finite=False)
@@ -102,9 +102,9 @@ class PenalisedFit:
     @property
     def residual_sum_of_squares(self) -> float:
         """Sum of the squared whitened residuals."""
-        here = self.amounts
+        amounts = self.amounts
         problem = self.problem
-        square = problem.square - 2.0 * here @ problem.product + here @ problem.gram @ here
+        square = problem.square - 2.0 * amounts @ problem.product + amounts @ problem.gram @ amounts
         return max(float(square), 0.0)
 
     def left_out(self) -> "LeftOutErrors":
@@ -116,19 +116,21 @@ class PenalisedFit:
         problem = self.problem
         half = self.whitened_rows(problem.functions)
         rest = problem.samples - problem.functions @ self.amounts
-        error, sigma, standardised, whitened_rows = (np.empty_like(rest) for _ in range(4))
+        error, sigma, standardised, log_variance = (np.empty_like(rest) for _ in range(4))
         first = np.cumsum(problem.sizes) - problem.sizes
         for size in np.unique(problem.sizes):
             # All blocks of one size at once.
             rows = first[problem.sizes == size, None] + np.arange(size)
-            own = np.eye(size) * (1.0 + _BLOCK_RIDGE) - half[rows] @ half[rows].transpose(0, 2, 1)
-            inverse = np.linalg.inv(np.linalg.cholesky(own))
-            here = np.einsum("bij,bj->bi", inverse, rest[rows])
-            standardised[rows] = here
-            error[rows] = np.einsum("bji,bj->bi", inverse, here)
+            hat_complement = np.eye(size) * (1.0 + _BLOCK_RIDGE) - half[rows] @ half[
+                rows
+            ].transpose(0, 2, 1)
+            inverse = np.linalg.inv(np.linalg.cholesky(hat_complement))
+            decorrelated = np.einsum("bij,bj->bi", inverse, rest[rows])
+            standardised[rows] = decorrelated
+            error[rows] = np.einsum("bji,bj->bi", inverse, decorrelated)
             sigma[rows] = np.sqrt((inverse**2).sum(axis=1))
-            whitened_rows[rows] = 2.0 * np.log(np.diagonal(inverse, axis1=1, axis2=2))
-        return LeftOutErrors(error, sigma, standardised, whitened_rows, problem.sizes)
+            log_variance[rows] = 2.0 * np.log(np.diagonal(inverse, axis1=1, axis2=2))
+        return LeftOutErrors(error, sigma, standardised, log_variance, problem.sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +162,8 @@ class LeftOutErrors:
             known_variance: False: all variances have a common factor, set to its maximum-likelihood
                 value.
         """
-        usual = _scale(self.standardised)
-        most = GROSS_ERROR_THRESHOLD * (max(usual, 1.0) if known_variance else usual)
+        robust_scale = _scale(self.standardised)
+        most = GROSS_ERROR_THRESHOLD * (max(robust_scale, 1.0) if known_variance else robust_scale)
         square = np.minimum(self.standardised**2, most**2)
         if not known_variance:
             square = square / square.mean() + np.log(square.mean())

@@ -8,31 +8,21 @@ from numpy.typing import NDArray
 
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.p_splines import PenalisedFit, PenalisedProblem
+from compute.mapping.penalty_grid import (
+    COARSE_STRIDE,
+    IDENTICAL_FIT_DEVIANCE_THRESHOLD,
+    PenaltyGrid,
+    PenaltyTrial,
+    evaluate_penalty,
+    step_widths,
+)
 
 Array = NDArray[np.float64]
-Axes = tuple[int, int, int]
 
-WEIGHT_STEP_RATIO = 10.0**0.5
-"""Between neighbouring weights of the penalty."""
-COARSE_STRIDE = 3
-"""Steps between the weights that are tried at first."""
-MAX_STEPS = 18
-"""Steps to where the penalty weighs as the samples do; as many the other way."""
-AXIS_WEIGHT_STEP_RATIO = 30.0
-"""Step of the weights of the axes against one another."""
-TIE_DEVIANCE_THRESHOLD = 1.0
-"""Difference of twice the log density of all left-out samples that decides nothing: then the
-smoother one is taken."""
-REFINEMENT_DEVIANCE_THRESHOLD = 8.0
-"""Such a difference from which weights between those tried do not matter."""
-ABANDON_DEVIANCE_THRESHOLD = 15.0
-"""Such a difference from which a search goes no further."""
-IDENTICAL_FIT_DEVIANCE_THRESHOLD = 0.1
-"""Such a difference below which two fits are the same one: both have no correction at all."""
 MAX_ROUNDS = 3
-"""Of weighing the axes anew, about the best."""
+"""Largest number of rounds of searching the axes' weights about the best."""
 BOOTSTRAP_REPLICATES = 200
-"""Of the blocks, drawn anew, by which the trials are weighed."""
+"""Bayesian bootstrap replicates of the blocks for the probabilities of penalties."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,30 +40,6 @@ class FittedPenalty:
     axes: Array
     fit: PenalisedFit
     score: float
-
-
-@dataclass(frozen=True, eq=False)
-class PenaltyTrial:
-    """Cross-validation of one penalty.
-
-    Args:
-        weight: weight of the penalty [1/px^2].
-        axes: relative weights of the axes, shape (3,).
-        deviances: of the blocks, with known variances or their factor, shape (B,).
-        scaled_deviance: their sum with the maximum-likelihood factor of all variances.
-        scale: that factor.
-    """
-
-    weight: float
-    axes: Array
-    deviances: Array
-    scaled_deviance: float
-    scale: float
-
-    @property
-    def total(self) -> float:
-        """Minus twice the log density of all left-out blocks, up to a constant."""
-        return float(self.deviances.sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,23 +84,6 @@ def fit_penalty(
     return FittedPenalty(weight, axes, fit, float(deviances.sum()) / len(problem.samples))
 
 
-def evaluate_penalty(
-    problem: PenalisedProblem, functions: DiagonalisedBasis, weight: float, axes: Array
-) -> PenaltyTrial:
-    """Cross-validate a given penalty.
-
-    Args:
-        problem: the samples.
-        functions: the penalised functions.
-        weight: weight of the penalty [1/px^2].
-        axes: relative weights of the axes, shape (3,).
-    """
-    left_out = problem.solve(weight * functions.penalty(axes)).left_out()
-    scaled_deviance = left_out.deviances(known_variance=False)
-    known = left_out.deviances(known_variance=True) if problem.known_variance else scaled_deviance
-    return PenaltyTrial(weight, axes, known, float(scaled_deviance.sum()), left_out.scale**2)
-
-
 def single_penalty(
     problem: PenalisedProblem, functions: DiagonalisedBasis, weight: float
 ) -> PenaltyPosterior:
@@ -172,7 +121,7 @@ def cross_validate_penalties(
         functions: the penalised functions of the problem.
         on_trial: called after each trial.
     """
-    penalty_grid = _PenaltyGrid(problem, functions, on_trial)
+    penalty_grid = PenaltyGrid(problem, functions, on_trial)
     none = penalty_grid.null_penalty()
     best = penalty_grid.best((0, 0, 0))
     for _ in range(MAX_ROUNDS):
@@ -190,7 +139,7 @@ def cross_validate_penalties(
     for axes in sorted({node[1] for node in penalty_grid.evaluated}):
         penalty_grid.refine(axes)
     best = penalty_grid.best()
-    # Of all that have no correction, one is enough.
+    # Keep one of all penalties that leave no correction.
     retained = [
         node
         for node, trial in penalty_grid.evaluated.items()
@@ -201,103 +150,13 @@ def cross_validate_penalties(
     if best not in retained:
         best = none
     trials = tuple(penalty_grid.evaluated[node] for node in retained)
-    # That the axes differ by more than a step is not likely before anything is measured.
-    unlike = np.exp(-0.5 * np.sum([np.square(axes) for _, axes in retained], axis=1))
+    # Prior: axes hardly differ by more than a step.
+    axes_prior = np.exp(-0.5 * np.sum([np.square(axes) for _, axes in retained], axis=1))
     return PenaltyPosterior(
         trials,
         retained.index(best),
-        _posterior_probabilities(trials, step_widths(retained) * unlike),
+        _posterior_probabilities(trials, step_widths(retained) * axes_prior),
     )
-
-
-class _PenaltyGrid:
-    """Trials on a grid: steps of the weight and of the relative weights of the axes."""
-
-    def __init__(
-        self, problem: PenalisedProblem, functions: DiagonalisedBasis, on_trial: Callable[[], None]
-    ) -> None:
-        self.evaluated: dict[tuple[int, Axes], PenaltyTrial] = {}
-        self._problem, self._functions, self._on_trial = problem, functions, on_trial
-        samples = np.diag(problem.gram)[: len(functions)].mean()
-        self._balanced_weight = float(samples / np.median(functions.penalty(np.ones(3))))
-
-    def trial(self, step: int, axes: Axes) -> PenaltyTrial:
-        """Return the trial at a grid node."""
-        node = (step, axes)
-        if node not in self.evaluated:
-            self.evaluated[node] = evaluate_penalty(
-                self._problem,
-                self._functions,
-                self._balanced_weight * WEIGHT_STEP_RATIO**step,
-                AXIS_WEIGHT_STEP_RATIO ** np.array(axes, dtype=np.float64),
-            )
-            self._on_trial()
-        return self.evaluated[node]
-
-    def null_penalty(self) -> tuple[int, Axes]:
-        """Try all weights with equal axes; return the smallest that leaves no correction."""
-        equal = (0, 0, 0)
-        steps = range(MAX_STEPS, -MAX_STEPS - 1, -COARSE_STRIDE)
-        totals = [self.trial(step, equal) for step in steps]
-        last = 0
-        while (
-            last + 1 < len(totals)
-            and np.abs(totals[last + 1].deviances - totals[0].deviances).sum()
-            < IDENTICAL_FIT_DEVIANCE_THRESHOLD
-        ):
-            last += 1
-        return steps[last], equal
-
-    def best(self, axes: Axes | None = None) -> tuple[int, Axes]:
-        """Return the smoothest node whose score is as good as the best."""
-        least = min(trial.total for trial in self.evaluated.values())
-        return max(
-            (
-                node
-                for node, trial in self.evaluated.items()
-                if trial.total <= least + TIE_DEVIANCE_THRESHOLD and axes in (None, node[1])
-            ),
-            key=lambda node: (
-                self.evaluated[node].weight * self.evaluated[node].axes.prod() ** (1 / 3)
-            ),
-        )
-
-    def refine(self, axes: Axes) -> None:
-        """Try the weights between on a line with a good score: the grid may miss its peak."""
-        totals = {
-            step: trial.total for (step, same), trial in self.evaluated.items() if same == axes
-        }
-        step = min(totals, key=lambda step: (totals[step], -step))
-        if (
-            totals[step]
-            <= min(trial.total for trial in self.evaluated.values()) + REFINEMENT_DEVIANCE_THRESHOLD
-        ):
-            self.search_line(axes, step, 1, COARSE_STRIDE - 1)
-
-    def search_line(self, axes: Axes, start: int, stride: int, reach: int = 2 * MAX_STEPS) -> None:
-        """Try larger and smaller weights from a node while a good score is possible."""
-        for way in (stride, -stride):
-            step, before = start, np.inf
-            while abs(step) <= MAX_STEPS:
-                here = self.trial(step, axes).total
-                least = min(trial.total for trial in self.evaluated.values())
-                if (
-                    here > min(least + ABANDON_DEVIANCE_THRESHOLD, before)
-                    or abs(step - start) > reach
-                ):
-                    break
-                step, before = step + way, max(here, least + ABANDON_DEVIANCE_THRESHOLD)
-
-
-def step_widths(nodes: list[tuple[int, Axes]]) -> Array:
-    """Return the share of its line that each node represents, in steps."""
-    widths = np.empty(len(nodes))
-    for number, (step, axes) in enumerate(nodes):
-        others = [other for other, same in nodes if same == axes and other != step]
-        above = min((other - step for other in others if other > step), default=COARSE_STRIDE)
-        below = min((step - other for other in others if other < step), default=COARSE_STRIDE)
-        widths[number] = 0.5 * (min(above, COARSE_STRIDE) + min(below, COARSE_STRIDE))
-    return widths
 
 
 def _posterior_probabilities(trials: tuple[PenaltyTrial, ...], prior: Array) -> Array:

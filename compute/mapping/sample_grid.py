@@ -13,8 +13,8 @@ from compute.mapping.grid import VoxelGrid
 Array = NDArray[np.float64]
 
 NODE_TOLERANCE = 1e-3
-"""Of the pitch: coordinates so near are the same, and steps so alike are equal."""
-_SPLINE_REACH = 2  # nodes over which a missing value shows in a cubic spline, by a twentieth
+"""Tolerance of equal coordinates and of equal steps, relative to the pitch."""
+_SPLINE_REACH = 2  # nodes over which a missing value affects a cubic spline by up to a twentieth
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,17 +101,17 @@ def _steps(values: Array, axis: str) -> tuple[float, float, int]:
     # Coordinates that differ by rounding are one.
     apart = np.flatnonzero(np.diff(found) > NODE_TOLERANCE * extent)
     groups = np.split(found, apart + 1)
-    middles = np.array([group.mean() for group in groups])
-    cells = len(middles) - 1
+    coordinates = np.array([group.mean() for group in groups])
+    cells = len(coordinates) - 1
     pitch = extent / max(cells, 1)
-    even = middles[0] + pitch * np.arange(cells + 1)
-    if cells < 1 or np.abs(found - even[np.digitize(found, middles[1:] - pitch / 2)]).max() > (
+    even = coordinates[0] + pitch * np.arange(cells + 1)
+    if cells < 1 or np.abs(found - even[np.digitize(found, coordinates[1:] - pitch / 2)]).max() > (
         NODE_TOLERANCE * pitch
     ):
         raise InvalidParameter(
-            f"the points have {len(middles)} different {axis} from {found[0]:g} to "
+            f"the points have {len(coordinates)} different {axis} from {found[0]:g} to "
             f"{found[-1]:g} mm that are not equally spaced; interpolation through the values "
             'needs points on a grid of equal steps, points anywhere take the method "b-spline"',
             axis=axis,
         )
-    return float(middles[0]), pitch, cells
+    return float(coordinates[0]), pitch, cells

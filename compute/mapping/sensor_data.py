@@ -12,9 +12,9 @@ from compute.mapping.p_splines import PenalisedProblem
 Array = NDArray[np.float64]
 
 MAX_LEFT_OUT_BLOCKS = 2000
-"""Blocks that are left out in turn, at most; of more, these are spread evenly over all."""
+"""Largest number of left-out blocks; of more, evenly spaced ones are taken."""
 CHUNK = 4096
-"""Points whose functions are held at once."""
+"""Number of points whose functions are in memory at once."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,14 +33,14 @@ from compute.mapping.sensor_data import (
 Array = NDArray[np.float64]
 
 UNINFORMATIVE_PRECISION = 1e-6
-"""Of calibration errors that the measurements themselves must tell, in units of what they do."""
+"""Prior precision of calibration errors that the measurements determine, relative to theirs."""
 MIN_SINGULAR_RATIO = 1e-9
 """Ratio of singular values below which the measurements leave the calibration open."""
 CONTRADICTED_PROBABILITY = 1e-4
 """The same, judged by left-out blocks: smaller, as a locally rough field fails this test, too;
 standard deviations that are half of the right ones go far beyond."""
 MAX_ITERATIONS = 8
-"""Of fitting and of taking the samples' variances anew."""
+"""Largest number of fits with updated variances of the samples."""
 FACTOR_TOLERANCE = 0.05
 VARIANCE_FLOOR_PX2 = 1e-12
 """Exact measurements still leave rounding."""
@@ -114,7 +114,7 @@ def fit_sensor(
         on_trial: called after each trial of a penalty.
 
     Raises:
-        TooFewPoints, DegeneratePoints: the measurements cannot tell the calibration's error.
+        TooFewPoints, DegeneratePoints: the measurements do not determine the calibration's error.
     """
     parameter_transform, precision = _parameter_drift(data)
     contradiction = float(chdtri(1.0, 2.0 * CONTRADICTED_PROBABILITY))  # too small ones alone
@@ -148,8 +148,8 @@ def fit_sensor(
         chosen = fit_penalty(problem, functions, likeliest.weight, likeliest.axes)
         ratio = _variance_ratio(chosen.fit) if estimated else _excess_variance(chosen.fit)
         variance_factor = max(applied_factor * ratio, VARIANCE_FLOOR_PX2)
-        # The samples' variances have a factor, the calibration's own have none: they are weighed
-        # anew. Where the measurements alone tell both, the factor is all's.
+        # The factor applies to the samples' variances, not to the calibration's covariance:
+        # refit with it. Without such a covariance the factor applies to everything.
         if not separable or abs(variance_factor / applied_factor - 1.0) < FACTOR_TOLERANCE:
             break
     each = _variance_ratio if estimated else lambda _fit: ratio
@@ -229,14 +229,14 @@ def _parameter_drift(data: SensorData) -> tuple[Array, Array]:
         )
     whitened = parameter_jacobian / np.sqrt(data.variance_px2)[:, None]
     scale = np.linalg.norm(whitened, axis=0)
-    # What no reading depends on, as the place along the slit where no term has v in it.
+    # Leave out parameters without effect, as the offset along the slit without terms in v.
     acting = scale > 0.0
     _, singular, right = np.linalg.svd(whitened[:, acting] / scale[acting], full_matrices=False)
     if singular[-1] < MIN_SINGULAR_RATIO * singular[0]:
         raise DegeneratePoints(
             f"the {len(parameter_jacobian)} mapping points that sensor {data.name} saw leave a "
             f"combination of its calibration's parameters open (ratio of singular values "
-            f"{singular[-1] / singular[0]:.1e}); add points at other places and depths",
+            f"{singular[-1] / singular[0]:.1e}); add points at other positions and depths",
             sensor=data.name,
         )
     parameter_transform = np.zeros((count, len(singular)))

@@ -11,7 +11,7 @@ from compute.errors import InvalidParameter
 Array = NDArray[np.float64]
 
 MAX_GRID_POINTS = 100_000
-"""Grid points, at most."""
+"""Largest number of grid points."""
 
 
 @dataclass(frozen=True)
@@ -99,9 +99,9 @@ def volume_grid(box: Box, points: tuple[int, int, int]) -> Grid:
         share = np.full(count, 1.0 / (count - 1))
         share[[0, -1]] /= 2.0
         shares.append(share)
-    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points_mm = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     weights = np.einsum("i,j,k->ijk", *shares).ravel()
-    return Grid(box, points, places, weights)
+    return Grid(box, points, points_mm, weights)
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from compute.signal.sensor_noise import SensorNoise
 Array = NDArray[np.float64]
 
 SHIFT_PX = 0.05
-"""By how much lines are moved, both ways, to take the derivative of what each pixel gets. The
-error of the central difference is about (SHIFT_PX / s)^2 / 6 of it for a line of deviation s:
-0.2 % for 0.5 px."""
+"""Displacement of stripes, both ways, for the derivative of each pixel's light. The relative error
+of the central difference is about (SHIFT_PX / s)^2 / 6 for a stripe of standard deviation s: 0.2 %
+for 0.5 px."""
 
 _DIRECTION_ANGLES = np.pi * np.arange(24) / 24.0
 
@@ -103,13 +103,13 @@ def displaced_stripes(
 
     Args:
         optics: forms the lines.
-        cameras: where the lines are, near enough for their slopes; S of them.
+        cameras: S cameras, accurate enough for the derivatives.
         points_mm: shape (N, 3) [mm].
         pixels: pixels of a line.
         here: the points' footprints, where they are known already.
 
     Raises:
-        InvalidParameter: no sensor sees the middle of the points.
+        InvalidParameter: no sensor sees the centre of the points.
     """
     direction, step = _displacement(cameras, points_mm)
     shift = step * direction
@@ -161,7 +161,7 @@ def _displacement(cameras: CameraStack, points_mm: Array) -> tuple[Array, float]
     """Return a direction and step that move the stripes on all sensors by about SHIFT_PX.
 
     Raises:
-        InvalidParameter: no sensor sees the middle of the points.
+        InvalidParameter: no sensor sees the centre of the points.
     """
     middle = points_mm.mean(axis=0)
     per_mm = cameras.linearise(middle[None])[1][0]

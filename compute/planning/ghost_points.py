@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 MAX_SENSORS: Final = 6
 """Sensors whose groupings are counted: 203 of six, 877 of seven."""
 
-_PREGATE_FACTOR: Final = 9.0  # times the limit: what a linear misfit may be to be looked at exactly
+_PREGATE_FACTOR: Final = 9.0  # times the limit: largest linear misfit that is evaluated exactly
 _MAX_DRAWS_FACTOR: Final = 50  # times as many markers as are wanted, to find ones that all see
 
 
@@ -49,7 +49,7 @@ def candidates(markers: int, sensors: int) -> int:
 
     In perspective, three planes of any combination meet in one point: with S = 3 all N^3 are
     points that fit exactly, N^3 - N of them ghosts, of which those outside the working volume
-    can be told. A fourth plane does not pass through that point by itself.
+    are recognised. A fourth plane does not pass through that point by itself.
 
     Args:
         markers: N, at least 1.
@@ -83,15 +83,15 @@ class GhostCount:
 class GhostProbabilities:
     """Probabilities that wrong combinations look like a marker.
 
-    Which sensors' peaks come from the same marker is a partition of the sensors, for example
-    ((0, 2), (1,), (3,)). Its chance does not depend on how many markers there are, so one Monte
+    Which sensors' peaks come from the same marker is a partition of the sensors, for example ((0,
+    2), (1,), (3,)). Its probability does not depend on how many markers there are, so one Monte
     Carlo serves any number of them.
 
     Args:
         sensors: S.
         partitions: the partitions of the sensors into two or more groups.
         probability: of each to fit within the noise, inside the volume.
-        variance: of each chance, from the Monte Carlo.
+        variance: of each probability, from the Monte Carlo.
         visible_fraction: share of the volume that all sensors see, whence the markers are drawn.
     """
 

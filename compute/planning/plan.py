@@ -52,7 +52,7 @@ def plan(
         volume: where; None: the profile's working volume.
         ghost_trials: of the Monte Carlo, for each way to mix markers.
         seed: of its random numbers.
-        progress: told the share done, 0 to 1.
+        progress: called with the fraction done, 0 to 1.
 
     Raises:
         InvalidParameter: a value out of its range; a volume that is not seen well enough.
@@ -70,26 +70,26 @@ def plan(
         raise InvalidParameter(
             f"ghost_trials is {ghost_trials}; it must be at least 1", ghost_trials=ghost_trials
         )
-    places = volume_grid(box, shape)
+    volume_points = volume_grid(box, shape)
     device = planning_device(profile)
-    tell = progress or (lambda _: None)
-    lines = simulate_readings(device, places.points_mm, tell)
+    report = progress or (lambda _: None)
+    lines = simulate_readings(device, volume_points.points_mm, report)
 
-    slopes = lines.gradient_px_per_mm
-    noise = precision_from_jacobian(slopes, lines.bound_px)
-    centroid = precision_from_jacobian(slopes, lines.centroid_px)
-    dilution = precision_from_jacobian(slopes, np.ones(len(device.names)))
-    pattern_mm = propagated_sigma(slopes, lines.bound_px, lines.pattern_px)
-    distortion = _distortion(lines, places.points_mm)
-    centre = int(np.linalg.norm(places.points_mm - box.centre_mm, axis=1).argmin())
-    seen_by = coverage(lines.visible, places.weights)
+    gradients = lines.gradient_px_per_mm
+    noise = precision_from_jacobian(gradients, lines.bound_px)
+    centroid = precision_from_jacobian(gradients, lines.centroid_px)
+    dilution = precision_from_jacobian(gradients, np.ones(len(device.names)))
+    pattern_mm = propagated_sigma(gradients, lines.bound_px, lines.pattern_px)
+    distortion = _distortion(lines, volume_points.points_mm)
+    centre = int(np.linalg.norm(volume_points.points_mm - box.centre_mm, axis=1).argmin())
+    seen_by = coverage(lines.visible, volume_points.weights)
     ghosts, notes = _ghosts(device, lines, box, seen_by, most, ghost_trials, seed)
-    tell(1.0)
+    report(1.0)
     return Plan(
         profile.name,
         profile.title,
         box,
-        places.shape,
+        volume_points.shape,
         _sensors(device, lines),
         _summary(noise.sd_mm, centre),
         _summary(centroid.sd_mm, centre),
@@ -103,7 +103,7 @@ def plan(
         tuple(
             PlannedPoint(vector3(point), int(count), int(full), *map(_vector, figures))
             for point, count, full, *figures in zip(
-                places.points_mm,
+                volume_points.points_mm,
                 lines.visible.sum(axis=1),
                 lines.saturated.sum(axis=1),
                 noise.sd_mm,

@@ -40,7 +40,7 @@ def point_precision(cameras: CameraStack, points_mm: Array, sigma_px: Array) -> 
             or infinite where a sensor does not see the point.
 
     Raises:
-        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
+        InvalidParameter: a shape that does not fit, or a standard deviation that is not positive.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -65,7 +65,7 @@ def precision_from_jacobian(gradient_px_per_mm: Array, sigma_px: Array) -> Preci
             where a sensor does not see the point.
 
     Raises:
-        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
+        InvalidParameter: a shape that does not fit, or a standard deviation that is not positive.
     """
     rows, used = _weighted(gradient_px_per_mm, sigma_px)
     normal = rows.transpose(0, 2, 1) @ rows
@@ -100,7 +100,7 @@ def propagated_sigma(gradient_px_per_mm: Array, sigma_px: Array, error_px: Array
         Shape (N, 3) [mm]; NaN where there is no position, or a reading's error is not known.
 
     Raises:
-        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
+        InvalidParameter: a shape that does not fit, or a standard deviation that is not positive.
     """
     found = precision_from_jacobian(gradient_px_per_mm, sigma_px)
     rows, used = _weighted(gradient_px_per_mm, sigma_px)
@@ -113,8 +113,8 @@ def propagated_sigma(gradient_px_per_mm: Array, sigma_px: Array, error_px: Array
     sigma = np.where(used, np.broadcast_to(sigma_px, used.shape), 1.0)
     relative = np.where(used, error_px, 0.0) / sigma
     moved = np.einsum("nij,nsj,ns->nsi", found.covariance_mm2, rows, relative)
-    spread: Array = np.sqrt(np.square(moved).sum(axis=1))
-    return spread
+    sigma_mm: Array = np.sqrt(np.square(moved).sum(axis=1))
+    return sigma_mm
 
 
 def _weighted(gradient_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -18,7 +18,7 @@ from compute.signal.cramer_rao import position_bound
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-_BATCH_POINTS: Final = 128  # points traced at once; between them progress is told
+_BATCH_POINTS: Final = 128  # points traced at once, between progress reports
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ def simulate_readings(
     Args:
         device: the sensors.
         points_mm: shape (N, 3) [mm].
-        progress: told the share done, 0 to 0.9.
+        progress: called with the fraction done, 0 to 0.9.
 
     Raises:
         InvalidParameter: a sensor sees too little of the points.

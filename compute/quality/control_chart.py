@@ -21,7 +21,7 @@ from compute.errors import InvalidParameter
 Array = NDArray[np.float64]
 
 MIN_BASELINE: Final = 8
-"""Values that centre and spread are taken from at least."""
+"""Smallest number of values in a baseline."""
 _RANGE_OF_TWO: Final = 1.128379167095513
 """Mean range of two values over their standard deviation, 2 / sqrt(pi)."""
 _SHEWHART_LIMIT: Final = 3.0
@@ -30,11 +30,11 @@ _EWMA_LIMIT: Final = 2.86
 """With the weight 0.2 the average leaves its limits by chance as rarely as a value its own: once
 in 370 (J. M. Lucas and M. S. Saccucci, Technometrics 32, 1, 1990, table 3)."""
 _DOF_PER_VALUE: Final = 0.62
-"""Degrees of freedom of a spread from the moving range, for each of its values but the first."""
+"""Degrees of freedom of a sigma from the moving range, for each value but the first."""
 _SUSTAINED_JUMPS: Final = 3
 _SUSTAINED_VALUES: Final = 8
 _SUSTAINED_SIGNIFICANCE: Final = 1e-4
-"""Of a mean of so many values, to be off by as much with nothing changed."""
+"""Significance of the shifted mean of that many values."""
 
 
 class ControlChartAlarm(StrEnum):

@@ -70,18 +70,18 @@ def point_to_point(
         max_gap_s: over which no position is interpolated [s].
 
     Raises:
-        InvalidParameter: the distance is not positive, or its deviation negative.
-        TooFewPoints: fewer than two places at which both were measured.
+        InvalidParameter: the distance is not positive, or its standard deviation negative.
+        TooFewPoints: fewer than two positions at which both were measured.
     """
     if not (0.0 < reference_mm < np.inf and 0.0 <= reference_sigma_mm < np.inf):
         raise InvalidParameter(
             f"the reference distance is {reference_mm} +- {reference_sigma_mm} mm; it must be "
-            "positive, and its deviation zero or more"
+            "positive, and its standard deviation zero or more"
         )
     start, start_covariance, covered = _at(first, second.time_s, max_gap_s)
     if covered.sum() < 2:
         raise TooFewPoints(
-            f"both markers were measured together at {covered.sum()} places; at least 2 are "
+            f"both markers were measured together at {covered.sum()} positions; at least 2 are "
             "needed: are both in view?",
             count=int(covered.sum()),
         )

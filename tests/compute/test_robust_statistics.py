@@ -1,4 +1,4 @@
-"""A robust loss: gross errors leave no trace, and clean readings lose next to nothing."""
+"""Robust loss: outliers have no influence, clean readings lose little efficiency."""
 
 import numpy as np
 import pytest

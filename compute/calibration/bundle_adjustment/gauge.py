@@ -74,9 +74,9 @@ def inner_constraints(cameras: CameraStack, points_mm: Array, weights: Array) ->
     rotated = np.cross(arms[:, None], whitened)
     by_motion = np.concatenate([rotated, whitened], axis=2)
     datum = np.einsum("nsm,nsp->msp", by_motion, by_parameter).reshape(6, -1)
-    here = np.flatnonzero(cameras.parameter_mask)
-    ordered = np.empty((6, len(here)))
-    ordered[:, cameras.parameter_index.ravel()[here]] = datum[:, here]
+    present = np.flatnonzero(cameras.parameter_mask)
+    ordered = np.empty((6, len(present)))
+    ordered[:, cameras.parameter_index.ravel()[present]] = datum[:, present]
     return np.ascontiguousarray(ordered.T)
 
 

@@ -167,9 +167,9 @@ def build_normal_equations(
         prior: of the sensors.
     """
     cameras = CameraStack.of(state.models)
-    here = np.flatnonzero(cameras.parameter_mask)
-    order = cameras.parameter_index.ravel()[here]
-    count = len(here)
+    present = np.flatnonzero(cameras.parameter_mask)
+    order = cameras.parameter_index.ravel()[present]
+    count = len(present)
     size = count + sum(poses.shape.unknowns for poses in state.pose_sets)
     normal, gradient = np.zeros((size, size)), np.zeros(size)
     sensors, width = cameras.parameter_index.shape
@@ -195,13 +195,13 @@ def build_normal_equations(
         sensor_gradient += np.einsum("bksp,bks->sp", globals_, residual)
 
         flat = local.reshape(len(poses), -1, poses.unknowns)
-        own = flat.transpose(0, 2, 1)
-        block_normal = own @ flat
-        block_gradient = (own @ residual.reshape(len(poses), -1, 1))[..., 0]
+        transposed = flat.transpose(0, 2, 1)
+        block_normal = transposed @ flat
+        block_gradient = (transposed @ residual.reshape(len(poses), -1, 1))[..., 0]
         # (B, S, width, K) @ (B, S, K, d)
         crossed = globals_.transpose(0, 2, 3, 1) @ local.transpose(0, 2, 1, 3)
         mixed = np.zeros((len(poses), size, poses.unknowns))
-        mixed[:, order] = crossed.reshape(len(poses), sensors * width, -1)[:, here]
+        mixed[:, order] = crossed.reshape(len(poses), sensors * width, -1)[:, present]
         if poses.shape.unknowns:
             changes = np.einsum("bij,mkj->bkim", poses.rotation, poses.shape.basis)
             shape_jacobian = weighted_position_jacobian @ changes  # (B, K, S, M)
@@ -210,16 +210,16 @@ def build_normal_equations(
             gradient[shape] += rows.T @ residual.ravel()
             with_sensors = np.einsum("bksp,bksm->spm", globals_, shape_jacobian, optimize=True)
             part = np.zeros((count, poses.shape.unknowns))
-            part[order] = with_sensors.reshape(sensors * width, -1)[here]
+            part[order] = with_sensors.reshape(sensors * width, -1)[present]
             normal[:count, shape] += part
             normal[shape, :count] += part.T
             mixed[:, shape] = shape_jacobian.reshape(*flat.shape[:2], -1).transpose(0, 2, 1) @ flat
         known, known_jacobian = poses.shape.equations()
         normal[shape, shape] += known_jacobian.T @ known_jacobian
         gradient[shape] += known_jacobian.T @ known
-        placed = poses.prior()
-        if placed is not None:
-            difference, information = placed
+        pose_prior = poses.prior()
+        if pose_prior is not None:
+            difference, information = pose_prior
             block_normal[:, -3:, -3:] += information
             block_gradient[:, -3:] += np.einsum("bij,bj->bi", information, difference)
         blocks.append(PoseBlocks(block_normal, mixed, block_gradient))
@@ -227,9 +227,9 @@ def build_normal_equations(
     together = np.zeros((sensors, width, sensors, width))
     index = np.arange(sensors)
     together[index, :, index] = sensor_normal
-    square = together.reshape(sensors * width, -1)[np.ix_(here, here)]
+    square = together.reshape(sensors * width, -1)[np.ix_(present, present)]
     normal[np.ix_(order, order)] += square
-    gradient[order] += sensor_gradient.ravel()[here]
+    gradient[order] += sensor_gradient.ravel()[present]
     if prior is not None:
         difference, prior_jacobian = prior.difference(state.models)
         normal[:count, :count] += prior_jacobian.T @ prior.information @ prior_jacobian

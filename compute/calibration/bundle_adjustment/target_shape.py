@@ -146,14 +146,14 @@ def body_shape(
     Raises:
         InvalidParameter: fewer than three markers, all on a line, or a value that is not finite.
     """
-    given = np.asarray(marker_mm, dtype=np.float64)
-    if given.ndim != 2 or given.shape[1:] != (3,) or len(given) < 3:
+    positions = np.asarray(marker_mm, dtype=np.float64)
+    if positions.ndim != 2 or positions.shape[1:] != (3,) or len(positions) < 3:
         raise InvalidParameter(
-            f"markers of a rigid body have shape {given.shape}; it must be (K, 3), K >= 3"
+            f"markers of a rigid body have shape {positions.shape}; it must be (K, 3), K >= 3"
         )
-    if not np.isfinite(given).all():
+    if not np.isfinite(positions).all():
         raise InvalidParameter("markers of a rigid body must be finite")
-    marker = given - given.mean(axis=0)
+    marker = positions - positions.mean(axis=0)
     extent = np.linalg.svd(marker, compute_uv=False)
     if extent[1] <= COLLINEARITY_LIMIT * extent[0]:
         raise InvalidParameter(
@@ -164,8 +164,8 @@ def body_shape(
     if _varies(sigma_mm):
         axes = np.eye(3)
         shifts = np.broadcast_to(axes[:, None], (3, len(marker), 3))
-        turned = np.cross(axes[:, None], marker)
-        rigid = np.concatenate([shifts, turned]).reshape(6, -1).T
+        rotated = np.cross(axes[:, None], marker)
+        rigid = np.concatenate([shifts, rotated]).reshape(6, -1).T
         changes = orthogonal_complement(rigid).T.reshape(-1, len(marker), 3)
     return TargetShape(marker, BODY_ROTATION_AXES, changes, sigma_mm, marker, tuple(distances))
 

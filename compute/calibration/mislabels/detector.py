@@ -91,16 +91,20 @@ def find_label_errors(
     """
     points = np.asarray(points_mm, dtype=np.float64)
     readings = np.asarray(readings_px, dtype=np.float64)
-    given = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
-    check_control_points(points, readings, sensors, given)
-    sigma = np.ones(readings.shape) if given is None else np.where(np.isfinite(readings), given, 1)
+    known_sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
+    check_control_points(points, readings, sensors, known_sigma)
+    sigma = (
+        np.ones(readings.shape)
+        if known_sigma is None
+        else np.where(np.isfinite(readings), known_sigma, 1)
+    )
     data = [
         SensorReadings(
             points,
             readings[:, column],
             sigma[:, column],
             sensor,
-            UNKNOWN_SIGMA if given is None else KNOWN_SIGMA,
+            UNKNOWN_SIGMA if known_sigma is None else KNOWN_SIGMA,
         )
         for column, sensor in enumerate(sensors)
     ]
@@ -112,7 +116,7 @@ def find_label_errors(
             progress(column / len(data), f"labels of {names[column]}")
         data[column], labels = _search_sensor(one)
         found.append(labels)
-    if given is None:
+    if known_sigma is None:
         chosen = list(zip(data, found, strict=True))
         usual = ScalePrior(POOLED_READINGS, median(labels.factor for _, labels in chosen))
         data = [replace(one, scale=usual) for one, _ in chosen]

@@ -77,10 +77,10 @@ def lens_offset_prior(
         return None
     information = []
     for model, depth in zip(models, _depths(models, pose_sets), strict=True):
-        own = np.zeros(model.parameter_count)
+        diagonal = np.zeros(model.parameter_count)
         if model.distortion is not None:
-            own[PARAMETER_COUNT] = (LENS_OFFSET_SIGMA_V * depth) ** -2
-        information.append(own)
+            diagonal[PARAMETER_COUNT] = (LENS_OFFSET_SIGMA_V * depth) ** -2
+        information.append(diagonal)
     return SensorPrior(tuple(models), np.diag(np.concatenate(information)))
 
 

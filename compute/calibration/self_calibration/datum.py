@@ -90,12 +90,12 @@ def to_first_pose_frame(
     count = len(adjusted.sensor_covariance)
     motion = rigid_motion_jacobian(adjusted.models)
     # Jacobian of the pose's unknowns (rotations, translation) by a motion of the world.
-    own = np.zeros((6, 6))
-    own[:3, :3] = rotation
+    pose_motion = np.zeros((6, 6))
+    pose_motion[:3, :3] = rotation
     x, y, z = poses.translation_mm[pose].tolist()
-    own[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    own[3:, 3:] = np.eye(3)
-    camera_motion = motion @ np.linalg.inv(own)
+    pose_motion[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    pose_motion[3:, 3:] = np.eye(3)
+    camera_motion = motion @ np.linalg.inv(pose_motion)
     crossed = adjusted.pose_sensor_covariance(index)[pose][:, :count]
     crossed_motion = camera_motion @ crossed
     covariance = (

@@ -176,15 +176,15 @@ def _shape(target: CalibrationTarget, marker_mm: Array) -> TargetShape:
 
 def _scale(shape: TargetShape, marker_mm: Array) -> float:
     first, second = np.triu_indices(len(shape), 1)
-    given = np.linalg.norm(shape.marker_mm[first] - shape.marker_mm[second], axis=1)
+    known_length = np.linalg.norm(shape.marker_mm[first] - shape.marker_mm[second], axis=1)
     if shape.distances and not np.isfinite(shape.sigma_mm):
         # The shape came from the same markers: only the known distance says something.
         first, second = (
             np.array([getattr(d, end) for d in shape.distances]) for end in ("first", "second")
         )
-        given = np.array([known.length_mm for known in shape.distances])
-    seen = np.linalg.norm(marker_mm[:, first] - marker_mm[:, second], axis=2)
-    ratio = seen / given
+        known_length = np.array([known.length_mm for known in shape.distances])
+    measured_length = np.linalg.norm(marker_mm[:, first] - marker_mm[:, second], axis=2)
+    ratio = measured_length / known_length
     return float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else np.nan
 
 

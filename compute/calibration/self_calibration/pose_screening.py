@@ -94,9 +94,9 @@ def find_outlier_readings(
         off[fit] = AdjustmentState(tuple(models), (whole,)).residuals()[0][where]
     found, marker_and_sensor, sizes = [], [], []
     for number in range(len(poses)):
-        own = np.flatnonzero(pose == number)
-        dof = len(own) - 1 - poses.unknowns
-        order = own[np.argsort(chi2[own], kind="stable")]
+        trial_index = np.flatnonzero(pose == number)
+        dof = len(trial_index) - 1 - poses.unknowns
+        order = trial_index[np.argsort(chi2[trial_index], kind="stable")]
         if dof < 1 or chi2[order[0]] > chi2_limit(dof, CONTRADICTION_PROBABILITY):
             continue
         if chi2[order[1]] - chi2[order[0]] < SINGLE_OUTLIER_RATIO_THRESHOLD:

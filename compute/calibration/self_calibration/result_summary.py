@@ -125,7 +125,9 @@ def _in_pixels(
 def _length_error(models: Sequence[SensorModel], poses: PoseSet) -> float | None:
     marker = triangulate(CameraStack.of(models), poses.readings_px)
     first, second = np.triu_indices(len(poses.shape), 1)
-    own = np.linalg.norm(poses.shape.marker_mm[first] - poses.shape.marker_mm[second], axis=1)
-    seen = np.linalg.norm(marker[:, first] - marker[:, second], axis=2)
-    error = (seen - own)[np.isfinite(seen)]
+    adjusted_length = np.linalg.norm(
+        poses.shape.marker_mm[first] - poses.shape.marker_mm[second], axis=1
+    )
+    measured_length = np.linalg.norm(marker[:, first] - marker[:, second], axis=2)
+    error = (measured_length - adjusted_length)[np.isfinite(measured_length)]
     return float(np.sqrt(np.mean(error**2))) if len(error) else None

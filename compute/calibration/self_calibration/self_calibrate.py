@@ -209,8 +209,8 @@ class _SelfCalibrationState:
             bad = select_poses(start.poses, ~fitted.good)
             if len(bad):
                 poses, indices, residuals = find_outlier_readings(self.models, bad)
-                own = start.pose_index[~fitted.good][poses]
-                self._reject_readings(number, np.column_stack([own, indices]), residuals)
+                pose_index = start.pose_index[~fitted.good][poses]
+                self._reject_readings(number, np.column_stack([pose_index, indices]), residuals)
 
     def adjusted(self, starts: Sequence[InitialPoses]) -> AdjustmentResult:
         """Adjust all sensors and poses, and keep the cameras."""

@@ -135,16 +135,16 @@ def equation_groups(
     for sensor, model in enumerate(models):
         columns = fitted_columns(model)
         # By the stack's columns, which hold the terms of all sensors.
-        own = np.flatnonzero(stack.parameter_mask[sensor])[columns]
-        groups.setdefault((*own.tolist(), -1, *columns.tolist()), []).append(sensor)
+        stack_columns = np.flatnonzero(stack.parameter_mask[sensor])[columns]
+        groups.setdefault((*stack_columns.tolist(), -1, *columns.tolist()), []).append(sensor)
     found = []
     for key, members in groups.items():
         split = key.index(-1)
-        own, columns = np.array(key[:split]), np.array(key[split + 1 :])
+        stack_columns, columns = np.array(key[:split]), np.array(key[split + 1 :])
         sensors = np.array(members)
-        matrix = rows[sensors][:, :, own]
+        matrix = rows[sensors][:, :, stack_columns]
         if offset_sigma_mm is not None and PARAMETER_COUNT in key[:split]:
-            prior = np.zeros((len(sensors), 1, len(own)))
+            prior = np.zeros((len(sensors), 1, len(stack_columns)))
             prior[:, 0, key.index(PARAMETER_COUNT)] = 1.0 / offset_sigma_mm[sensors]
             matrix = np.concatenate([matrix, prior], axis=1)
         scale = np.sqrt((matrix**2).sum(axis=1))

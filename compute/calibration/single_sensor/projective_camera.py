@@ -177,13 +177,15 @@ def _solve(design: Array, right: Array, damping: Array | float) -> Array:
     """Solve damped least squares for each design (K, N, 7) and right side (K, N)."""
     transposed = design.swapaxes(1, 2)
     normal = transposed @ design
-    here = np.arange(design.shape[2])
+    diagonal = np.arange(design.shape[2])
     # Columns of length 1, by the diagonal: their products are fewer than their values.
-    scale = 1.0 / (np.sqrt(normal[:, here, here]) + 1e-150)
+    scale = 1.0 / (np.sqrt(normal[:, diagonal, diagonal]) + 1e-150)
     normal *= scale[:, :, None] * scale[:, None, :]
-    normal[:, here, here] += (damping if isinstance(damping, float) else damping[:, None]) + 1e-13
-    slope = (transposed @ right[..., None])[..., 0] * scale
-    step: Array = np.linalg.solve(normal, slope[..., None])[..., 0] * scale
+    normal[:, diagonal, diagonal] += (
+        damping if isinstance(damping, float) else damping[:, None]
+    ) + 1e-13
+    gradient = (transposed @ right[..., None])[..., 0] * scale
+    step: Array = np.linalg.solve(normal, gradient[..., None])[..., 0] * scale
     return step
 
 

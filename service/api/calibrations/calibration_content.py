@@ -57,7 +57,7 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
 
     Raises:
         InvalidParameter: what is asked for takes longer than a request should.
-        LumilineError: what was wrong with the points; see ``calibrate_and_assess``.
+        LumilineError: the points cannot calibrate; see ``calibrate_and_assess``.
     """
     settings = request.settings()
     if len(request.points) > LEAVE_ONE_OUT_POINTS and settings != DEFAULTS:
@@ -87,7 +87,7 @@ def calibration_outcome(
         settings: what is asked for.
 
     Raises:
-        LumilineError: what was wrong with the points; see ``calibrate_and_assess``.
+        LumilineError: the points cannot calibrate; see ``calibrate_and_assess``.
     """
     points, observed, sigma = control_arrays(given, sensors)
     result = calibrate_and_assess(points, observed, geometry(sensors), sigma, settings, progress)

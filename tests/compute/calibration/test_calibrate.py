@@ -1,4 +1,4 @@
-"""Calibration: exact on exact data, honest on noisy data, and clear about what it refuses."""
+"""calibrate: exact data, covariance with noise, errors."""
 
 import numpy as np
 import pytest

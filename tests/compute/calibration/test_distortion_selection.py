@@ -1,4 +1,4 @@
-"""Distortion by both field angles: recovered, honest, and chosen only where it is there."""
+"""Distortion terms: recovery, covariance, automatic selection."""
 
 from dataclasses import replace
 

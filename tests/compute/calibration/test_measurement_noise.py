@@ -1,4 +1,4 @@
-"""How far a reading is trusted: never further than the calibration reproduced its points."""
+"""Standard deviations of readings: at least the calibration's model error."""
 
 from dataclasses import replace
 from typing import Literal

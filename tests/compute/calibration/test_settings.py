@@ -1,4 +1,4 @@
-"""Settings of a run: what they allow, and that documents older than them still load."""
+"""Calibration settings: allowed values; documents without settings load."""
 
 import json
 from typing import Any, get_args

@@ -1,4 +1,4 @@
-"""Distortion "auto" where no candidate can be cross-validated: none is taken, with the reasons."""
+"""Distortion "auto" without any candidate that can be cross-validated: no terms, with reasons."""
 
 import numpy as np
 import pytest

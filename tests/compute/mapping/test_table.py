@@ -1,4 +1,4 @@
-"""Tables: splines beside SciPy's, slopes by differences, what lies beyond the box, bad content."""
+"""Correction tables: splines against SciPy, derivatives, points beyond the box, bad content."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The bound of a line's position: by calculus, by fitting noisy lines, beside the finder's."""
+"""Cramer-Rao bound of a stripe's position: by calculus, by fits, against the centroid finder."""
 
 import numpy as np
 import pytest

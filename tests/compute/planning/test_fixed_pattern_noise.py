@@ -1,4 +1,4 @@
-"""Fixed pattern: by fitting lines of simulated pixels that differ, up to the points."""
+"""Fixed-pattern noise: by fits of simulated nonuniform pixels, up to the points."""
 
 from dataclasses import replace
 

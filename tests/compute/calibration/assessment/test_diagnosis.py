@@ -1,4 +1,4 @@
-"""What is said of a calibration: weak parameters, coverage, and the point that helps most."""
+"""Diagnosis: weak parameters, coverage, suggestions; cross-validation by points and blocks."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""adjust: solutions, covariances, frames, wrong readings, refusals."""
+"""adjust: solutions, covariances, frames, outliers, errors."""
 
 from dataclasses import replace
 

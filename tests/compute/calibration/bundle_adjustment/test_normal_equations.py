@@ -1,4 +1,4 @@
-"""The normal equations against finite differences and against dense algebra."""
+"""Normal equations against finite differences and dense algebra."""
 
 from dataclasses import replace
 

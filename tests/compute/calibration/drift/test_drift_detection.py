@@ -1,4 +1,4 @@
-"""Drift of a calibration: seen by a still set, told by sensor, and mended."""
+"""Drift from stationary markers: detection, the sensor at fault, update of the calibration."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""self_calibrate: wands, bodies, frames; wrong starts, wrong readings, what is refused."""
+"""self_calibrate: wands, bodies, frames; bad starts, outliers, errors."""
 
 from dataclasses import replace
 

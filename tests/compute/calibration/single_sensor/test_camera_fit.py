@@ -1,4 +1,4 @@
-"""Many searches at once: each ends where a search of its own does."""
+"""Many searches in one batch end where each ends alone."""
 
 import numpy as np
 import pytest

@@ -132,8 +132,8 @@ def config(illumination: Illumination) -> TrackingConfig:
     ("illumination", "content", "headings", "most"),
     [
         ("strobed", "points", ["Points"], 20),
-        ("simultaneous", "points", ["Points", "Points of markers that are lit together"], 26),
-        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 63),
+        ("simultaneous", "points", ["Points", "Points of markers that are lit together"], 25),
+        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 56),
     ],
 )
 def test_walk_of_a_frame_runs_the_modules_of_the_table(

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.pose.acquisition.marker_labelling import IdentifiedTool, identify_tools
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.pose_equations import PoseEquations
 from compute.pose.estimation.pose_fit import PoseFit, fit_pose
 from compute.pose.filtering.association import (
@@ -19,7 +18,7 @@ from compute.pose.filtering.association import (
     without_tools,
 )
 from compute.pose.filtering.pose_filter import PoseState, initial_state
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import Transform

@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.camera.rotation import exp_so3
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.observability import missing_readings
 from compute.pose.estimation.pose_equations import PoseCandidates, PoseEquations
 from compute.pose.estimation.pose_fit import solutions
@@ -28,8 +28,8 @@ from compute.pose.filtering.pose_filter import (
     predict_measurement,
     update,
 )
+from compute.pose.rigid_body import CentredMarkers
 from compute.pose.settings import ToolTrackerSettings
-from compute.pose.so3 import exp_so3
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from compute.camera.rotation import rotation_matrix
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.pose_initialisation import initial_pose_from_points
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import LabellingSettings
 from compute.pose.transform import cross_matrix
 from compute.reconstruction.triangulation import chi2_limit

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.centred_markers import CentredMarkers, are_collinear
+from compute.pose.rigid_body import CentredMarkers, are_collinear
 from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
 
 Array = NDArray[np.float64]

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-from compute.camera.rotation import rotation_matrix
+from compute.camera.rotation import exp_so3, rotation_matrix
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers
-from compute.pose.so3 import exp_so3
+from compute.pose.rigid_body import CentredMarkers
 
 Array = NDArray[np.float64]
 

@@ -11,14 +11,13 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.observability import missing_readings, observability
 from compute.pose.estimation.pose_equations import PoseCandidates, PoseEquations
 from compute.pose.estimation.pose_initialisation import (
     initial_pose_from_points,
     initial_poses_from_readings,
 )
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import Transform

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers, are_collinear
+from compute.pose.rigid_body import CentredMarkers, are_collinear
 from compute.pose.transform import cross_matrix, nearest_rotation
 
 Array = NDArray[np.float64]

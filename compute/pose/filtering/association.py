@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.measurement.measurements import Measurements
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.pose_filter import (
     FilterUpdate,
@@ -25,6 +24,7 @@ from compute.pose.filtering.pose_filter import (
     update,
 )
 from compute.pose.filtering.second_order import needs_second_order, second_order_prediction
+from compute.pose.rigid_body import CentredMarkers
 from compute.reconstruction.triangulation import chi2_limit
 
 if TYPE_CHECKING:

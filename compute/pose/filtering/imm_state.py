@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.camera.rotation import exp_so3
 from compute.pose.filtering.imm_model import IMM_STATES, ImmModel
 from compute.pose.filtering.pose_filter import (
     ROTATION,
@@ -25,7 +26,6 @@ from compute.pose.filtering.pose_filter import (
     propagate,
     retract,
 )
-from compute.pose.so3 import exp_so3
 
 Array = NDArray[np.float64]
 

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
+from compute.camera.rotation import exp_so3
 from compute.measurement.measurement_model import PredictedMeasurements
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.pose_equations import rotation_jacobian
+from compute.pose.rigid_body import CentredMarkers
 from compute.pose.settings import MotionSettings
-from compute.pose.so3 import exp_so3
 
 Array = NDArray[np.float64]
 

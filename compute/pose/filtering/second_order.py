@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.pose_filter import MeasurementPrediction, PoseState
+from compute.pose.rigid_body import CentredMarkers
 
 Array = NDArray[np.float64]
 

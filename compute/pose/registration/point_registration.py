@@ -29,7 +29,6 @@ from compute.pose.registration.registration_messages import (
     misfit_messages,
     symmetry_messages,
 )
-from compute.pose.registration.tre import fiducial_localisation_error
 from compute.pose.transform import Transform
 
 Array = NDArray[np.float64]
@@ -86,10 +85,11 @@ class Registration:
         return found
 
     def target_error(self, targets_mm: Array) -> Array:
-        """Return the RMS target registration error (TRE) to expect, shape (...) [mm].
+        """Return the expected RMS target registration error (TRE), shape (...) [mm].
 
-        By the covariance of the transform; for errors that are the same everywhere it is
-        ``target_error.target_registration_error``.
+        It follows from the covariance of the transform. Where all fiducials have the same
+        isotropic error, it equals the formula of J. M. Fitzpatrick, J. B. West and C. R. Maurer
+        (doi:10.1109/42.736021).
         """
         covariance = self.target_covariance(targets_mm)
         found: Array = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))
@@ -269,3 +269,17 @@ def _closed_form(
     information = np.linalg.inv(covariance)
     chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
     return SimilarityFit(found, inverse @ middle @ inverse, residual, chi2)
+
+
+def fiducial_localisation_error(residuals_mm: Array, parameters: int = 6) -> float:
+    """Return the fiducial localisation error (FLE, 3D RMS) estimated from N residuals [mm].
+
+    ``FLE^2 = N / (N - 2) FRE^2`` (R. Sibson, doi:10.1111/j.2517-6161.1979.tb01076.x): a rigid
+    motion takes up six of the 3 N degrees of freedom, a similarity seven.
+
+    Args:
+        residuals_mm: shape (N, 3) [mm].
+        parameters: degrees of freedom of the transform.
+    """
+    dof = residuals_mm.size - parameters
+    return float(np.sqrt(3.0 * (residuals_mm**2).sum() / dof))

@@ -9,8 +9,7 @@ from scipy.stats import chi2
 
 from compute.camera.rotation import rotation_matrix
 from compute.errors import HighError, NoConvergence, TooFewPoses, TooLittleRotation
-from compute.pose.tool_calibration.orientation_coverage import OrientationCoverage
-from compute.pose.tool_calibration.pose_validation import validate_poses
+from compute.pose.tool_calibration.calibration_poses import OrientationCoverage, validate_poses
 from compute.pose.transform import cross_matrix
 from compute.robust_statistics import biweight
 

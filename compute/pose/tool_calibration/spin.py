@@ -15,8 +15,7 @@ from compute.errors import (
     TooFewPoses,
     TooLittleRotation,
 )
-from compute.pose.tool_calibration.orientation_coverage import OrientationCoverage
-from compute.pose.tool_calibration.pose_validation import validate_poses
+from compute.pose.tool_calibration.calibration_poses import OrientationCoverage, validate_poses
 from compute.pose.tool_calibration.spin_axis import (
     ROWS,
     UNKNOWNS,

@@ -17,7 +17,6 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
 from compute.pose.acquisition.acquisition_simultaneous import acquire_simultaneous
 from compute.pose.acquisition.acquisition_strobed import MarkerExposure, acquire_strobed
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.association import (
     MAX_EXCLUDED_NIS,
     ToolObservation,
@@ -28,13 +27,16 @@ from compute.pose.filtering.imm_model import ImmModel
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel, has_kernel
 from compute.pose.filtering.pose_filter import PoseState
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose
-from compute.pose.tool_tracking.consistency import ExposureResiduals
-from compute.pose.tool_tracking.pose_report import missing_pose, outside_volume, report
-from compute.pose.tool_tracking.stale_data import StaleDataDetector
-from compute.pose.tool_tracking.strobe_cycle import StrobeCycle
+from compute.pose.tool_tracking.exposure_history import StaleDataDetector, StrobeCycle
+from compute.pose.tool_tracking.pose_report import (
+    ExposureResiduals,
+    missing_pose,
+    outside_volume,
+    report,
+)
 from compute.pose.tool_tracking.tool_track import ACQUISITION_CYCLES, ToolTrack
 from compute.reconstruction.point_batch import PointBatch
 

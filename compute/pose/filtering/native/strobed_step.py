@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.imm_model import ImmModel
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.native.kernel_arguments import (
@@ -18,12 +17,14 @@ from compute.pose.filtering.native.kernel_arguments import (
     POSE,
     STEP,
     TAKEN,
+    PackedImmState,
+    PackedPose,
     imm_state_size,
     result_size,
     scratch_size,
 )
-from compute.pose.filtering.native.packed_states import PackedImmState, PackedPose
 from compute.pose.filtering.pose_filter import STATES, PoseState
+from compute.pose.rigid_body import CentredMarkers
 from compute.reconstruction.native.camera_arguments import fill_cameras
 from compute.reconstruction.native.kernel_arguments import MAX_POWER, row_length
 from compute.reconstruction.native.launch import address

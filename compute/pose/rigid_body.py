@@ -20,10 +20,10 @@ class RigidBody:
         name: unique among the tools of a device; letters, digits, "_" and "-".
         markers_mm: M markers in the tool's coordinates, shape (M, 3) [mm].
         strobe_markers: number of each marker's strobe slot or blinking code, M of them, all
-            different; None: the markers are lit together and told by their geometry.
-        tip_mm: the working point in the tool's coordinates [mm]; None: its origin.
+            different; None: the markers are lit together and identified by their geometry.
+        tip_mm: the tip in the tool's coordinates [mm]; None: its origin.
         max_tip_sd_mm: 3D standard deviation of the tip above which a pose is HIGH_ERROR [mm];
-            None: the tracker's settings say.
+            None: that of the tracker's settings.
     """
 
     name: str
@@ -39,21 +39,21 @@ class RigidBody:
 
 _IDENTITY = np.eye(3)
 COLLINEARITY_RATIO = 1e-3
-"""Points whose spread across their line is a smaller share of that along it are on a line."""
+"""Points whose spread across their line is below this fraction of that along it are collinear."""
 
 
 @dataclass(frozen=True, eq=False)
 class CentredMarkers:
-    """The tool's coordinates moved to the centroid of its markers.
+    """A tool's coordinates relative to the centroid of its markers.
 
-    A turn at the tool's origin, which may lie a metre from its markers, moves them all; at the
-    centroid a turn and a shift are told apart best. Fits and filters work there.
+    The tool's origin may be a metre from its markers, where a rotation moves them all. About the
+    centroid, rotation and translation are least correlated, so fits and filters work there.
 
     Args:
-        centroid_mm: in the tool's own coordinates, shape (3,) [mm].
-        markers_mm: less the centroid, shape (M, 3) [mm].
-        radius_mm: RMS distance of the markers from the centroid [mm]: turns times this are mm.
-        tip_mm: the tip less the centroid, shape (3,) [mm].
+        centroid_mm: centroid in the tool's coordinates, shape (3,) [mm].
+        markers_mm: markers less the centroid, shape (M, 3) [mm].
+        radius_mm: RMS distance of the markers from the centroid [mm]; it converts rad to mm.
+        tip_mm: tip less the centroid, shape (3,) [mm].
         collinear: whether the markers are on a line.
     """
 
@@ -65,28 +65,38 @@ class CentredMarkers:
 
     @classmethod
     def of(cls, tool: RigidBody) -> "CentredMarkers":
-        """Return the frame of a tool's markers; tools do not change, so it is kept."""
+        """Return the centred markers of a tool; they are cached, as tools do not change."""
         return _centre(tool)
 
     def translation(self, rotation: Array, centroid_mm: Array) -> Array:
-        """Return the tool's origin in the world, of the centroid in the world."""
+        """Return the tool's origin in the world, shape (3,) [mm].
+
+        Args:
+            rotation: R_world_tool, shape (3, 3).
+            centroid_mm: centroid of the markers in the world, shape (3,) [mm].
+        """
         origin: Array = centroid_mm - rotation @ self.centroid_mm
         return origin
 
     def centroid(self, rotation: Array, translation_mm: Array) -> Array:
-        """Return the centroid in the world, of the tool's origin in the world."""
+        """Return the centroid of the markers in the world, shape (3,) [mm].
+
+        Args:
+            rotation: R_world_tool, shape (3, 3).
+            translation_mm: the tool's origin in the world, shape (3,) [mm].
+        """
         place: Array = translation_mm + rotation @ self.centroid_mm
         return place
 
     def origin_jacobian(self, rotation: Array) -> Array:
-        """Return d (turn, origin) / d (turn, centroid), shape (6, 6)."""
+        """Return d (rotation, origin) / d (rotation, centroid), shape (6, 6)."""
         jacobian = np.eye(6)
-        # A turn w moves the origin, which is at -R c from the centroid, by w x (-R c).
+        # A rotation w moves the origin, which is at -R c from the centroid, by w x (-R c).
         jacobian[3:, :3] = hat_so3(rotation @ self.centroid_mm)
         return jacobian
 
     def tip_jacobian(self, rotation: Array) -> Array:
-        """Return d tip / d (turn, centroid), shape (3, 6)."""
+        """Return d tip / d (rotation, centroid), shape (3, 6)."""
         jacobian = np.empty((3, 6))
         jacobian[:, :3] = -hat_so3(rotation @ self.tip_mm)
         jacobian[:, 3:] = _IDENTITY

@@ -11,11 +11,11 @@ from compute.pose.transform import Transform
 
 @dataclass(frozen=True, eq=False)
 class FrameLink:
-    """A transform between two frames, as it was given.
+    """A given transform between two frames.
 
     Args:
-        to: the frame that coordinates are taken to.
-        from_: the frame that they are of.
+        to: the frame that coordinates are transformed to.
+        from_: the frame that they are transformed from.
         transform: T_to_from.
         time_ns: when it was measured [ns]; None: it does not change with time.
     """
@@ -44,11 +44,11 @@ class ResolvedTransform:
 
 
 class TransformGraph:
-    """Frames connected by transforms, each pair in one way only.
+    """Frames connected by transforms, without loops.
 
-    Errors of the links are taken to be independent. Two poses of one tracker share the errors of
-    its calibration, which largely cancel between tools that are near one another: the covariance
-    of one relative to the other is rather too large.
+    Errors of the links are treated as independent. Two poses of one tracker share the errors of
+    its calibration, which largely cancel between tools that are close together: the covariance
+    of one relative to the other is then too large.
     """
 
     def __init__(self, links: Iterable[FrameLink] = ()) -> None:
@@ -60,12 +60,12 @@ class TransformGraph:
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Names of the frames, in the order in which they came."""
+        """Names of the frames, in the order in which they were added."""
         return tuple(self._near)
 
     @property
     def links(self) -> tuple[FrameLink, ...]:
-        """Links as they were given."""
+        """The links as given."""
         return tuple(self._links.values())
 
     def connect(
@@ -73,9 +73,14 @@ class TransformGraph:
     ) -> None:
         """Connect two frames by T_to_from.
 
+        Args:
+            to: name of the frame that coordinates are transformed to.
+            from_: name of the frame that they are transformed from.
+            transform: T_to_from.
+            time_ns: when it was measured [ns]; None: it does not change with time.
+
         Raises:
-            FrameConflict: they are connected already; a second way would have to agree with the
-                first, and would not.
+            FrameConflict: they are connected already; a second path could contradict the first.
             InvalidParameter: a name is empty, or both are the same.
         """
         if not to or not from_:
@@ -95,9 +100,15 @@ class TransformGraph:
         self._near.setdefault(from_, []).append(to)
 
     def update(self, to: str, from_: str, transform: Transform, time_ns: int | None = None) -> None:
-        """Put a newer T_to_from in the place of the one between these two frames.
+        """Replace the transform between two directly connected frames.
 
-        The link may have been given the other way round.
+        The link may have been given in the other direction.
+
+        Args:
+            to: name of the frame that coordinates are transformed to.
+            from_: name of the frame that they are transformed from.
+            transform: the newer T_to_from.
+            time_ns: when it was measured [ns]; None: it does not change with time.
 
         Raises:
             UnknownFrame: no transform connects them directly.
@@ -109,7 +120,11 @@ class TransformGraph:
             self._links[key] = FrameLink(from_, to, transform.inverse(), time_ns)
 
     def disconnect(self, to: str, from_: str) -> None:
-        """Take the transform between two frames out, and a frame that nothing connects any more.
+        """Remove the transform between two frames, and frames that then have none.
+
+        Args:
+            to: name of one frame.
+            from_: name of the other.
 
         Raises:
             UnknownFrame: no transform connects them directly.
@@ -121,10 +136,14 @@ class TransformGraph:
                 del self._near[here]
 
     def transform(self, to: str, from_: str) -> ResolvedTransform:
-        """Return T_to_from along the way that connects the frames.
+        """Return T_to_from along the path that connects the frames.
+
+        Args:
+            to: name of the frame that coordinates are transformed to.
+            from_: name of the frame that they are transformed from.
 
         Raises:
-            UnknownFrame: there is no such frame, or no way between them.
+            UnknownFrame: there is no such frame, or no path between them.
         """
         self._check(to)
         self._check(from_)
@@ -166,7 +185,7 @@ class TransformGraph:
             )
 
     def _path(self, start: str, end: str) -> tuple[str, ...] | None:
-        """Return the one way from frame to frame, both included."""
+        """Return the path between two frames, both included; None: there is none."""
         came: dict[str, str | None] = {start: None}
         waiting = deque([start])
         while waiting:

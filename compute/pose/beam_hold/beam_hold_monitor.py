@@ -1,4 +1,4 @@
-"""PoseDeviationMonitor: beam hold when a patient leaves the tolerance (thesis, section 7.2.2)."""
+"""Beam-hold monitors: deviation of a pose or of markers from set-up (thesis, section 7.2.2)."""
 
 import math
 from collections.abc import Iterator
@@ -31,16 +31,18 @@ _AXES: Final = "xyz"
 
 @dataclass(frozen=True)
 class BeamHoldLimits:
-    """How far a patient may move.
+    """Limits on the motion of a patient.
 
     Args:
-        shift_mm: largest distance of the target, or of a marker, from its place [mm]; None: any.
-        axis_mm: largest shift along each axis [mm]; None: any.
-        rotation_rad: largest turn [rad]; None: any. Not for markers.
-        probability: the beam is held when that of being beyond a limit is above this. 0.5 leaves
-            uncertainty aside, less holds sooner.
-        release_fraction: share of the limits within which, by the same probability, a hold may end.
-        rules: gap, settling, latch.
+        shift_mm: largest distance of the target, or of a marker, from its reference position
+            [mm]; None: unlimited.
+        axis_mm: largest shift along each axis [mm]; None: unlimited.
+        rotation_rad: largest rotation [rad]; None: unlimited. Not for markers.
+        probability: the beam is held when the probability of exceeding a limit is above this. 0.5
+            ignores the uncertainty, smaller values hold earlier.
+        release_fraction: fraction of the limits within which, at the same probability, a hold may
+            end.
+        rules: longest gap, settling time, latch.
     """
 
     shift_mm: float | None = None
@@ -76,7 +78,19 @@ class BeamHoldLimits:
         rotation_covariance: Array | None = None,
         share: float = 1.0,
     ) -> tuple[str | None, float]:
-        """Return what is beyond ``share`` of a limit, for a person, and its probability."""
+        """Return which limit is most probably exceeded, in words, and the probability.
+
+        Args:
+            shift_mm: shift from the reference position, shape (3,) [mm].
+            shift_covariance: its covariance, shape (3, 3) [mm^2]; None: exact.
+            rotation_rad: rotation vector from the reference, shape (3,) [rad]; None: not checked.
+            rotation_covariance: its covariance, shape (3, 3) [rad^2]; None: exact.
+            share: factor on the limits.
+
+        Returns:
+            The exceeded limit in words, None where no probability is above ``probability``; and the
+            largest of the probabilities.
+        """
         worst, message = -1.0, ""
         for probability, what in self._exceedance_probabilities(
             shift_mm, shift_covariance, rotation_rad, rotation_covariance, share
@@ -136,17 +150,18 @@ class BeamHoldLimits:
 
 @dataclass(frozen=True, eq=False)
 class BeamHoldDecision:
-    """Whether the beam is held at an instant, and why.
+    """Whether the beam is held at a time, and why.
 
     Args:
-        time_ns: the instant, on the measurements' clock [ns].
+        time_ns: time on the measurements' clock [ns].
         hold: whether it is held.
         cause: why.
-        reason: the same for a person; None while it is not held.
-        since_ns: when the present state, held or not, began [ns].
-        shift_mm: of the target, or the marker that moved most, shape (3,) [mm]; None: not known.
-        rotation_rad: rotation vector from the reference, shape (3,) [rad]; None: not known.
-        probability: of being beyond the limit that is nearest to it; None: not known.
+        reason: the cause in words; None while it is not held.
+        since_ns: beginning of the present state, held or not [ns].
+        shift_mm: shift of the target, or of the marker that most probably exceeds its limit,
+            shape (3,) [mm]; None: unknown.
+        rotation_rad: rotation vector from the reference, shape (3,) [rad]; None: unknown.
+        probability: largest probability of exceeding a limit; None: unknown.
     """
 
     time_ns: int
@@ -160,12 +175,12 @@ class BeamHoldDecision:
 
 
 class PoseDeviationMonitor:
-    """Watches a pose beside the one that it had at set-up.
+    """Compares a pose with the one at set-up.
 
-    A function of the times and poses that it was given: a replay gives the same states. Safe
-    when in doubt: held until the first measurements are well within, when none come, and when
-    they are too uncertain. Latency is the caller's to measure, from the exposure's time to the
-    instant at which the signal leaves.
+    The states depend only on the given times and poses: a replay reproduces them. It fails safe:
+    the beam is held until the first measurements are well within the limits, when no measurements
+    arrive, and when they are too uncertain. The caller measures the latency from the time of the
+    exposure to that of the signal.
     """
 
     def __init__(
@@ -196,28 +211,28 @@ class PoseDeviationMonitor:
 
     @property
     def measured_ns(self) -> int | None:
-        """When the oldest of what is needed was measured [ns]; None: not yet."""
+        """Time of the oldest data that were needed last [ns]; None: no data yet."""
         return self._gate.measured_ns
 
     @property
     def must_acknowledge(self) -> bool:
-        """Whether what goes on from here has to be acknowledged before it releases."""
+        """Whether a successor of this monitor must be acknowledged before it releases."""
         return self._gate.must_acknowledge
 
     def acknowledge(self) -> None:
-        """End a latched hold, once all is back."""
+        """End a latched hold once everything is within the release limits."""
         self._gate.acknowledge()
 
     def fail(self, why: str) -> BeamHoldDecision:
-        """Hold now, as nothing usable is measured; ``why`` for a person."""
+        """Hold now, as nothing usable is measured; ``why`` in words."""
         return _to_state(self._gate.time_ns, self._gate.fail(why))
 
     def step(self, time_ns: int, pose: Transform | None) -> BeamHoldDecision:
-        """Return the state after a pose, or, with None, at a time without one.
+        """Return the decision after a pose, or, with None, at a time without one.
 
         Args:
-            time_ns: of the exposure [ns].
-            pose: T_world_body with its covariance; None: it is not known, or not to be used.
+            time_ns: time of the exposure [ns].
+            pose: T_world_body with its covariance; None: unknown or unusable.
         """
         if pose is None:
             return _step_gate(time_ns, self._gate, None)
@@ -239,7 +254,7 @@ class PoseDeviationMonitor:
 
 
 class MarkerDeviationMonitor:
-    """Watches a set of markers, each beside the place that it had at set-up."""
+    """Compares the positions of markers with those at set-up."""
 
     def __init__(
         self,
@@ -253,14 +268,14 @@ class MarkerDeviationMonitor:
         """Watch markers.
 
         Args:
-            reference_mm: where they are to be, shape (M, 3) [mm].
-            limits: how far each may move; ``rotation_rad`` means nothing here.
-            min_markers: with fewer of them seen, nothing was measured.
-            names: of the markers, for the reason; None: their numbers from 1.
+            reference_mm: reference positions, shape (M, 3) [mm].
+            limits: limits of each marker's shift; ``rotation_rad`` must be None.
+            min_markers: fewest visible markers that count as a measurement.
+            names: names of the markers, for the reason; None: their numbers from 1.
             latched: see BeamHoldGate.
 
         Raises:
-            InvalidParameter: there are fewer markers, or a limit of turns.
+            InvalidParameter: there are fewer than ``min_markers`` markers, or a limit of rotation.
         """
         self._reference = np.asarray(reference_mm, np.float64)
         if not 1 <= min_markers <= len(self._reference):
@@ -275,20 +290,20 @@ class MarkerDeviationMonitor:
 
     @property
     def measured_ns(self) -> int | None:
-        """When the oldest of what is needed was measured [ns]; None: not yet."""
+        """Time of the oldest data that were needed last [ns]; None: no data yet."""
         return self._gate.measured_ns
 
     @property
     def must_acknowledge(self) -> bool:
-        """Whether what goes on from here has to be acknowledged before it releases."""
+        """Whether a successor of this monitor must be acknowledged before it releases."""
         return self._gate.must_acknowledge
 
     def acknowledge(self) -> None:
-        """End a latched hold, once all is back."""
+        """End a latched hold once everything is within the release limits."""
         self._gate.acknowledge()
 
     def fail(self, why: str) -> BeamHoldDecision:
-        """Hold now, as nothing usable is measured; ``why`` for a person."""
+        """Hold now, as nothing usable is measured; ``why`` in words."""
         return _to_state(self._gate.time_ns, self._gate.fail(why))
 
     def step(
@@ -298,14 +313,14 @@ class MarkerDeviationMonitor:
         covariances_mm2: Array | None = None,
         times_ns: NDArray[np.int64] | None = None,
     ) -> BeamHoldDecision:
-        """Return the state after positions of the markers.
+        """Return the decision after positions of the markers.
 
         Args:
-            time_ns: of the exposure [ns].
-            positions_mm: shape (M, 3) [mm]; NaN where a marker is not seen; None: none is.
+            time_ns: time of the exposure [ns].
+            positions_mm: shape (M, 3) [mm]; NaN where a marker is not visible; None: none is.
             covariances_mm2: shape (M, 3, 3) [mm^2]; None: exact.
-            times_ns: when each was seen, shape (M,) [ns]; None: all now. The longest gap counts
-                from the oldest of the markers that are needed.
+            times_ns: time of each position, shape (M,) [ns]; None: all at ``time_ns``. The longest
+                gap counts from the oldest of the markers that are needed.
         """
         if positions_mm is None:
             return _step_gate(time_ns, self._gate, None)
@@ -326,14 +341,14 @@ class MarkerDeviationMonitor:
             return _step_gate(time_ns, self._gate, None)
         since_ns = time_ns
         if times_ns is not None:
-            # Of the newest that are enough, the oldest: one that moves unseen is not forgotten.
+            # The oldest of the newest ``min_markers``: a marker that moves unseen ages.
             since_ns = int(np.sort(times_ns[seen])[max(len(seen) - self._least, 0)])
         measured = LimitCheck(message, within, since_ns)
         return _step_gate(time_ns, self._gate, measured, shifts[worst[2]], None, worst[0])
 
 
 def _rotation_vector(rotation: Array) -> Array:
-    """Return a rotation vector; of turns below 60 degrees in a tenth of the time."""
+    """Return a rotation vector; for rotations below 60 degrees in a tenth of the time."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
     cosine = 0.5 * (xx + yy + zz - 1.0)
     if cosine < 0.5:

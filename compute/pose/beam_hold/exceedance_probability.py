@@ -1,4 +1,4 @@
-"""The chance that an uncertain vector is longer than a limit."""
+"""Probability that an uncertain vector is longer than a limit."""
 
 import math
 from typing import Final
@@ -14,26 +14,26 @@ _NODES: Final = 32
 _ABSCISSAE, _WEIGHTS = hermegauss(_NODES)
 _PRODUCT_WEIGHTS: Final = np.outer(_WEIGHTS, _WEIGHTS) / _WEIGHTS.sum() ** 2
 _CERTAIN_SIGMAS: Final = 8.0
-"""Deviations beyond which there is no doubt: 1e-14."""
+"""Number of standard deviations beyond which a limit is certainly (1e-14) kept or exceeded."""
 
 
 def norm_exceedance_probability(mean: Array, covariance: Array | None, limit: float) -> float:
-    """Return P(|x| > limit) of a normal x in space.
+    """Return P(|x| > limit) of a normally distributed 3-vector x.
 
-    Integrated along the axis of the largest variance in closed form, along the other two by
-    Gauss and Hermite: to 0.02 where the deviations are as large as the limit, far better where
-    they are smaller.
+    Integrated in closed form along the axis of the largest variance, and by Gauss-Hermite
+    quadrature along the other two: to 0.02 where the standard deviations are as large as the limit,
+    far better where they are smaller.
 
     Args:
         mean: shape (3,).
-        covariance: shape (3, 3); None: x is known.
-        limit: in the mean's unit.
+        covariance: shape (3, 3); None: x is exact.
+        limit: the limit, in the unit of the mean.
     """
     length = math.hypot(*mean.tolist())
     if covariance is None:
         return float(length > limit)
-    # No direction is less certain than all together: that is asked first, it costs far less. A
-    # vector of little length may be long by its deviations in all three directions.
+    # The trace bounds the largest variance and is much cheaper than the eigenvalues: it is checked
+    # first. A short mean may be exceeded by deviations in all three directions together.
     reach = _CERTAIN_SIGMAS * math.sqrt(max(float(covariance.trace()), 0.0)) + 1e-12 * limit
     if length + reach < limit:
         return 0.0
@@ -55,7 +55,13 @@ def norm_exceedance_probability(mean: Array, covariance: Array | None, limit: fl
 
 
 def scalar_exceedance_probability(mean: float, variance: float, limit: float) -> float:
-    """Return P(|x| > limit) of a normal number x."""
+    """Return P(|x| > limit) of a normally distributed number x.
+
+    Args:
+        mean: mean of x.
+        variance: its variance, 0 where x is exact.
+        limit: the limit, in the unit of the mean.
+    """
     if not variance > 0.0:
         return float(abs(mean) > limit)
     sigma = math.sqrt(variance)

@@ -1,4 +1,4 @@
-"""Registration by paired points: a transform, how well the fiducials fit, and what targets miss."""
+"""Registration by paired points: transform, residuals of the fiducials, and errors of targets."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -110,26 +110,26 @@ def register_points(
     scaled: bool = False,
     names: Sequence[str] | None = None,
 ) -> Registration:
-    """Return the motion that takes fiducials in the source to those in the target.
+    """Return the transform of fiducials from the source to the target.
 
     Args:
         source_mm: shape (N, 3) [mm].
         target_mm: the same fiducials in the same order, shape (N, 3) [mm].
         source_covariance_mm2: of each, or one for all, shape (N, 3, 3) or (3, 3) [mm^2]; None:
             exact, if the target has covariances.
-        target_covariance_mm2: likewise. Without either every fiducial errs alike in all
-            directions, by as much as the residuals tell.
-        weighting: ``covariances``, or ``fit_isotropic_similarity``: the closed form, which
-            covariances do not change; its own covariance is then what they make of it.
+        target_covariance_mm2: likewise. Without either, all fiducials have the same isotropic
+            error, estimated from the residuals.
+        weighting: ``covariances``; or ``isotropic``: the closed form, whose result does not depend
+            on the covariances; they are propagated to its own.
         scaled: whether the scale is free as well.
-        names: of the fiducials, for messages; None: their numbers from 1.
+        names: names of the fiducials, for messages; None: their numbers from 1.
 
     Raises:
         TooFewPoints: fewer than three fiducials.
-        DuplicatePoint: two fiducials are at one place.
-        CollinearPoints: they lie on one line, or no further from it than they err.
-        InvalidParameter, NonFiniteValue: the arrays are not what they should be.
-        NoConvergence: the weighted fit did not end.
+        DuplicatePoint: two fiducials coincide.
+        CollinearPoints: they are collinear within their errors.
+        InvalidParameter, NonFiniteValue: an array is of a wrong shape, or not finite.
+        NoConvergence: the weighted fit did not converge.
     """
     source, target = _points(source_mm, "source"), _points(target_mm, "target")
     count = len(source)

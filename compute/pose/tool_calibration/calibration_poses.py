@@ -16,19 +16,19 @@ _PAIRS = 400
 
 @dataclass(frozen=True, eq=False)
 class OrientationCoverage:
-    """How a tool's orientations are spread.
+    """Spread of a tool's orientations.
 
     A direction u of the tool points along R_i u. With M the mean of the R_i, the variance of
     these is ``1 - |M u|^2``: the sine squared of the RMS angle by which the direction swung. The
-    singular vectors of M are the directions that swung least and most. Turns about one axis only
-    leave that axis where it was.
+    singular vectors of M are the directions that swung least and most. Rotations about a single
+    axis leave that axis fixed.
 
     Args:
         axes: three perpendicular directions in the tool, the one that swung least first; a row
             each, shape (3, 3).
         swing_rad: RMS angle by which each swung about its mean, shape (3,) [rad].
-        range_rad: the largest angle between two orientations [rad] (of at most 400, evenly
-            chosen).
+        range_rad: largest angle between two orientations [rad] (among at most 400, evenly
+            spaced).
     """
 
     axes: Array
@@ -37,7 +37,7 @@ class OrientationCoverage:
 
     @classmethod
     def of(cls, rotations: Array) -> Self:
-        """Return how N orientations (N, 3, 3), R_world_tool, are spread."""
+        """Return the spread of N orientations R_world_tool (N, 3, 3)."""
         _, values, axes = np.linalg.svd(rotations.mean(axis=0))
         sine = np.sqrt(np.clip(1.0 - values**2, 0.0, 1.0))
         some = rotations[np.unique(np.linspace(0, len(rotations) - 1, _PAIRS).astype(int))]
@@ -62,16 +62,17 @@ class OrientationCoverage:
 def validate_poses(
     rotations: Array, translations_mm: Array, covariances: Array | None
 ) -> tuple[Array, Array, Array | None]:
-    """Return the poses as float64.
+    """Return poses as float64 arrays.
 
     Args:
         rotations: R_world_tool, shape (N, 3, 3).
         translations_mm: shape (N, 3) [mm].
-        covariances: of turn [rad] and translation [mm], as in ToolPose, shape (N, 6, 6); None:
-            not known, and the same for all.
+        covariances: covariance of rotation [rad] and translation [mm], as in ToolPose, shape
+            (N, 6, 6); None: unknown, and equal for all.
 
     Raises:
-        InvalidParameter: shapes do not fit one another, or a matrix is no rotation.
+        InvalidParameter: shapes do not match, a matrix is no rotation, or a covariance is not
+            positive definite.
         NonFiniteValue: a value is NaN or infinite.
     """
     rotations = np.asarray(rotations, dtype=np.float64)

@@ -10,48 +10,48 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FALSE_ALARM_PROBABILITY: Final = 1e-9
-"""That a live image is taken for a frozen one: once in eleven days at a thousand exposures/s."""
+"""Probability that a live image is taken for frozen: once in eleven days at 1,000 exposures/s."""
 _PRIOR_REPEATS, _PRIOR_COMPARED = 0.25, 1.0
-"""What is taken for known of a device of which nothing was seen: one reading of four repeats.
+"""Prior of an unknown device: one reading of four repeats.
 
-So do lines of three pixels whose counts have a deviation of 0.4 before they are rounded; 15 of them
-in a row do not. It weighs as much as one reading that was seen.
+Lines of three pixels whose counts have a standard deviation of 0.4 before rounding repeat as often;
+15 of them in a row do not. The prior weighs as much as one observed reading.
 """
 _MEMORY_READINGS: Final = 10_000.0
-"""Readings after which older ones begin to count less: light and gain may change."""
+"""Number of readings after which older ones lose weight: light and gain may change."""
 _REST_SIGMAS: Final = 3.0
-"""Of the difference of two readings: what moved by more could not have repeated. Deviations hold
-the rounding of counts, so that a step of those is less."""
+"""A marker that moved by more standard deviations of the difference of two readings is not at rest:
+its reading could not repeat. The sigmas include the rounding of counts, so one count is less."""
 
 
 class StaleDataDetector:
-    """Tells whether a camera sends an image that it sent before; the tool may be anywhere.
+    """Detects a camera that repeats an image: its peaks are bit-identical.
 
-    Noise makes no two exposures equal. How many readings that repeat are too many follows from
-    how often single readings of things at rest do, which is learned while they are shown: almost
-    never with many bits and much light, now and then where counts are coarse beside the noise.
+    Noise makes live exposures differ. How many repeated readings are too many depends on how often
+    single readings of markers at rest repeat, which is learned while they are visible: almost never
+    with many bits and much light, now and then where counts are coarse compared with the noise.
     """
 
     def __init__(self) -> None:
-        """Begin without any exposure."""
+        """Start without any exposure."""
         self._last: dict[int | None, tuple[tuple[int, ...], Array, Array]] = {}
-        """By what was lit: how many each sensor had, the readings and their variances."""
+        """By slot: number of peaks of each sensor, positions and variances of the last exposure."""
         self._same: dict[int | None, int] = {}
-        """Readings that repeated in a row, by what was lit."""
+        """By slot: number of consecutive repeated readings."""
         self._run = 0
-        """The same in a row whatever was lit: a loop of images repeats all of them."""
+        """The same over all slots: a loop of images repeats every slot."""
         self._equal, self._compared = _PRIOR_REPEATS, _PRIOR_COMPARED
 
     def add_exposure(self, marker: int | None, position_px: Array, sigma_px: Array) -> None:
-        """Take in the peaks of a frame.
+        """Add the peaks of an exposure.
 
         Args:
             marker: strobe slot that was lit; None: all markers.
-            position_px: shape (S, K) [px]; NaN where there are fewer than K.
-            sigma_px: standard deviations, likewise [px].
+            position_px: peak positions of S sensors, shape (S, K) [px]; NaN for missing peaks.
+            sigma_px: their standard deviations, shape (S, K) [px].
         """
         if (marker is None) != (None in self._last):
-            # The strobe was switched on or off: what it showed before is no measure.
+            # The strobe was switched on or off: earlier exposures are not comparable.
             self._last.clear()
             self._same.clear()
         there = np.isfinite(position_px)
@@ -70,12 +70,12 @@ class StaleDataDetector:
         same = moved == 0.0
         repeated = int(np.count_nonzero(same))
         if repeated == len(same):
-            # Of an exposure without any peak this says nothing, and changes nothing.
+            # An exposure without any peak changes nothing here.
             self._same[marker] = self._same.get(marker, 0) + repeated
             self._run += repeated
             return
         if self._run < self.repeat_limit:
-            # They were equal by chance: it goes on.
+            # They were equal by chance.
             self._learn(self._run, self._run)
         self._same[marker] = self._run = 0
         rests = moved**2 <= _REST_SIGMAS**2 * (variances + before[2])
@@ -83,7 +83,7 @@ class StaleDataDetector:
         self._learn(both, int(np.count_nonzero(rests)))
 
     def is_stale(self, slots: tuple[int, ...] | None) -> bool:
-        """Return whether the exposures of a tool's markers are frozen; None: lit together."""
+        """Return whether the exposures of a tool's slots are frozen; None: markers lit together."""
         repeat_limit = self.repeat_limit
         if self._run >= repeat_limit:
             return True
@@ -91,11 +91,11 @@ class StaleDataDetector:
 
     @property
     def repeat_limit(self) -> int:
-        """How many readings in a row may not repeat by chance."""
+        """Number of consecutive repeated readings that cannot be chance."""
         return math.ceil(math.log(FALSE_ALARM_PROBABILITY) / math.log(self._equal / self._compared))
 
     def _learn(self, repeated: int, resting: int) -> None:
-        """Count readings of what rests, and those of them that repeated."""
+        """Count readings of markers at rest, and how many of them repeated."""
         self._equal += repeated
         self._compared += resting
         if self._compared > _MEMORY_READINGS:
@@ -104,21 +104,26 @@ class StaleDataDetector:
 
 
 INTERVALS_KEPT: Final = 3
-"""Times between exposures of a slot, of which the shortest counts: lost frames make others long."""
+"""Number of intervals kept per slot; the shortest counts, as lost frames lengthen the others."""
 MAX_CYCLE_NS: Final = 1_000_000_000
-"""A strobe that is slower is taken for one that was interrupted."""
+"""Longest strobe period; a longer interval is an interruption."""
 
 
 class StrobeCycle:
-    """Times between the exposures of each strobe slot."""
+    """Period of each strobe slot, learned from the times of its exposures."""
 
     def __init__(self) -> None:
-        """Begin without any exposure."""
+        """Start without any exposure."""
         self._last: dict[int, int] = {}
         self._between: dict[int, deque[int]] = {}
 
     def add_exposure(self, slot: int | None, time_ns: int) -> None:
-        """Take in an exposure; of None, which lights all markers, nothing is learned."""
+        """Add an exposure.
+
+        Args:
+            slot: strobe slot that was lit; None: all markers, from which nothing is learned.
+            time_ns: time of the exposure [ns].
+        """
         if slot is None:
             return
         last = self._last.get(slot)
@@ -127,12 +132,12 @@ class StrobeCycle:
             self._between.setdefault(slot, deque(maxlen=INTERVALS_KEPT)).append(time_ns - last)
 
     def duration_ns(self, slots: tuple[int, ...] | None) -> int:
-        """Return how long a turn of the slots takes [ns]; 0: not known, or lit together."""
+        """Return the longest period of the slots [ns]; 0: unknown, or markers lit together."""
         known = [min(self._between[slot]) for slot in slots or () if slot in self._between]
         return max(known, default=0)
 
     def copy(self) -> "StrobeCycle":
-        """Return one that knows as much, and learns by itself from now on."""
+        """Return an independent copy."""
         other = StrobeCycle()
         other._last = dict(self._last)
         other._between = {

@@ -16,8 +16,8 @@ from compute.pose.rigid_body import CentredMarkers
 from compute.reconstruction.native.kernel_arguments import CAMERAS
 
 _OF_FRAMES: Final = {
-    # Modes before, predicted and after, the results, and what is reported of the pose; then
-    # (S, P) of the frame's peaks.
+    # States before, predicted and after, results and reported pose; then the frame's peaks,
+    # (S, P).
     "before": "const double*",
     "predicted": "double*",
     "after": "double*",
@@ -26,7 +26,7 @@ _OF_FRAMES: Final = {
     "position": "const double*",
     "variance": "const double*",
     "usable": "const unsigned char*",
-    # Peaks of each sensor, and the marker that is lit; -1: none, the tool is only predicted.
+    # Number of peaks of each sensor, and the lit marker; -1: none, prediction only.
     "peaks": "long long",
     "lit": "long long",
 }
@@ -36,14 +36,14 @@ _NUMBERS_OF_FRAMES: Final = {
     "manoeuvre_factor": "double",
 }
 _OF_TOOLS: Final[dict[str, str | Record]] = {
-    # (S, width, C) of the calibration's errors.
+    # Covariance factor of the calibration, (S, width, C).
     "columns": "const double*",
-    # Of the modes: (K, 18), (K, 18, 18), (K,), (5, K * 18 * 18).
+    # Motion models: (K, 18), (K, 18, 18), (K,), (5, K * 18 * 18).
     "persistence": "const double*",
     "initial_covariance": "const double*",
     "renewal": "const double*",
     "terms": "const double*",
-    # (M, 3) about the centroid; (S + 1,), by how many readings; memory to work in.
+    # (M, 3) relative to the centroid; (S + 1,), by number of readings; scratch memory.
     "markers": "const double*",
     "chi2_limits": "const double*",
     "scratch": "double*",
@@ -60,15 +60,16 @@ _OF_TOOLS: Final[dict[str, str | Record]] = {
 }
 
 STEP_RECORD: Final = Record("StepRecord", {**_OF_FRAMES, **_NUMBERS_OF_FRAMES, **_OF_TOOLS})
-"""One step of one tool; 64-bit words only. What changes from frame to frame comes first."""
+"""Argument record of one step of one tool; 64-bit words only. Members that change from frame to
+frame come first."""
 STEP: Final = STEP_RECORD.dtype
 FRAME_WORDS: Final = len(_OF_FRAMES)
-"""Addresses and counts of a frame; its numbers follow."""
+"""Number of addresses and counts of a frame; its numbers follow."""
 FRAME_NUMBERS: Final = len(_NUMBERS_OF_FRAMES)
 
 POSE: Final = 18
-"""Rotation, centroid, velocity and turn rate; modes have their chances behind it, then how far
-each is off the widest, and their spreads."""
+"""Number of values of rotation, centroid, velocity and angular velocity. In an ImmState the mode
+probabilities, offsets and covariances follow."""
 FIGURES: Final = {
     "rotation": (3, 3),
     "angular_velocity_rad_s": (3,),
@@ -78,37 +79,54 @@ FIGURES: Final = {
     "tip_covariance_mm2": (3, 3),
     "velocity_mm_s": (3,),
 }
-"""Of ReportedPose, one after another."""
+"""Members of ReportedPose in their order in memory."""
 FIGURES_SIZE: Final = 66
 HEAD: Final = 4
-"""Of a result: what became of it, the number of readings, their NIS, and the widest mode's."""
+"""Number of values at the head of a result: outcome, number of readings, their NIS, and that of the
+widest model."""
 
 TAKEN: Final = 0
-"""Readings were taken, or there were none within the gates."""
+"""Readings were used, or there were none within the gates."""
 CURVED: Final = 1
-"""The curvature matters, and the covariance has no root: nothing but the prediction is there."""
+"""Second-order terms matter, or the covariance has no Cholesky factor: only the prediction is
+set."""
 CONTESTED: Final = 2
-"""A sensor has several peaks within the gate: likewise."""
+"""A sensor has several peaks within the gate: only the prediction is set."""
 MISFIT: Final = 3
-"""The readings do not fit one another: likewise."""
+"""The readings do not fit one another: only the prediction is set."""
 
 
 def imm_state_size(imm: int, errors: int) -> int:
-    """Return how many numbers K modes with E common errors are."""
+    """Return the number of float64 of an ImmState.
+
+    Args:
+        imm: number K of motion models.
+        errors: number E of common errors.
+    """
     return POSE + imm * (1 + IMM_STATES + IMM_STATES * (IMM_STATES + errors))
 
 
 def result_size(sensors: int, errors: int) -> int:
-    """Return how many numbers a result is.
+    """Return the number of float64 of a result.
 
-    The head; which peak of each sensor was taken, -1: none; the state of all modes together;
-    the whitened innovations, (n, 1 + E).
+    A result holds the head; the index of each sensor's peak, -1: none; the combined state; the
+    whitened innovations, (n, 1 + E).
+
+    Args:
+        sensors: number of sensors.
+        errors: number E of common errors.
     """
     return HEAD + sensors + POSE + 144 + 12 * errors + sensors * (1 + errors)
 
 
 def scratch_size(sensors: int, imm: int, errors: int) -> int:
-    """Return how many numbers the kernel works in."""
+    """Return the number of float64 of the kernel's scratch memory.
+
+    Args:
+        sensors: number of sensors.
+        imm: number K of motion models.
+        errors: number E of common errors.
+    """
     wide = IMM_STATES + errors
     mixing = imm * imm + IMM_STATES * IMM_STATES + IMM_STATES
     readings = sensors * (errors + wide) + imm * (sensors * (1 + wide) + 2)
@@ -123,7 +141,7 @@ assert _ENDS[-1] == FIGURES_SIZE
 
 
 class PackedPose(PoseState):
-    """A PoseState in a block of memory, which nobody writes to any more."""
+    """PoseState whose arrays are views of a block of memory that is no longer written to."""
 
     @classmethod
     def within(
@@ -135,17 +153,18 @@ class PackedPose(PoseState):
         common_errors: int,
         known: tuple[CentredMarkers, Array] | None = None,
     ) -> "PackedPose":
-        """Return that of an instant [ns].
+        """Return the state in a block of memory.
 
         Args:
-            time_ns: the instant [ns].
-            block: rotation, centroid, velocity and turn rate come first in it.
-            covariances: index of the covariance and that with the common errors, row by row.
-            row: from one row of the covariance to the next; 0: the one with the errors lies behind
-                it, else beside it, after the accelerations.
+            time_ns: time of the state [ns].
+            block: memory that begins with rotation, centroid, velocity and angular velocity.
+            covariances: index of the covariances in the block, row by row.
+            row: length of a row of the covariances, which then also has the columns of
+                accelerations and common errors; 0: the covariance with the common errors follows
+                the state's.
             common_errors: number of common errors.
-            known: what is reported of it as a tool with these markers, one after another, in memory
-                that it has for itself; None: that is not worked out yet.
+            known: the markers and the values of the reported pose, in the order of FIGURES; None:
+                not computed yet.
         """
         made = object.__new__(cls)
         made.__dict__.update(
@@ -201,7 +220,7 @@ class PackedPose(PoseState):
 
 
 class PackedImmState(ImmState):
-    """ImmState in a block of memory, which nobody writes to any more."""
+    """ImmState whose arrays are views of a block of memory that is no longer written to."""
 
     @classmethod
     def within(
@@ -212,14 +231,14 @@ class PackedImmState(ImmState):
         common_errors: int,
         combined: PoseState | None = None,
     ) -> "PackedImmState":
-        """Return those of an instant [ns].
+        """Return the states in a block of memory.
 
         Args:
-            model: how the state changes under each.
-            time_ns: the instant [ns].
-            block: as of ``ImmState.packed``.
+            model: the motion models.
+            time_ns: time of the states [ns].
+            block: memory in the order of ``ImmState.packed``.
             common_errors: number of common errors.
-            combined: the state of all together, if it is known.
+            combined: the combined state, if known.
         """
         made = object.__new__(cls)
         known: dict[str, Any] = {"model": model, "packed": block, "_at": (time_ns, common_errors)}
@@ -230,7 +249,7 @@ class PackedImmState(ImmState):
 
     @property
     def _first(self) -> int:
-        """Where the offsets begin: behind the pose and the chances."""
+        """Index of the offsets: behind the pose and the mode probabilities."""
         return POSE + len(self.model)
 
     @cached_property

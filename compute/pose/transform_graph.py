@@ -10,74 +10,38 @@ from compute.pose.transform import Transform
 
 
 @dataclass(frozen=True, eq=False)
-class FrameLink:
-    """A given transform between two frames.
-
-    Args:
-        to: the frame that coordinates are transformed to.
-        from_: the frame that they are transformed from.
-        transform: T_to_from.
-        time_ns: when it was measured [ns]; None: it does not change with time.
-    """
-
-    to: str
-    from_: str
-    transform: Transform
-    time_ns: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class ResolvedTransform:
-    """A transform along a path of links.
+    """A transform along a path of frames.
 
     Args:
         transform: T_to_from, its covariance propagated along the path.
         path: names of the frames from ``from_`` to ``to``, both included.
-        oldest_ns: time of the oldest measured link; None: none of them changes with time.
-        newest_ns: that of the newest.
     """
 
     transform: Transform
     path: tuple[str, ...]
-    oldest_ns: int | None
-    newest_ns: int | None
 
 
 class TransformGraph:
     """Frames connected by transforms, without loops.
 
-    Errors of the links are treated as independent. Two poses of one tracker share the errors of
-    its calibration, which largely cancel between tools that are close together: the covariance
+    Errors of the transforms are treated as independent. Two poses of one tracker share the errors
+    of its calibration, which largely cancel between tools that are close together: the covariance
     of one relative to the other is then too large.
     """
 
-    def __init__(self, links: Iterable[FrameLink] = ()) -> None:
-        """Make a graph of links; see ``connect`` for what is refused."""
-        self._links: dict[tuple[str, str], FrameLink] = {}
+    def __init__(self) -> None:
+        """Make an empty graph."""
+        self._transforms: dict[tuple[str, str], Transform] = {}
         self._near: dict[str, list[str]] = {}
-        for one in links:
-            self.connect(one.to, one.from_, one.transform, one.time_ns)
 
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """Names of the frames, in the order in which they were added."""
-        return tuple(self._near)
-
-    @property
-    def links(self) -> tuple[FrameLink, ...]:
-        """The links as given."""
-        return tuple(self._links.values())
-
-    def connect(
-        self, to: str, from_: str, transform: Transform, time_ns: int | None = None
-    ) -> None:
+    def connect(self, to: str, from_: str, transform: Transform) -> None:
         """Connect two frames by T_to_from.
 
         Args:
             to: name of the frame that coordinates are transformed to.
             from_: name of the frame that they are transformed from.
             transform: T_to_from.
-            time_ns: when it was measured [ns]; None: it does not change with time.
 
         Raises:
             FrameConflict: they are connected already; a second path could contradict the first.
@@ -91,49 +55,13 @@ class TransformGraph:
             path = self._path(from_, to)
             if path is not None:
                 raise FrameConflict(
-                    f'"{from_}" and "{to}" are connected already, by {_arrows(path)}; renew one '
-                    "of these transforms, or take it out first",
+                    f'"{from_}" and "{to}" are connected already, by {_arrows(path)}; leave out '
+                    "one of these transforms",
                     path=list(path),
                 )
-        self._links[to, from_] = FrameLink(to, from_, transform, time_ns)
+        self._transforms[to, from_] = transform
         self._near.setdefault(to, []).append(from_)
         self._near.setdefault(from_, []).append(to)
-
-    def update(self, to: str, from_: str, transform: Transform, time_ns: int | None = None) -> None:
-        """Replace the transform between two directly connected frames.
-
-        The link may have been given in the other direction.
-
-        Args:
-            to: name of the frame that coordinates are transformed to.
-            from_: name of the frame that they are transformed from.
-            transform: the newer T_to_from.
-            time_ns: when it was measured [ns]; None: it does not change with time.
-
-        Raises:
-            UnknownFrame: no transform connects them directly.
-        """
-        key = self._key(to, from_)
-        if key == (to, from_):
-            self._links[key] = FrameLink(to, from_, transform, time_ns)
-        else:
-            self._links[key] = FrameLink(from_, to, transform.inverse(), time_ns)
-
-    def disconnect(self, to: str, from_: str) -> None:
-        """Remove the transform between two frames, and frames that then have none.
-
-        Args:
-            to: name of one frame.
-            from_: name of the other.
-
-        Raises:
-            UnknownFrame: no transform connects them directly.
-        """
-        del self._links[self._key(to, from_)]
-        for here, there in ((to, from_), (from_, to)):
-            self._near[here].remove(there)
-            if not self._near[here]:
-                del self._near[here]
 
     def transform(self, to: str, from_: str) -> ResolvedTransform:
         """Return T_to_from along the path that connects the frames.
@@ -156,27 +84,10 @@ class TransformGraph:
                 from_=from_,
             )
         found = Transform.identity()
-        times = []
         for here, there in pairwise(path):
-            link = self._links[self._key(there, here)]
-            step = link.transform if link.to == there else link.transform.inverse()
-            found = step @ found
-            if link.time_ns is not None:
-                times.append(link.time_ns)
-        return ResolvedTransform(found, path, min(times, default=None), max(times, default=None))
-
-    def _key(self, to: str, from_: str) -> tuple[str, str]:
-        self._check(to)
-        self._check(from_)
-        for key in ((to, from_), (from_, to)):
-            if key in self._links:
-                return key
-        raise UnknownFrame(
-            f'no transform connects "{from_}" and "{to}" directly; "{to}" has transforms to '
-            f"{_listed(self._near[to])}",
-            to=to,
-            from_=from_,
-        )
+            step = self._transforms.get((there, here))
+            found = (self._transforms[here, there].inverse() if step is None else step) @ found
+        return ResolvedTransform(found, path)
 
     def _check(self, name: str) -> None:
         if name not in self._near:

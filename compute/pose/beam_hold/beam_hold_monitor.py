@@ -174,7 +174,44 @@ class BeamHoldDecision:
     probability: float | None = None
 
 
-class PoseDeviationMonitor:
+class _DeviationMonitor:
+    """Limits and the gate of a hold, common to the monitors."""
+
+    def __init__(self, limits: BeamHoldLimits, *, latched: bool) -> None:
+        self._limits = limits
+        self._gate = BeamHoldGate(limits.rules, latched=latched)
+
+    @property
+    def measured_ns(self) -> int | None:
+        """Time of the oldest data that were needed last [ns]; None: no data yet."""
+        return self._gate.measured_ns
+
+    @property
+    def must_acknowledge(self) -> bool:
+        """Whether a successor of this monitor must be acknowledged before it releases."""
+        return self._gate.must_acknowledge
+
+    def acknowledge(self) -> None:
+        """End a latched hold once everything is within the release limits."""
+        self._gate.acknowledge()
+
+    def fail(self, why: str) -> BeamHoldDecision:
+        """Hold now, as nothing usable is measured; ``why`` in words."""
+        return _decision(self._gate.time_ns, self._gate.fail(why))
+
+    def _step(
+        self,
+        time_ns: int,
+        measured: LimitCheck | None,
+        shift: Array | None = None,
+        rotation: Array | None = None,
+        probability: float | None = None,
+    ) -> BeamHoldDecision:
+        state = self._gate.step(time_ns, measured)
+        return _decision(time_ns, state, shift, rotation, probability)
+
+
+class PoseDeviationMonitor(_DeviationMonitor):
     """Compares a pose with the one at set-up.
 
     The states depend only on the given times and poses: a replay reproduces them. It fails safe:
@@ -196,36 +233,19 @@ class PoseDeviationMonitor:
 
         Args:
             reference: T_world_body at set-up.
-            limits: how far it may move.
+            limits: limits of its motion.
             target_mm: the point to be irradiated, in the body's coordinates, shape (3,) [mm];
                 None: the body's origin.
             axes: R_axes_world of the axes of ``axis_mm``, such as the treatment room's, shape
                 (3, 3); None: the world's.
+            latched: see BeamHoldGate.
         """
-        self._reference, self._limits = reference, limits
+        super().__init__(limits, latched=latched)
+        self._reference = reference
         self._target = np.zeros(3) if target_mm is None else np.asarray(target_mm, np.float64)
         self._axes = np.eye(3) if axes is None else np.asarray(axes, np.float64)
         self._reference_position = reference.apply(self._target)
         self._reference_covariance = reference.point_covariance(self._target)
-        self._gate = BeamHoldGate(limits.rules, latched=latched)
-
-    @property
-    def measured_ns(self) -> int | None:
-        """Time of the oldest data that were needed last [ns]; None: no data yet."""
-        return self._gate.measured_ns
-
-    @property
-    def must_acknowledge(self) -> bool:
-        """Whether a successor of this monitor must be acknowledged before it releases."""
-        return self._gate.must_acknowledge
-
-    def acknowledge(self) -> None:
-        """End a latched hold once everything is within the release limits."""
-        self._gate.acknowledge()
-
-    def fail(self, why: str) -> BeamHoldDecision:
-        """Hold now, as nothing usable is measured; ``why`` in words."""
-        return _to_state(self._gate.time_ns, self._gate.fail(why))
 
     def step(self, time_ns: int, pose: Transform | None) -> BeamHoldDecision:
         """Return the decision after a pose, or, with None, at a time without one.
@@ -235,7 +255,7 @@ class PoseDeviationMonitor:
             pose: T_world_body with its covariance; None: unknown or unusable.
         """
         if pose is None:
-            return _step_gate(time_ns, self._gate, None)
+            return self._step(time_ns, None)
         shift = self._axes @ (pose.apply(self._target) - self._reference_position)
         covariance = pose.point_covariance(self._target) + self._reference_covariance
         covariance = self._axes @ covariance @ self._axes.T
@@ -248,12 +268,10 @@ class PoseDeviationMonitor:
         message, probability = self._limits.beyond(*given)
         back, _ = self._limits.beyond(*given, share=self._limits.release_fraction)
         reason = None if message is None else f"the target is {message}"
-        return _step_gate(
-            time_ns, self._gate, LimitCheck(reason, back is None), shift, rotation, probability
-        )
+        return self._step(time_ns, LimitCheck(reason, back is None), shift, rotation, probability)
 
 
-class MarkerDeviationMonitor:
+class MarkerDeviationMonitor(_DeviationMonitor):
     """Compares the positions of markers with those at set-up."""
 
     def __init__(
@@ -284,27 +302,9 @@ class MarkerDeviationMonitor:
             )
         if limits.rotation_rad is not None:
             raise InvalidParameter("markers do not turn; watch the pose of a tool for rotation_rad")
-        self._limits, self._least = limits, min_markers
+        super().__init__(limits, latched=latched)
+        self._least = min_markers
         self._names = names or tuple(str(one + 1) for one in range(len(self._reference)))
-        self._gate = BeamHoldGate(limits.rules, latched=latched)
-
-    @property
-    def measured_ns(self) -> int | None:
-        """Time of the oldest data that were needed last [ns]; None: no data yet."""
-        return self._gate.measured_ns
-
-    @property
-    def must_acknowledge(self) -> bool:
-        """Whether a successor of this monitor must be acknowledged before it releases."""
-        return self._gate.must_acknowledge
-
-    def acknowledge(self) -> None:
-        """End a latched hold once everything is within the release limits."""
-        self._gate.acknowledge()
-
-    def fail(self, why: str) -> BeamHoldDecision:
-        """Hold now, as nothing usable is measured; ``why`` in words."""
-        return _to_state(self._gate.time_ns, self._gate.fail(why))
 
     def step(
         self,
@@ -323,7 +323,7 @@ class MarkerDeviationMonitor:
                 gap counts from the oldest of the markers that are needed.
         """
         if positions_mm is None:
-            return _step_gate(time_ns, self._gate, None)
+            return self._step(time_ns, None)
         shifts = positions_mm - self._reference
         seen = np.flatnonzero(np.isfinite(shifts).all(axis=1))
         worst: tuple[float, float, int] = (-1.0, 0.0, -1)
@@ -338,13 +338,13 @@ class MarkerDeviationMonitor:
                 worst = (probability, size, int(one))
                 message = None if beyond is None else f'marker "{self._names[one]}" is {beyond}'
         if len(seen) < self._least and message is None:
-            return _step_gate(time_ns, self._gate, None)
+            return self._step(time_ns, None)
         since_ns = time_ns
         if times_ns is not None:
             # The oldest of the newest ``min_markers``: a marker that moves unseen ages.
             since_ns = int(np.sort(times_ns[seen])[max(len(seen) - self._least, 0)])
         measured = LimitCheck(message, within, since_ns)
-        return _step_gate(time_ns, self._gate, measured, shifts[worst[2]], None, worst[0])
+        return self._step(time_ns, measured, shifts[worst[2]], None, worst[0])
 
 
 def _rotation_vector(rotation: Array) -> Array:
@@ -358,18 +358,7 @@ def _rotation_vector(rotation: Array) -> Array:
     return np.array(axis) * (math.atan2(sine, cosine) / sine if sine > 0.0 else 1.0)
 
 
-def _step_gate(
-    time_ns: int,
-    gate: BeamHoldGate,
-    measured: LimitCheck | None,
-    shift: Array | None = None,
-    rotation: Array | None = None,
-    probability: float | None = None,
-) -> BeamHoldDecision:
-    return _to_state(time_ns, gate.step(time_ns, measured), shift, rotation, probability)
-
-
-def _to_state(
+def _decision(
     time_ns: int,
     found: GateState,
     shift: Array | None = None,

@@ -24,9 +24,7 @@ _SUPER_FIBONACCI_PSI: Final = 1.533751168755204288118041413
 """The root of psi^4 = psi + 4 (Alexa, 2022)."""
 
 
-def initial_pose_from_points(
-    markers_mm: Array, points_mm: Array, weights: Array | None = None
-) -> tuple[Array, Array] | None:
+def initial_pose_from_points(markers_mm: Array, points_mm: Array) -> tuple[Array, Array] | None:
     """Return the rotation (3, 3) and translation (3,) of the best fit of markers to points.
 
     W. Kabsch, doi:10.1107/S0567739476001873, with the determinant held at +1: a reflection is not
@@ -35,7 +33,6 @@ def initial_pose_from_points(
     Args:
         markers_mm: shape (N, 3) [mm].
         points_mm: shape (N, 3) [mm]; rows with NaN are left out.
-        weights: shape (N,); None: equal.
 
     Returns:
         None with fewer than three points, or collinear ones: they leave a rotation undetermined.
@@ -44,8 +41,7 @@ def initial_pose_from_points(
     if known.sum() < 3:
         return None
     source, target = markers_mm[known], points_mm[known]
-    weight = np.ones(len(source)) if weights is None else weights[known]
-    weight = weight / weight.sum()
+    weight = np.full(len(source), 1.0 / len(source))
     centre_source, centre_target = weight @ source, weight @ target
     about_source, about_target = source - centre_source, target - centre_target
     if are_collinear(source) or are_collinear(target):

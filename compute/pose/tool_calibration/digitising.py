@@ -189,19 +189,6 @@ class StationaryCapture:
         """Why there is no point yet."""
         return self.error.detail
 
-    def add(
-        self, time_ns: int, position_mm: Array | None, covariance_mm2: Array | None = None
-    ) -> StationaryPoint | None:
-        """Add a position; return the point once the last ``seconds`` were still, and restart.
-
-        Args:
-            time_ns: [ns]; a time that goes back restarts the capture.
-            position_mm: shape (3,) [mm]; None: the tip is not visible.
-            covariance_mm2: shape (3, 3) [mm^2].
-        """
-        self.add_sample(time_ns, position_mm, covariance_mm2)
-        return None if position_mm is None else self.take()
-
     def add_sample(
         self,
         time_ns: int,
@@ -209,7 +196,7 @@ class StationaryCapture:
         covariance_mm2: Array | None = None,
         shared_mm2: Array | None = None,
     ) -> None:
-        """Add a position without the test whether the tip is still: fast; see ``add``.
+        """Add a position, without the test whether the tip is still; ``take`` tests it.
 
         Args:
             time_ns: [ns]; a time that goes back restarts the capture.

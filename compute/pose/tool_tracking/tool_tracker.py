@@ -111,7 +111,7 @@ class ToolTracker:
         self._cycle = StrobeCycle()
 
     def adopt_state(self, other: "ToolTracker") -> None:
-        """Go on with what another tracker of the same cameras knows of the same tools."""
+        """Take over the tracks of the same tools from another tracker of the same cameras."""
         known = {tool.body.name: tool for tool in other._tools}
         for tool in self._tools:
             before = known.get(tool.body.name)

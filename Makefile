@@ -4,11 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-thorough lint serve clean help
+.PHONY: demo test test-slow lint serve clean help
 
 help:
 	@echo "make demo   the main job, end to end: real service, simulated device, measured frames"
-	@echo "make test   the test suite, without the few dearest tests: make test-thorough"
+	@echo "make test   the test suite, without the few dearest tests: make test-slow"
 	@echo "make lint   ruff, mypy --strict, import contracts"
 	@echo "make serve  the service on port 8000"
 
@@ -26,11 +26,12 @@ demo: $(STAMP)
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
 test: $(STAMP)
-	$(PYTEST) --dist loadfile -m "not thorough"
+	$(PYTEST) --dist loadfile -m "not slow"
 
-# By the test, not by the file: the few files that there are would leave a core idle.
-test-thorough: $(STAMP)
-	$(PYTEST) --dist worksteal -m thorough
+# By the test, not by the file: the few files that there are would leave a core idle. Generated
+# examples are new in each run, those of `make test` the same.
+test-slow: $(STAMP)
+	LUMILINE_TEST_EXAMPLES=random $(PYTEST) --dist worksteal -m slow
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -39,11 +39,15 @@ from benchmarks.calibration_peers import (
     pyceres_solver,
     variance,
 )
-from benchmarks.points import rig
-from compute.calibration.design import equation_groups
-from compute.calibration.levenberg import minimise
-from compute.calibration.run import calibrate
-from compute.calibration.thesis_bundle import StepGrid, flat, unflat
+from benchmarks.triangulation import rig
+from compute.calibration.calibrate import calibrate
+from compute.calibration.single_sensor.design_matrix import equation_groups
+from compute.calibration.single_sensor.levenberg_marquardt import minimise
+from compute.calibration.thesis_methods.eleven_parameter_bundle import (
+    StepGrid,
+    from_array,
+    to_array,
+)
 from compute.camera.dlt import collinearity_parameters_of, model_from_collinearity
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
@@ -105,7 +109,7 @@ def _models(cameras: CameraStack) -> tuple[SensorModel, ...]:
 
 def near_start(model: SensorModel, rng: np.random.Generator) -> Array:
     """Return the true coefficients, each off by 1 % (of a metre, of 1, where it is small)."""
-    true = flat(collinearity_parameters_of(model))
+    true = to_array(collinearity_parameters_of(model))
     size = np.array([true[0], true[1], *[1000.0] * 3, *[1.0] * 6])
     return np.asarray(true + NEAR * size * rng.choice([-1.0, 1.0], 11))
 
@@ -113,7 +117,7 @@ def near_start(model: SensorModel, rng: np.random.Generator) -> Array:
 def thesis_start(model: SensorModel) -> Array:
     """Return coefficients off from the true ones as Table 5.11 is from Table 5.10."""
     sensor = SensorGeometry(model.name, model.pixels)
-    return StepGrid.about(collinearity_parameters_of(model), sensor).first
+    return StepGrid.around(collinearity_parameters_of(model), sensor).first
 
 
 def run(seconds: float = 0.3) -> list[Row]:
@@ -162,7 +166,7 @@ def _as_models(frame: Frame, starts: Sequence[Array]) -> list[SensorModel]:
     """Return starts as metric cameras: what of the eleven coefficients is not gauge."""
     middle = frame.points_mm.mean(axis=0)
     return [
-        model_from_collinearity(unflat(x), sensor, middle)
+        model_from_collinearity(from_array(x), sensor, middle)
         for x, sensor in zip(starts, frame.sensors, strict=True)
     ]
 
@@ -230,7 +234,7 @@ def _starts(frame: Frame, label: str, seed: int) -> list[Array]:
 
 def _least(frame: Frame) -> list[float]:
     """Return the least squares of each sensor: from the true coefficients, or ours if lower."""
-    true = [flat(collinearity_parameters_of(model)) for model in frame.models]
+    true = [to_array(collinearity_parameters_of(model)) for model in frame.models]
     return [
         min(bundle.squares(by_scipy(bundle, x).x), other)
         for bundle, x, other in zip(bundles(frame), true, _calibrated(frame), strict=True)

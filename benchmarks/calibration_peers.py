@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from compute.calibration.linear import linear_matrix
-from compute.calibration.thesis_bundle import generated
+from compute.calibration.single_sensor.normalised_dlt import dlt_matrix
+from compute.calibration.thesis_methods.eleven_parameter_bundle import project_eleven_parameters
 
 Array = NDArray[np.float64]
 
 RANK: Final = 7
 """Of the eleven coefficients; the other four are gauge."""
-MOST_EVALUATIONS: Final = 2000
+MAX_EVALUATIONS: Final = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Bundle:
 
     def values(self, x: Array) -> Array:
         """Return generated minus measured readings, shape (19,) [px]."""
-        return np.asarray(generated(x, self.points_mm) - self.readings_px)
+        return np.asarray(project_eleven_parameters(x, self.points_mm) - self.readings_px)
 
     def slopes(self, x: Array) -> Array:
         """Return d values / d coefficients, shape (19, 11)."""
@@ -45,7 +45,7 @@ class Bundle:
 
     def linear_start(self, sensor: str) -> Array:
         """Return the coefficients of the normalised linear solution, [5.5]."""
-        first, second = linear_matrix(self.points_mm, self.readings_px, sensor)
+        first, second = dlt_matrix(self.points_mm, self.readings_px, sensor)
         length = np.sqrt(second[:3] @ second[:3])
         first, second = first / length, second / length
         p0 = first[:3] @ second[:3]
@@ -94,7 +94,7 @@ def by_scipy(bundle: Bundle, start: Array, covariance: bool = False) -> Minimum:
     """Minimise by MINPACK's Levenberg-Marquardt."""
     found = least_squares(
         bundle.values, start, jac=bundle.slopes, method="lm", x_scale="jac",
-        max_nfev=MOST_EVALUATIONS,
+        max_nfev=MAX_EVALUATIONS,
     )  # fmt: skip
     return Minimum(found.x, _of_slopes(bundle, found.x) if covariance else None)
 
@@ -102,7 +102,7 @@ def by_scipy(bundle: Bundle, start: Array, covariance: bool = False) -> Minimum:
 def by_scipy_numerical(bundle: Bundle, start: Array, covariance: bool = False) -> Minimum:
     """Minimise likewise with slopes by differences, which is what one writes first."""
     found = least_squares(
-        bundle.values, start, method="lm", x_scale="jac", max_nfev=12 * MOST_EVALUATIONS
+        bundle.values, start, method="lm", x_scale="jac", max_nfev=12 * MAX_EVALUATIONS
     )
     return Minimum(found.x, _of_slopes(bundle, found.x) if covariance else None)
 
@@ -137,7 +137,7 @@ def pyceres_solver() -> Solver:
 
     options = pyceres.SolverOptions()
     options.linear_solver_type = pyceres.LinearSolverType.DENSE_QR
-    options.max_num_iterations = MOST_EVALUATIONS
+    options.max_num_iterations = MAX_EVALUATIONS
     options.function_tolerance = 1e-12
     options.gradient_tolerance = 1e-12
     options.parameter_tolerance = 1e-12

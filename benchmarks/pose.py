@@ -10,8 +10,8 @@ Ten tools of four markers before four sensors, as a tracking server has them eac
 * without a start: ours tries all rotations. The peer searches from 24 rotations, as few as find the
   pose most of the time.
 * step: a frame of all ten tools through ``ToolTracker.step``, their markers lit together or one by
-  one: prediction, association, update, covariance, status. One by one also with a single regime of
-  motion instead of all (``compute.pose.regimes``), turn by turn of the strobe in alternation.
+  one: prediction, association, update, covariance, status. One by one also with a single mode of
+  motion instead of all (``compute.pose.filtering.imm_state``), turn by turn of the strobe in alternation.
 
 Methods take turns, and the least time of each counts: what else a machine does only adds to it.
 """
@@ -29,17 +29,17 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from benchmarks.points import rig
+from benchmarks.triangulation import rig
 from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
-from compute.pose.pose_fit import fit_pose
-from compute.pose.reading_model import ReadingModel
+from compute.pose.estimation.pose_fit import fit_pose
+from compute.pose.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
-from compute.pose.settings import Regime, RegimeSettings, ToolTrackerSettings
+from compute.pose.settings import ImmSettings, MotionMode, ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose
-from compute.pose.tool_tracker import ToolTracker
+from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from compute.pose.transform import Transform
-from compute.reconstruction.points import reconstruct
+from compute.reconstruction.triangulation import reconstruct
 
 Array = NDArray[np.float64]
 Row = dict[str, str | float]
@@ -98,7 +98,7 @@ def tasks(cameras: CameraStack) -> list[Task]:
     return made
 
 
-def ours(model: ReadingModel, task: Task, start: Transform | None) -> Found:
+def ours(model: MeasurementModel, task: Task, start: Transform | None) -> Found:
     """Fit by Lumiline."""
     found = fit_pose(model, task.tool, task.readings_px, SIGMA, start=start)
     if found.status is not PoseStatus.OK:
@@ -116,17 +116,17 @@ def by_scipy(cameras: CameraStack, task: Task, start: Transform, *, analytic: bo
         places = markers @ rotation_matrix(x[:3]).T + x[3:]
         return np.asarray(((cameras.project(places) - readings) / SIGMA_PX).ravel())
 
-    def slopes(x: Array) -> Array:
+    def jacobian(x: Array) -> Array:
         rotation = rotation_matrix(x[:3])
         arms = markers @ rotation.T
-        _, by_place = cameras.linearised(arms + x[3:])
+        _, by_place = cameras.linearise(arms + x[3:])
         # d (R b) / d x of a rotation vector: -[R b]x times the left Jacobian of the rotation.
         turned = np.cross(arms[:, None, :], by_place) @ _left_jacobian(x[:3])
         return np.asarray(np.concatenate([turned, by_place], axis=2).reshape(-1, 6) / SIGMA_PX)
 
     x = np.concatenate([Rotation.from_matrix(start.rotation).as_rotvec(), start.translation_mm])
     if analytic:
-        found = least_squares(residuals, x, slopes, method="lm", x_scale="jac")
+        found = least_squares(residuals, x, jacobian, method="lm", x_scale="jac")
     else:
         found = least_squares(residuals, x, method="lm", x_scale="jac")
     return Found(np.asarray(found.x[3:]), 2.0 * float(found.cost))
@@ -250,9 +250,7 @@ def steps(cameras: CameraStack, *, strobed: bool) -> list[Row]:
     bodies, made = frames(cameras, strobed=strobed)
     methods = {OURS: ToolTrackerSettings()}
     if strobed:
-        methods[f"{OURS}, a single regime"] = ToolTrackerSettings(
-            regimes=RegimeSettings((Regime(1.0),))
-        )
+        methods[f"{OURS}, a single mode"] = ToolTrackerSettings(imm=ImmSettings((MotionMode(1.0),)))
     trackers = [ToolTracker(cameras, bodies, settings) for settings in methods.values()]
     found = track(cameras, trackers, made, 4 * TOOLS if strobed else 1)
     return [
@@ -271,7 +269,7 @@ def steps(cameras: CameraStack, *, strobed: bool) -> list[Row]:
 def run(seconds: float = 0.5) -> list[Row]:
     """Measure all; times are of one tool [us]."""
     cameras = rig()
-    model = ReadingModel.of(cameras)
+    model = MeasurementModel.of(cameras)
     made = tasks(cameras)
     fits: dict[tuple[str, str], Callable[[Task], Found]] = {
         ("fit", OURS): lambda task: ours(model, task, task.start),

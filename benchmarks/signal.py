@@ -15,13 +15,13 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.signal_lines import NOISE, WIDTH_PX, Lines, Positions, measured_lines
 from benchmarks.signal_peers import by_find_peaks, by_numpy, numba_method
-from compute.signal.finder import CentroidFinder
+from benchmarks.synthetic_scans import NOISE, WIDTH_PX, Lines, Positions, measured_lines
+from compute.signal.centroid_finder import CentroidFinder
+from compute.signal.centroid_settings import CentroidSettings
 from compute.signal.fit.fit_finder import FitFinder
-from compute.signal.fit.settings import FitSettings
+from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.peak_finder import PeakFinder
-from compute.signal.settings import CentroidSettings
 
 Row = dict[str, str | int | float]
 
@@ -39,10 +39,10 @@ def centroid_finder(count: int, pixels: int, device: str | None) -> CentroidFind
     return CentroidFinder(count, pixels, CentroidSettings(max_peaks=PEAKS), NOISE, device)
 
 
-def fit_finder(count: int, pixels: int, device: str | None, width_spread: float) -> FitFinder:
+def fit_finder(count: int, pixels: int, device: str | None, width_log_sigma: float) -> FitFinder:
     """Return a finder that fits the lines' shape, its width known or not."""
     search = CentroidSettings(max_peaks=PEAKS, min_width_px=1)
-    settings = FitSettings(search, WIDTH_PX, width_spread)
+    settings = FitSettings(search, WIDTH_PX, width_log_sigma)
     return FitFinder(count, pixels, settings, NOISE, device=device)
 
 
@@ -101,7 +101,7 @@ def latency(device: str | None = None, frames: int = 5000) -> list[Row]:
     lines, _ = measured_lines(*FRAME)
     finder = centroid_finder(*FRAME, device)
 
-    def in_turn() -> None:
+    def cyclic() -> None:
         finder.upload(lines)
         finder.launch(len(lines))
         finder.download(len(lines))
@@ -112,7 +112,7 @@ def latency(device: str | None = None, frames: int = 5000) -> list[Row]:
         (f"lumiline fit on {finder.device}", partial(fits.find, lines)),
     ]
     if finder.device.startswith("cuda"):
-        found.append(("lumiline, copy, launch, copy in turn", in_turn))
+        found.append(("lumiline, copy, launch, copy in turn", cyclic))
     parallel = numba_method()
     if parallel is not None:
         found.append(("numba, parallel, on the CPU", partial(parallel, lines)))

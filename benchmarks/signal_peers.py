@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from benchmarks.signal_lines import LIMIT_COUNTS, Lines, Positions
+from benchmarks.synthetic_scans import LIMIT_COUNTS, Lines, Positions
 
 
 def by_find_peaks(lines: Lines) -> Positions:

@@ -20,16 +20,16 @@ if "numpy" not in sys.modules:
 import numpy as np  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
-from compute.optics.background import BumpBackground, background_lines  # noqa: E402
+from compute.optics.background import BumpBackground, background_scans  # noqa: E402
 from compute.optics.detector import Detector  # noqa: E402
 from compute.optics.detector_array import DetectorArray  # noqa: E402
-from compute.optics.footprints import FootprintOptics, line_electrons  # noqa: E402
-from compute.optics.ideal import IdealOptics  # noqa: E402
-from compute.optics.line_image import line_images  # noqa: E402
-from compute.optics.placement import place_sensor  # noqa: E402
-from compute.optics.profiles.build import light_source, profile_optics  # noqa: E402
-from compute.optics.profiles.loader import load_profile  # noqa: E402
-from compute.optics.profiles.profile import DeviceProfile  # noqa: E402
+from compute.optics.ideal_optics import IdealOptics  # noqa: E402
+from compute.optics.pixel_solid_angles import SolidAngleOptics, scan_electrons  # noqa: E402
+from compute.optics.profiles.device_profile import DeviceProfile  # noqa: E402
+from compute.optics.profiles.profile_loader import load_profile  # noqa: E402
+from compute.optics.profiles.profile_optics import light_source, profile_optics  # noqa: E402
+from compute.optics.sensor_placement import place_sensor  # noqa: E402
+from compute.optics.stripe_images import stripe_images  # noqa: E402
 
 Array = NDArray[np.float64]
 Row = dict[str, str | int | float]
@@ -77,17 +77,17 @@ class Scene:
     def shaped_background(self) -> Array:
         """Return a lamp's reflection on every line, shape (S, pixels)."""
         lamp = BumpBackground(centre_px=700.0, sigma_px=250.0, peak_electrons=400.0)
-        return background_lines([lamp] * len(self._lenses_mm), self.pixels)
+        return background_scans([lamp] * len(self._lenses_mm), self.pixels)
 
-    def signal(self, optics: FootprintOptics, batch: int) -> Array:
+    def signal(self, optics: SolidAngleOptics, batch: int) -> Array:
         """Return the mean electrons of a batch, shape (frames, S, pixels)."""
         points = self.points_mm[batch]
         photons = self._source.photons_per_sr(
             points, None, self._lenses_mm, self.profile.rates.exposure_s
         )
         efficiency = self.profile.detector.quantum_efficiency
-        footprints = optics.footprints(points)
-        return line_electrons(footprints, photons * efficiency, MARKERS, self.pixels)
+        solid_angles = optics.solid_angles(points)
+        return scan_electrons(solid_angles, photons * efficiency, MARKERS, self.pixels)
 
     def expose(self, detectors: DetectorArray, signal: Array) -> NDArray[np.uint16]:
         """Return the counts of a batch."""
@@ -112,12 +112,12 @@ class Scene:
         )
 
         def signal(batch: int) -> Array:
-            spots = optics.spots(self.points_mm[batch])
+            spots = optics.stripes(self.points_mm[batch])
             by_line = [
                 values.reshape(FRAMES, MARKERS, -1).transpose(0, 2, 1).reshape(-1, MARKERS)
                 for values in (spots.position_px, spots.sigma_px, spots.electrons)
             ]
-            lines = line_images(by_line[0], by_line[1], by_line[2], self.pixels)
+            lines = stripe_images(by_line[0], by_line[1], by_line[2], self.pixels)
             return lines.reshape(FRAMES, -1, self.pixels)
 
         return signal
@@ -138,7 +138,7 @@ def run(seconds: float = 2.0) -> list[Row]:
     patterned = scene.array(scene.patterned)
     shaped = scene.array(scene.patterned, scene.shaped_background())
     methods: dict[str, Callable[[int], object]] = {
-        "tables": lambda batch: tables.footprints(scene.points_mm[batch]),
+        "tables": lambda batch: tables.solid_angles(scene.points_mm[batch]),
         "tables and light": lambda batch: scene.signal(tables, batch),
         WHOLE: lambda batch: scene.expose(even, scene.signal(tables, batch)),
         "the same, pixels differ": (

@@ -26,17 +26,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.tracking_metrics import Tracked, score
 from benchmarks.tracking_peer import stone_soup
 from benchmarks.tracking_scene import (
     MISSED,
     PIXELS,
     SIGMA_PX,
-    START_DEVIATIONS,
+    START_SIGMA,
     Scene,
     scene_of,
     starts_at,
 )
-from benchmarks.tracking_score import Tracked, score
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.track_batch import TrackState
 from compute.tracking.tracker import Tracker
@@ -51,7 +51,7 @@ FIRST = 30
 WHITE_JERK = 1e7
 MARKER_EXPOSURES = 4000
 """Markers times judged exposures, over all seeds: the peer takes a second for one of 20 markers."""
-START_COVARIANCE = np.diag(np.repeat(START_DEVIATIONS[:2], 3)) ** 2
+START_COVARIANCE = np.diag(np.repeat(START_SIGMA[:2], 3)) ** 2
 STANDARD_ACCELERATION = TrackerSettings().start_acceleration_mm_s2
 Motion = Literal["acceleration", "interacting"]
 METHODS: dict[str, tuple[Motion, bool]] = {
@@ -73,10 +73,10 @@ def ours(scene: Scene, motion: Motion, *, given: bool) -> list[Tracked]:
     """
     settings = TrackerSettings(
         motion=motion,
-        white_jerk=WHITE_JERK,
-        detection=1.0 - MISSED,
-        false_per_px=scene.false_per_px,
-        start_acceleration_mm_s2=START_DEVIATIONS[2] if given else STANDARD_ACCELERATION,
+        jerk_psd=WHITE_JERK,
+        detection_probability=1.0 - MISSED,
+        clutter_density_per_px=scene.clutter_density_per_px,
+        start_acceleration_mm_s2=START_SIGMA[2] if given else STANDARD_ACCELERATION,
     )
     tracker = Tracker(scene.cameras, settings, pixels=(PIXELS,) * len(scene.cameras))
     found = []
@@ -89,7 +89,9 @@ def ours(scene: Scene, motion: Motion, *, given: bool) -> list[Tracked]:
         time_ns = round(at * 1e9)
         if given and exposure == FIRST:
             starts = starts_at(scene, FIRST)
-            tracker.begin_at(time_ns, starts.position_mm, starts.velocity_mm_s, START_COVARIANCE)
+            tracker.add_prior_tracks(
+                time_ns, starts.position_mm, starts.velocity_mm_s, START_COVARIANCE
+            )
         begin = time.thread_time()
         batch = tracker.step(time_ns, peaks, sigma, flags, None)
         seconds = time.thread_time() - begin
@@ -118,10 +120,10 @@ def run(
     for count in markers:
         for sensor_count in sensors:
             scores: dict[str, list[dict[str, float]]] = {}
-            judged = max(MARKER_EXPOSURES // count // seeds, 40) if peer else frames
+            evaluated = max(MARKER_EXPOSURES // count // seeds, 40) if peer else frames
             for seed in range(seeds):
-                scene = scene_of(count, sensor_count, min(frames, FIRST + judged), seed)
-                places = scene.places_mm[FIRST:]
+                scene = scene_of(count, sensor_count, min(frames, FIRST + evaluated), seed)
+                places = scene.positions_mm[FIRST:]
                 if peer:
                     found = stone_soup(scene, FIRST, WHITE_JERK, 1.0 - MISSED)
                     scores.setdefault(PEER, []).append(_scored([], found, places))
@@ -151,10 +153,10 @@ def _rows(markers: int, sensors: int, scores: dict[str, list[dict[str, float]]])
     ]
 
 
-def _scored(before: list[Tracked], judged: list[Tracked], places: Array) -> dict[str, float]:
-    found = score(judged, places)
+def _scored(before: list[Tracked], evaluated: list[Tracked], places: Array) -> dict[str, float]:
+    found = score(evaluated, places)
     start = 1e3 * statistics.fmean(one.seconds for one in before) if before else 0.0
-    worst = 1e3 * max(one.seconds for one in [*before, *judged])
+    worst = 1e3 * max(one.seconds for one in [*before, *evaluated])
     return {**found, "start_ms": start, "worst_ms": worst}
 
 

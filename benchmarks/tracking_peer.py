@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.tracking_scene import SIGMA_PX, START_DEVIATIONS, Scene, starts_at
-from benchmarks.tracking_score import Tracked
+from benchmarks.tracking_metrics import Tracked
+from benchmarks.tracking_scene import SIGMA_PX, START_SIGMA, Scene, starts_at
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ _BEGIN = datetime(2000, 1, 1)  # noqa: DTZ001 - Stone Soup's own times have no z
 _PLACE = [0, 3, 6]
 
 
-def stone_soup(scene: Scene, first: int, white_jerk: float, detection: float) -> list[Tracked]:
+def stone_soup(scene: Scene, first: int, jerk_psd: float, detection: float) -> list[Tracked]:
     """Return what it reports of the exposures from ``first`` on."""
     from stonesoup.dataassociator.probability import JPDAwithEHM2
     from stonesoup.functions import gm_reduce_single
@@ -41,18 +41,18 @@ def stone_soup(scene: Scene, first: int, white_jerk: float, detection: float) ->
     from stonesoup.types.update import GaussianStateUpdate
     from stonesoup.updater.kalman import ExtendedKalmanUpdater
 
-    motion = CombinedLinearGaussianTransitionModel([ConstantAcceleration(white_jerk)] * 3)
+    motion = CombinedLinearGaussianTransitionModel([ConstantAcceleration(jerk_psd)] * 3)
     updater = ExtendedKalmanUpdater(measurement_model=None)
     hypothesiser = PDAHypothesiser(
         ExtendedKalmanPredictor(motion),
         updater,
-        clutter_spatial_density=scene.false_per_px,
+        clutter_spatial_density=scene.clutter_density_per_px,
         prob_detect=detection,
         prob_gate=GATE,
     )
     associator = JPDAwithEHM2(hypothesiser)
     models = measurement_models(scene)
-    covariance = np.diag(np.tile(START_DEVIATIONS, 3)) ** 2
+    covariance = np.diag(np.tile(START_SIGMA, 3)) ** 2
     tracks = []
     given = starts_at(scene, first)
     for place, velocity in zip(given.position_mm, given.velocity_mm_s, strict=True):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
-from compute.optics.placement import place_sensor
+from compute.optics.sensor_placement import place_sensor
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ RATE_HZ = 100.0
 MISSED = 0.05
 FALSE_SHARE = 0.05
 """False peaks, in parts of the markers."""
-MIDDLE_MM = np.array([0.0, 0.0, 1500.0])
+CENTRE_MM = np.array([0.0, 0.0, 1500.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,18 +29,18 @@ class Scene:
     Args:
         cameras: S of them.
         times_s: shape (F,).
-        places_mm: true ones, shape (F, N, 3).
+        positions_mm: true ones, shape (F, N, 3).
         velocity_mm_s: true ones, shape (F, N, 3).
         peaks_px: of each exposure, (S, K); NaN where there are fewer.
-        false_per_px: density of false peaks [1/px].
+        clutter_density_per_px: density of false peaks [1/px].
     """
 
     cameras: CameraStack
     times_s: Array
-    places_mm: Array
+    positions_mm: Array
     velocity_mm_s: Array
     peaks_px: tuple[Array, ...]
-    false_per_px: float
+    clutter_density_per_px: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,17 +56,17 @@ class Starts:
     velocity_mm_s: Array
 
 
-START_DEVIATIONS = (0.5, 20.0, 1000.0)
+START_SIGMA = (0.5, 20.0, 1000.0)
 """Of the given place [mm], velocity [mm/s] and acceleration [mm/s^2], which is given as 0."""
 
 
 def starts_at(scene: "Scene", exposure: int) -> Starts:
-    """Return the true places and velocities with errors of ``START_DEVIATIONS``."""
+    """Return the true places and velocities with errors of ``START_SIGMA``."""
     rng = np.random.default_rng(exposure)
-    place, velocity = scene.places_mm[exposure], scene.velocity_mm_s[exposure]
+    place, velocity = scene.positions_mm[exposure], scene.velocity_mm_s[exposure]
     return Starts(
-        place + START_DEVIATIONS[0] * rng.standard_normal(place.shape),
-        velocity + START_DEVIATIONS[1] * rng.standard_normal(place.shape),
+        place + START_SIGMA[0] * rng.standard_normal(place.shape),
+        velocity + START_SIGMA[1] * rng.standard_normal(place.shape),
     )
 
 
@@ -98,11 +98,11 @@ def crossing_paths(markers: int, times_s: Array, rng: np.random.Generator) -> tu
     places = np.empty((len(times_s), markers, 3))
     velocity = np.empty_like(places)
     end = float(times_s[-1])
-    meeting_s, meeting_mm = 0.0, MIDDLE_MM
+    meeting_s, meeting_mm = 0.0, CENTRE_MM
     for marker in range(markers):
         if marker % 2 == 0:
             meeting_s = end * rng.uniform(0.35, 0.85)
-            meeting_mm = MIDDLE_MM + rng.uniform(-150.0, 150.0, 3)
+            meeting_mm = CENTRE_MM + rng.uniform(-150.0, 150.0, 3)
         direction = rng.standard_normal(3)
         direction /= np.linalg.norm(direction)
         aside = np.cross(direction, rng.standard_normal(3))

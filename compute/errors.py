@@ -102,10 +102,10 @@ class CollinearPoints(LumilineError):
     code = "collinear-points"
 
 
-class NotStill(LumilineError):
+class NotStationary(LumilineError):
     """A point was to be measured at rest, and moved."""
 
-    code = "not-still"
+    code = "not-stationary"
 
 
 class UnknownFrame(LumilineError):
@@ -126,7 +126,7 @@ class DegenerateTool(LumilineError):
     code = "degenerate-tool"
 
 
-class LookAlikeTools(LumilineError):
+class IndistinguishableTools(LumilineError):
     """Two tools have markers with the same distances, or the same strobe slots."""
 
-    code = "look-alike-tools"
+    code = "indistinguishable-tools"

@@ -38,7 +38,7 @@ def host_memory(array: Any) -> NDArray[Any]:
 
 
 @cache
-def helpers() -> ThreadPoolExecutor:
+def worker_threads() -> ThreadPoolExecutor:
     """Return the threads that help the caller's: one for each further CPU."""
     return ThreadPoolExecutor(max(cpus() - 1, 1), thread_name_prefix="kernel")
 

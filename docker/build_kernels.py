@@ -21,16 +21,16 @@ def modules() -> Iterator[tuple[Any, int]]:
     """
     import warp as wp
 
-    from compute.optics.tracing import kernel as tracing
-    from compute.optics.tracing.tracer import THREADS_OF_A_BLOCK as RAYS
-    from compute.pose.native.kernel import step_kernel
+    from compute.optics.tracing import ray_kernel as tracing
+    from compute.optics.tracing.ray_tracer import THREADS_PER_BLOCK as RAYS
+    from compute.pose.filtering.native.kernel import step_kernel
     from compute.reconstruction.native.kernel import point_kernel
-    from compute.reconstruction.native.launch import THREADS_OF_A_BLOCK as POINTS
-    from compute.reconstruction.solver import LEAST_ROOM
+    from compute.reconstruction.native.launch import THREADS_PER_BLOCK as POINTS
+    from compute.reconstruction.solver import MIN_CAPACITY
     from compute.signal.fit import fit_kernel
-    from compute.signal.native.centroid import Length
     from compute.signal.native.centroid_kernel import centroid_kernel
-    from compute.signal.native.cuda_sizes import BLOCK_THREADS
+    from compute.signal.native.centroid_source import Length
+    from compute.signal.native.cuda_launch_sizes import BLOCK_THREADS
 
     assert isinstance(fit_kernel, types.ModuleType)
     yield wp.get_module(fit_kernel.__name__), BLOCK_THREADS
@@ -39,7 +39,7 @@ def modules() -> Iterator[tuple[Any, int]]:
     yield tracing.trace_rays.module, RAYS
     yield tracing.trace_rays_without_toroids.module, RAYS
     for sensors in SENSORS:
-        for room in (0, LEAST_ROOM):
+        for room in (0, MIN_CAPACITY):
             yield point_kernel(sensors, room).module, POINTS
             yield step_kernel(sensors, room).module, 0
 

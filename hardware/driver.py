@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from hardware.frame import LineFrame
+from hardware.line_frame import LineFrame
 
 Readout = Literal["lines", "coded-window", "gray-tracks"]
 """What the pixels of a line show: images of the markers as lines of light, the shadow of a coded

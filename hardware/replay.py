@@ -9,9 +9,9 @@ from threading import Event, Lock
 
 from compute.errors import InvalidParameter
 from hardware.driver import DeviceDescription
-from hardware.frame import LineFrame
-from hardware.pacing import host_time_ns, wait_until
-from hardware.recording_reader import RecordingReader
+from hardware.line_frame import LineFrame
+from hardware.recording.reader import RecordingReader
+from hardware.timing import host_time_ns, wait_until
 
 
 class ReplayDriver:

@@ -1,4 +1,4 @@
-"""Runs the revisions on the connection that service.database.migrate hands over."""
+"""Runs the revisions on the connection that service.database.migration hands over."""
 
 from alembic import context
 
@@ -9,7 +9,7 @@ def run() -> None:
     """Run the revisions; a connection is always given, there is no offline mode."""
     connection = context.config.attributes.get("connection")
     if connection is None:
-        raise RuntimeError("run the migrations by service.database.migrate.migrate()")
+        raise RuntimeError("run the migrations by service.database.migration.migrate()")
     context.configure(
         connection=connection,
         target_metadata=Base.metadata,

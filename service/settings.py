@@ -16,7 +16,7 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
-from service.navigation.allow_list import AllowList
+from service.protocols.allow_list import AllowList
 
 _OF_CLIENTS: Final = frozenset({"LUMILINE_URL", "LUMILINE_KEY"})
 
@@ -212,7 +212,7 @@ class Settings(BaseSettings):
 
 def _check_reach(protocol: str, host: str, allow: tuple[str, ...]) -> None:
     """Refuse a port that others reach, of a protocol without keys, unless it says which others."""
-    if not (host == "localhost" or AllowList().lets_in(host) or allow):
+    if not (host == "localhost" or AllowList().permits(host) or allow):
         raise ValueError(
             f"{protocol}_host {host} is reached from other machines, and the protocol has no keys: "
             f"name the clients' addresses in {protocol}_allow"

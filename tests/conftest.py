@@ -1,4 +1,10 @@
-"""For all tests: generated examples have no time limit of their own, as machines may be busy."""
+"""For all tests: how examples are generated, and no certificates.
+
+``make test`` generates the same examples each time, the dearest tests new ones:
+LUMILINE_TEST_EXAMPLES is "deterministic" (the default) or "random". Neither keeps examples from
+one run for the next; a failure of random ones prints what reproduces it. Examples have no time
+limit of their own, as machines may be busy.
+"""
 
 import os
 from pathlib import Path
@@ -10,5 +16,8 @@ from hypothesis import settings
 os.environ["SSL_CERT_DIR"] = str(Path(__file__).parent)
 os.environ.pop("SSL_CERT_FILE", None)
 
-settings.register_profile("lumiline", deadline=None)
-settings.load_profile("lumiline")
+settings.register_profile("deterministic", deadline=None, derandomize=True, database=None)
+settings.register_profile(
+    "random", deadline=None, derandomize=False, database=None, print_blob=True
+)
+settings.load_profile(os.environ.get("LUMILINE_TEST_EXAMPLES", "deterministic"))

@@ -15,7 +15,7 @@ import httpx
 import numpy as np
 import pytest
 
-from tests.serving import serving
+from tests.running_server import serving
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -27,8 +27,8 @@ def blocks(language: str) -> list[str]:
 
 
 def test_the_table_of_errors_is_what_the_command_prints() -> None:
-    from validation.cases import CASES, LEFT_OUT, METRIC
-    from validation.published import DLT, PUBLISHED
+    from validation.published_errors import DLT, PUBLISHED
+    from validation.tests_5_1_to_5_8 import CASES, LEFT_OUT, METRIC
 
     result = CASES["test-5.4"].run()
     rows = {

@@ -5,48 +5,48 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final
 
-from validation.aberrations_polynomials import CASE as TABLES_3_1_3_2
-from validation.aberrations_seidel import CASE as SEIDEL
-from validation.attenuation import CASE as ATTENUATION
-from validation.calibration_convergence import CASE as CONVERGENCE
-from validation.cases import CASES, Case
-from validation.close_peaks import CASE as CLOSE_PEAKS
-from validation.distortion_tables import TABLE_A1, TABLE_A2
-from validation.interpolators import CASE as INTERPOLATORS
-from validation.labels import CASE as LABELS
-from validation.map_bound import CASE as MAP_BOUND
-from validation.marker_capacity import CASE as MARKER_CAPACITY
-from validation.partial_view import CASE as PARTIAL_VIEW
-from validation.passive_detection import CASE as PASSIVE_DETECTION
-from validation.peak_efficiency import CASE as PEAK_EFFICIENCY
-from validation.pointer_tip import CASE as POINTER_TIP
-from validation.section_6_1 import CASE as SECTION_6_1
-from validation.section_6_2 import CASE as SECTION_6_2
-from validation.signal_ordering import TABLE_4_1, TABLE_4_2, TABLE_4_3
-from validation.signal_scenes import CASE as TABLE_4_5
-from validation.signal_separation import CASE as TABLE_4_4
-from validation.signal_table_c import CASE as TABLE_C
-from validation.skew_effect import CASE as SKEW_EFFECT
-from validation.stop_and_focus import CASE as STOP_AND_FOCUS
-from validation.strobed_tools import CASE as STROBED_TOOLS
-from validation.table_1_1 import CASE as TABLE_1_1
-from validation.table_5_5 import CASE as TABLE_5_5
-from validation.table_5_generated import TABLE_5_6, TABLE_5_7, TABLE_5_8, TABLE_5_9
-from validation.table_5_optimisation import (
+from validation.aberrations.seidel_case import CASE as SEIDEL
+from validation.aberrations.tables_3_1_and_3_2 import CASE as TABLES_3_1_3_2
+from validation.aberrations.tables_a_1_and_a_2 import TABLE_A1, TABLE_A2
+from validation.attenuation.case import CASE as ATTENUATION
+from validation.calibration_convergence.case import CASE as CONVERGENCE
+from validation.close_peaks.case import CASE as CLOSE_PEAKS
+from validation.interpolators.case import CASE as INTERPOLATORS
+from validation.labels.case import CASE as LABELS
+from validation.map_bound.case import CASE as MAP_BOUND
+from validation.marker_capacity.case import CASE as MARKER_CAPACITY
+from validation.partial_view.case import CASE as PARTIAL_VIEW
+from validation.passive_detection.case import CASE as PASSIVE_DETECTION
+from validation.peak_efficiency.case import CASE as PEAK_EFFICIENCY
+from validation.pointer_tip.case import CASE as POINTER_TIP
+from validation.result_tables import TablesCase
+from validation.section_6_1.two_active_markers import CASE as SECTION_6_1
+from validation.section_6_2.three_passive_markers import CASE as SECTION_6_2
+from validation.signal_chain.table_4_4 import CASE as TABLE_4_4
+from validation.signal_chain.table_4_5 import CASE as TABLE_4_5
+from validation.signal_chain.table_c import CASE as TABLE_C
+from validation.signal_chain.tables_4_1_to_4_3 import TABLE_4_1, TABLE_4_2, TABLE_4_3
+from validation.skew_effect.case import CASE as SKEW_EFFECT
+from validation.stop_and_focus.case import CASE as STOP_AND_FOCUS
+from validation.strobed_tools.case import CASE as STROBED_TOOLS
+from validation.table_1_1.case import CASE as TABLE_1_1
+from validation.table_5.table_5_5 import CASE as TABLE_5_5
+from validation.table_5.tables_5_1_to_5_4 import TABLE_5_1, TABLE_5_2, TABLE_5_3, TABLE_5_4
+from validation.table_5.tables_5_6_to_5_9 import TABLE_5_6, TABLE_5_7, TABLE_5_8, TABLE_5_9
+from validation.table_5.tables_5_10_to_5_14 import (
     TABLE_5_10,
     TABLE_5_11,
     TABLE_5_12,
     TABLE_5_13,
     TABLE_5_14,
 )
-from validation.table_5_simulated import TABLE_5_1, TABLE_5_2, TABLE_5_3, TABLE_5_4
-from validation.table_6_1 import TABLE_6_1
-from validation.table_6_2 import TABLE_6_2
-from validation.tables import TablesCase
-from validation.wand import CASE as WAND
+from validation.table_6.table_6_1 import TABLE_6_1
+from validation.table_6.table_6_2 import TABLE_6_2
+from validation.tests_5_1_to_5_8 import CASES, Case
+from validation.wand.case import CASE as WAND
 
 
-def _drawn(case: TablesCase, module: str) -> TablesCase:
+def _with_picture(case: TablesCase, module: str) -> TablesCase:
     """Return a case with its picture, by the ``draw`` of a module of this package.
 
     Matplotlib, which the module brings, is loaded by who wants the picture.
@@ -74,23 +74,23 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_5_12,
     TABLE_5_13,
     TABLE_5_14,
-    _drawn(SECTION_6_1, "section_6_1_picture"),
-    _drawn(SECTION_6_2, "section_6_2_picture"),
+    _with_picture(SECTION_6_1, "section_6_1.picture"),
+    _with_picture(SECTION_6_2, "section_6_2.picture"),
     TABLE_6_1,
     TABLE_6_2,
     LABELS,
     TABLE_A1,
     TABLE_A2,
     SEIDEL,
-    _drawn(SKEW_EFFECT, "skew_picture"),
-    _drawn(STOP_AND_FOCUS, "stop_picture"),
+    _with_picture(SKEW_EFFECT, "skew_effect.picture"),
+    _with_picture(STOP_AND_FOCUS, "stop_and_focus.picture"),
     ATTENUATION,
-    _drawn(PASSIVE_DETECTION, "passive_picture"),
-    _drawn(PEAK_EFFICIENCY, "peak_efficiency_picture"),
-    _drawn(CLOSE_PEAKS, "close_peaks_picture"),
+    _with_picture(PASSIVE_DETECTION, "passive_detection.picture"),
+    _with_picture(PEAK_EFFICIENCY, "peak_efficiency.picture"),
+    _with_picture(CLOSE_PEAKS, "close_peaks.picture"),
     MAP_BOUND,
-    _drawn(MARKER_CAPACITY, "marker_capacity_picture"),
-    _drawn(INTERPOLATORS, "interpolators_picture"),
+    _with_picture(MARKER_CAPACITY, "marker_capacity.picture"),
+    _with_picture(INTERPOLATORS, "interpolators.picture"),
     TABLES_3_1_3_2,
     TABLE_4_1,
     TABLE_4_2,

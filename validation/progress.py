@@ -10,7 +10,7 @@ _LISTENER: ContextVar[Listener | None] = ContextVar("_LISTENER", default=None)
 
 
 @contextmanager
-def listening(listener: Listener) -> Iterator[None]:
+def progress_listener(listener: Listener) -> Iterator[None]:
     """Within this, ``tell`` calls the listener; what it raises ends the case."""
     token = _LISTENER.set(listener)
     try:
@@ -19,7 +19,7 @@ def listening(listener: Listener) -> Iterator[None]:
         _LISTENER.reset(token)
 
 
-def tell(share: float, stage: str) -> None:
+def report_progress(share: float, stage: str) -> None:
     """Tell the share of the case that is done, 0 to 1, and what comes next; nobody may listen."""
     listener = _LISTENER.get()
     if listener is not None:

@@ -6,12 +6,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.assessment import Diagnosis, DistortionSelection
-from compute.calibration.labels.finding import LabelFinding
+from compute.calibration.assessment_result import Diagnosis, DistortionSelection
+from compute.calibration.mislabels.finding import LabelFinding
 from compute.calibration.settings import CalibrationSettings, Method
 from compute.camera.model import SensorModel, Vector3, vector3
 
-UnknownPlaces = Literal["self-calibration", "update"]
+MethodWithoutControl = Literal["self-calibration", "update"]
 """Methods that know no coordinates: a subject at unknown places; and a calibration that was
 brought up to date by a still set of markers."""
 
@@ -63,13 +63,13 @@ class AxisErrors:
             nan = (float("nan"),) * 3
             return cls(0, nan, nan, nan, nan)
         absolute = np.abs(rows)
-        deviation = rows.std(axis=0, ddof=1) if len(rows) > 1 else np.zeros(3)
+        sigma = rows.std(axis=0, ddof=1) if len(rows) > 1 else np.zeros(3)
         return cls(
             len(rows),
             vector3(absolute.mean(axis=0)),
             vector3(absolute.max(axis=0)),
             vector3(rows.mean(axis=0)),
-            vector3(deviation),
+            vector3(sigma),
         )
 
 
@@ -114,7 +114,7 @@ class Calibration:
         diagnosis: None where it was not made.
     """
 
-    method: Method | UnknownPlaces
+    method: Method | MethodWithoutControl
     sensors: tuple[SensorFit, ...]
     covariance: tuple[tuple[float, ...], ...]
     residuals_px: tuple[tuple[float | None, ...], ...]

@@ -5,7 +5,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from compute.calibration.terms import Preset, check_order, preset_terms
+from compute.calibration.single_sensor.distortion_terms import Preset, check_order, preset_terms
 from compute.camera.field_distortion import Term, check_terms
 from compute.errors import InvalidParameter
 
@@ -27,13 +27,13 @@ class CalibrationSettings:
             parameters by steps, [5.21]-[5.29]; both for comparison, with no other setting but
             ``labels``.
         distortion: "none"; "auto": the set that predicts blocks of points it never saw best
-            (``compute.calibration.selection``); a set's name (``compute.calibration.terms``); or
+            (``compute.calibration.distortion_selection``); a set's name (``compute.calibration.single_sensor.distortion_terms``); or
             the terms themselves.
         control_sigma_mm: standard deviation of each coordinate of the control points [mm];
             None: they are exact. With it the points are unknowns too, which makes the
             covariance of the sensors joint.
         loss: "linear": least squares. "robust": outliers lose their weight
-            (``compute.calibration.robust``).
+            (``compute.calibration.single_sensor.m_estimators``).
         labels: what is done with wrong and exchanged labels: not looked for, reported, left out,
             or mended.
 

@@ -46,7 +46,7 @@ class FieldDistortion:
             the principal distance [mm]; known, not fitted. 0 where it is not known: then v is
             taken to the lens's middle, which costs some hundredths of a pixel in a wide field.
         derived: the coefficients follow from a camera of fewer parameters and are not fitted one
-            by one (``compute.camera.planar``): then degenerate terms may be among them.
+            by one (``compute.camera.area_camera``): then degenerate terms may be among them.
 
     Raises:
         InvalidParameter: terms that are refused by ``check_terms``, or not one coefficient each.
@@ -67,8 +67,8 @@ class FieldDistortion:
             )
 
 
-_TURNS: Final = 50
-_SETTLED: Final = 1e-14
+_MAX_ITERATIONS: Final = 50
+_TOLERANCE: Final = 1e-14
 
 
 def power_terms(order: int, *, odd_only: bool) -> tuple[Term, ...]:
@@ -117,18 +117,18 @@ def term_values(u: Array, v: Array, terms: Sequence[Term]) -> Array:
     """Return u^i v^j for each term, shape (..., K)."""
     powers_u, powers_v = (_powers(x, terms, axis) for axis, x in enumerate((u, v)))
     values = np.empty((*np.shape(u), len(terms)))
-    for place, (i, j) in enumerate(terms):
-        np.multiply(powers_u[i], powers_v[j], out=values[..., place])
+    for index, (i, j) in enumerate(terms):
+        np.multiply(powers_u[i], powers_v[j], out=values[..., index])
     return values
 
 
-def term_slopes(u: Array, v: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
+def term_derivatives(u: Array, v: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
     """Return the derivatives of u^i v^j by u and by v, both of shape (..., K)."""
     powers_u, powers_v = (_powers(x, terms, axis) for axis, x in enumerate((u, v)))
     by_u, by_v = np.empty((2, *np.shape(u), len(terms)))
-    for place, (i, j) in enumerate(terms):
-        np.multiply(i * powers_u[max(i - 1, 0)], powers_v[j], out=by_u[..., place])
-        np.multiply(powers_u[i], j * powers_v[max(j - 1, 0)], out=by_v[..., place])
+    for index, (i, j) in enumerate(terms):
+        np.multiply(i * powers_u[max(i - 1, 0)], powers_v[j], out=by_u[..., index])
+        np.multiply(powers_u[i], j * powers_v[max(j - 1, 0)], out=by_v[..., index])
     return by_u, by_v
 
 
@@ -138,21 +138,21 @@ def distortion(u: Array, v: Array, terms: Sequence[Term], coefficients: Array) -
     return values
 
 
-def undistorted(distorted: Array, v: Array, terms: Sequence[Term], coefficients: Array) -> Array:
+def undistort(distorted: Array, v: Array, terms: Sequence[Term], coefficients: Array) -> Array:
     """Return u with ``u + d(u, v) = distorted`` where v is known, by Newton's method.
 
     Raises:
         NoConvergence: the polynomial has no such u nearby: it is used beyond its field.
     """
     u = np.array(distorted, dtype=np.float64)
-    for _ in range(_TURNS):
-        slope = 1.0 + term_slopes(u, v, terms)[0] @ coefficients
+    for _ in range(_MAX_ITERATIONS):
+        derivative = 1.0 + term_derivatives(u, v, terms)[0] @ coefficients
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            step = (distorted - u - distortion(u, v, terms, coefficients)) / slope
+            step = (distorted - u - distortion(u, v, terms, coefficients)) / derivative
         if not np.isfinite(step).all():
             break
         u = u + step
-        if (np.abs(step) <= _SETTLED * (1.0 + np.abs(u))).all():
+        if (np.abs(step) <= _TOLERANCE * (1.0 + np.abs(u))).all():
             return u
     raise NoConvergence(
         f"no field angle has the distorted value {np.ravel(distorted)[:3].tolist()}...; the "

@@ -105,7 +105,7 @@ class SensorModel:
         """R_sensor_world, shape (3, 3)."""
         return rotation_matrix(np.array(self.rotation_vector_rad))
 
-    def moved(self, step: NDArray[np.float64]) -> "SensorModel":
+    def retract(self, step: NDArray[np.float64]) -> "SensorModel":
         """Return the model after a step of its parameters, in the order of ``parameter_names``."""
         turned = Rotation.from_rotvec(step[2:5]) * Rotation.from_rotvec(self.rotation_vector_rad)
         x, y, z = turned.as_rotvec()

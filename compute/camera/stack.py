@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.field_distortion import Term, term_slopes, term_values
+from compute.camera.field_distortion import Term, term_derivatives, term_values
 from compute.camera.model import PARAMETER_COUNT, SensorModel, vector3
 from compute.camera.rotation import rotation_matrix, rotation_vector
 
@@ -28,7 +28,7 @@ class CameraStack:
         terms: all terms of the sensors' distortions, K of them; empty without distortion.
         coefficients: of the terms, shape (S, K); 0 where a sensor has not got one.
         row_behind_mm: shape (S,) [mm], see ``FieldDistortion``.
-        places: where each sensor's columns are in the list of all its own parameters, sensor by
+        parameter_index: where each sensor's columns are in the list of all its own parameters, sensor by
             sensor, shape (S, width); -1 for a parameter that it has not got.
     """
 
@@ -40,7 +40,7 @@ class CameraStack:
     terms: tuple[Term, ...]
     coefficients: Array
     row_behind_mm: Array
-    places: NDArray[np.intp]
+    parameter_index: NDArray[np.intp]
 
     @classmethod
     def of(cls, models: Sequence[SensorModel]) -> "CameraStack":
@@ -51,7 +51,7 @@ class CameraStack:
         distorted = any(d is not None for d in distortions)
         width = PARAMETER_COUNT + (1 + len(terms) if distorted else 0)
         coefficients = np.zeros((len(models), len(terms)))
-        places = np.full((len(models), width), -1, dtype=np.intp)
+        parameter_index = np.full((len(models), width), -1, dtype=np.intp)
         first = 0
         for row, (model, distortion) in enumerate(zip(models, distortions, strict=True)):
             columns = list(range(PARAMETER_COUNT))
@@ -59,7 +59,7 @@ class CameraStack:
                 own = [terms.index(term) for term in distortion.terms]
                 coefficients[row, own] = distortion.coefficients
                 columns += [PARAMETER_COUNT, *(PARAMETER_COUNT + 1 + column for column in own)]
-            places[row, columns] = np.arange(first, first + len(columns))
+            parameter_index[row, columns] = np.arange(first, first + len(columns))
             first += model.parameter_count
         return cls(
             np.array([model.principal_distance_px for model in models], dtype=np.float64),
@@ -79,7 +79,7 @@ class CameraStack:
             terms,
             coefficients,
             np.array([0.0 if d is None else d.row_behind_mm for d in distortions]),
-            places,
+            parameter_index,
         )
 
     def models(self, like: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
@@ -108,7 +108,7 @@ class CameraStack:
             )
         return tuple(models)
 
-    def moved(self, steps: Array) -> "CameraStack":
+    def retract(self, steps: Array) -> "CameraStack":
         """Return the cameras after steps of their parameters, shape (S, width).
 
         Steps of what a camera has not got must be 0.
@@ -116,7 +116,7 @@ class CameraStack:
         offset = self.offset_mm.copy()
         offset[:, ::2] += steps[:, 5:7]
         coefficients = self.coefficients
-        if self.distorted:
+        if self.has_distortion:
             offset[:, 1] += steps[:, 7]
             coefficients = coefficients + steps[:, 8:]
         return replace(
@@ -139,7 +139,7 @@ class CameraStack:
             cubic_per_px2=self.cubic_per_px2[index],
             coefficients=self.coefficients[index],
             row_behind_mm=self.row_behind_mm[index],
-            places=self.places[index],
+            parameter_index=self.parameter_index[index],
         )
 
     def __len__(self) -> int:
@@ -147,29 +147,29 @@ class CameraStack:
         return len(self.principal_distance_px)
 
     @property
-    def distorted(self) -> bool:
+    def has_distortion(self) -> bool:
         """Whether any camera has distortion by its field angles."""
         return self.width > PARAMETER_COUNT
 
     @property
     def width(self) -> int:
         """Parameters of a sensor in the Jacobians: 7, or 8 + K with distortion."""
-        return int(self.places.shape[1])
+        return int(self.parameter_index.shape[1])
 
     @cached_property
-    def owned(self) -> NDArray[np.bool_]:
+    def parameter_mask(self) -> NDArray[np.bool_]:
         """Which of the ``width`` parameters each sensor has, shape (S, width)."""
-        return self.places >= 0
+        return self.parameter_index >= 0
 
-    def spread_covariance(self, covariance: Array) -> Array:
+    def covariance_blocks(self, covariance: Array) -> Array:
         """Return a joint covariance (P, P) by sensor and column, shape (S, width, S, width).
 
         P counts the parameters that the sensors have, sensor by sensor in the order of
         ``SensorModel.parameter_names``; what a sensor has not got is certain, 0.
         """
-        here = np.flatnonzero(self.owned)
-        order = self.places.ravel()[here]
-        full = np.zeros((self.places.size, self.places.size))
+        here = np.flatnonzero(self.parameter_mask)
+        order = self.parameter_index.ravel()[here]
+        full = np.zeros((self.parameter_index.size, self.parameter_index.size))
         full[np.ix_(here, here)] = covariance[np.ix_(order, order)]
         return full.reshape(len(self), self.width, len(self), self.width)
 
@@ -186,11 +186,11 @@ class CameraStack:
         )
         return np.stack([first, depth], axis=1)
 
-    def corrected(self, readings_px: Array) -> Array:
+    def add_cubic_term(self, readings_px: Array) -> Array:
         """Return readings (..., S) with the cubic distortion term added, thesis [5.12]."""
         return readings_px + self.cubic_per_px2 * (readings_px - self.principal_point_px) ** 3
 
-    def correction_slope(self, readings_px: Array) -> Array:
+    def correction_derivative(self, readings_px: Array) -> Array:
         """Return d corrected / d reading, shape (..., S): scales a reading's deviation."""
         return 1.0 + 3.0 * self.cubic_per_px2 * (readings_px - self.principal_point_px) ** 2
 
@@ -200,12 +200,12 @@ class CameraStack:
         NaN where the point does not lie in front of the lens. A reading may lie outside the
         sensor: the line of pixels has an end, the projection has none.
         """
-        if self.distorted:
+        if self.has_distortion:
             return self._distorted(points_mm)[0]
-        u, _ = self._field(points_mm)
+        u, _ = self._field_and_depth(points_mm)
         return self.principal_point_px + self.principal_distance_px * u
 
-    def _field(self, points_mm: Array) -> tuple[Array, Array]:
+    def _field_and_depth(self, points_mm: Array) -> tuple[Array, Array]:
         """Return u = x/z and the depth z [mm], both (N, S); NaN at and behind the lens."""
         sensor: Array = np.einsum("sij,nj->nsi", self.rotation[:, ::2], points_mm)
         sensor += self.offset_mm[:, ::2]
@@ -221,13 +221,13 @@ class CameraStack:
         depth = np.where(sensor[..., 2] > 0.0, sensor[..., 2], np.nan)
         return sensor[..., 0] / depth, sensor[..., 1] / (depth + self.row_behind_mm)
 
-    def linearised(self, points_mm: Array) -> tuple[Array, Array]:
+    def linearise(self, points_mm: Array) -> tuple[Array, Array]:
         """Project points (N, 3) and return readings (N, S) and d reading / d point (N, S, 3)."""
-        if self.distorted:
+        if self.has_distortion:
             reading, by_frame, _, _ = self._distorted(points_mm)
             slope: Array = np.einsum("nsi,sij->nsj", by_frame, self.rotation)
             return reading, slope
-        u, depth = self._field(points_mm)
+        u, depth = self._field_and_depth(points_mm)
         gain = self.principal_distance_px / depth
         slope = gain[..., None] * (self.rotation[:, 0] - u[..., None] * self.rotation[:, 2])
         return self.principal_point_px + self.principal_distance_px * u, slope
@@ -238,17 +238,17 @@ class CameraStack:
         The order is that of PARAMETERS, then offset_y_mm and the terms' coefficients where any
         sensor has distortion; 0 for what a sensor has not got.
         """
-        return self.with_parameters(points_mm)[1]
+        return self.project_with_parameter_jacobian(points_mm)[1]
 
-    def with_parameters(self, points_mm: Array) -> tuple[Array, Array]:
+    def project_with_parameter_jacobian(self, points_mm: Array) -> tuple[Array, Array]:
         """Project points (N, 3); readings (N, S) [px] and ``parameter_jacobian``."""
         # One product of matrices: einsum takes several times as long for few points.
         rotated = (points_mm @ self.rotation.reshape(-1, 3).T).reshape(len(points_mm), -1, 3)
-        if not self.distorted:
+        if not self.has_distortion:
             depth = rotated[..., 2] + self.offset_mm[:, 2]
             depth = np.where(depth > 0.0, depth, np.nan)
             u = (rotated[..., 0] + self.offset_mm[:, 0]) / depth
-            slopes = reading_slopes(rotated, u, self.principal_distance_px / depth)
+            slopes = reading_jacobian(rotated, u, self.principal_distance_px / depth)
             return self.principal_point_px + self.principal_distance_px * u, slopes
         reading, by_frame, angle, values = self._distorted(points_mm)
         jacobian = np.empty((*angle.shape, self.width))
@@ -264,8 +264,8 @@ class CameraStack:
         jacobian[..., 6] = z
         jacobian[..., 7] = y
         jacobian[..., 8:] = self.principal_distance_px[:, None] * values
-        if not self.owned.all():
-            jacobian *= self.owned
+        if not self.parameter_mask.all():
+            jacobian *= self.parameter_mask
         return reading, jacobian
 
     def _distorted(self, points_mm: Array) -> tuple[Array, Array, Array, Array]:
@@ -278,7 +278,7 @@ class CameraStack:
         to_row = depth + self.row_behind_mm
         u, v = sensor[..., 0] / depth, sensor[..., 1] / to_row
         values = term_values(u, v, self.terms)
-        slope_u, slope_v = term_slopes(u, v, self.terms)
+        slope_u, slope_v = term_derivatives(u, v, self.terms)
         angle = u + np.einsum("nsk,sk->ns", values, self.coefficients)
         c = self.principal_distance_px
         by_frame = np.empty((*u.shape, 3))
@@ -288,7 +288,7 @@ class CameraStack:
         return self.principal_point_px + c * angle, by_frame, angle, values
 
 
-def reading_slopes(rotated_mm: Array, u: Array, gain: Array) -> Array:
+def reading_jacobian(rotated_mm: Array, u: Array, gain: Array) -> Array:
     """Return d reading / d parameters without distortion, shape (..., 7), as in PARAMETERS.
 
     Args:

@@ -9,31 +9,31 @@ from numpy.typing import NDArray
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
-from compute.mapping.corners import corner_values
-from compute.mapping.extent import grid_over, spacing_of
+from compute.mapping.cell_corner_values import corner_values
+from compute.mapping.cell_support import cell_corners, check_no_holes, find_supported_cells
+from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.grid import VoxelGrid
-from compute.mapping.lattice import Lattice, nearest_filled
+from compute.mapping.grid_extent import grid_for_points, point_spacing
 from compute.mapping.measurements import MappingMeasurements, check_measurements
 from compute.mapping.result import MappingResult, MappingValidation, SensorMapping
+from compute.mapping.sample_grid import SampleGrid, fill_nearest
 from compute.mapping.sensor_data import SensorData
-from compute.mapping.sensor_fit import describe, fit_sensor
+from compute.mapping.sensor_fit import fit_sensor, summarise_fit
 from compute.mapping.settings import MappingSettings
-from compute.mapping.smooth_basis import SmoothBasis
-from compute.mapping.support import cell_corners, check_no_holes, supported_cells
 from compute.mapping.table import CorrectionTable
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-MOST_FUNCTIONS = 1200
+MAX_FUNCTIONS = 1200
 """Smooth functions that are fitted, at most; about ten along each axis of a cube."""
-FEWEST_FUNCTIONS = 120
-FUNCTIONS_BY_POINT = 2
-_TRIALS = 25  # of smoothness, about: for the progress alone
+MIN_FUNCTIONS = 120
+FUNCTIONS_PER_POINT = 2
+_TYPICAL_TRIALS = 25  # of smoothness, about: for the progress alone
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _SensorPart:
     """One sensor's share of a table."""
 
     coefficients_px: Array
@@ -53,9 +53,9 @@ def build_table(
     """Build the table of what is to be added to the readings, projection less measurement.
 
     Thesis, end of section 5.6. By default a tensor B-spline is fitted whose roughness is
-    penalised (see ``SmoothBasis``), with the calibration's own error beside it (see
+    penalised (see ``DiagonalisedBasis``), with the calibration's own error beside it (see
     ``fit_sensor``), the penalty chosen by cross-validation over blocks (see
-    ``weigh_penalties``).
+    ``cross_validate_penalties``).
 
     The table's variances are those of the whole expected reading: of the map and of the
     calibration that it corrects. Points that are reconstructed with the table take the
@@ -78,7 +78,7 @@ def build_table(
     settings = settings or MappingSettings()
     check_measurements(measured, models)
     cameras = CameraStack.of(models)
-    readings = cameras.corrected(measured.readings_px)
+    readings = cameras.add_cubic_term(measured.readings_px)
     samples = cameras.project(measured.points_mm) - readings
     behind = np.argwhere(np.isfinite(readings) & np.isnan(samples))
     if len(behind):
@@ -89,16 +89,16 @@ def build_table(
             point=row + 1,
             sensor=models[column].name,
         )
-    spacing = spacing_of(measured)
+    spacing = point_spacing(measured)
     if settings.method == "b-spline":
-        grid = grid_over(measured, spacing, settings)
-        parts = _splines(
+        grid = grid_for_points(measured, spacing, settings)
+        parts = _fit_p_splines(
             models, cameras, measured, samples, parameter_covariance, settings, grid, progress
         )
     else:
-        lattice = Lattice.of(measured.points_mm)
-        grid = lattice.grid
-        parts = _through(models, cameras, measured, samples, settings, lattice)
+        sample_grid = SampleGrid.of(measured.points_mm)
+        grid = sample_grid.grid
+        parts = _interpolate(models, cameras, measured, samples, settings, sample_grid)
     for model, part in zip(models, parts, strict=True):
         check_no_holes(part.valid, grid, model.name)
     progress(1.0, "done")
@@ -115,7 +115,7 @@ def build_table(
     return MappingResult(table, settings, MappingValidation(spacing, grid.pitch_mm, figures))
 
 
-def _splines(
+def _fit_p_splines(
     models: Sequence[SensorModel],
     cameras: CameraStack,
     measured: MappingMeasurements,
@@ -124,24 +124,26 @@ def _splines(
     settings: MappingSettings,
     grid: VoxelGrid,
     progress: Progress,
-) -> list[_Part]:
+) -> list[_SensorPart]:
     """Fit penalised splines, sensor by sensor."""
     _check_in_front(cameras, models, cell_corners(grid))
-    spacing = spacing_of(measured)
-    most = int(np.clip(FUNCTIONS_BY_POINT * len(samples), FEWEST_FUNCTIONS, MOST_FUNCTIONS))
-    functions = SmoothBasis.of(grid, most)
+    spacing = point_spacing(measured)
+    max_functions = int(np.clip(FUNCTIONS_PER_POINT * len(samples), MIN_FUNCTIONS, MAX_FUNCTIONS))
+    functions = DiagonalisedBasis.of(grid, max_functions)
     variance = measured.variance_px2(cameras)
-    block = _blocks(measured.points_mm, spacing)
+    block = _spatial_blocks(measured.points_mm, spacing)
     joint = (
-        None if parameter_covariance is None else cameras.spread_covariance(parameter_covariance)
+        None if parameter_covariance is None else cameras.covariance_blocks(parameter_covariance)
     )
     parts = []
     for column, model in enumerate(models):
         seen = np.flatnonzero(np.isfinite(samples[:, column]))
-        owned = cameras.owned[column]
+        parameter_mask = cameras.parameter_mask[column]
 
-        def slopes(points: Array, column: int = column, owned: Array = owned) -> Array:
-            found: Array = cameras.parameter_jacobian(points)[:, column][:, owned]
+        def parameter_jacobian(
+            points: Array, column: int = column, parameter_mask: Array = parameter_mask
+        ) -> Array:
+            found: Array = cameras.parameter_jacobian(points)[:, column][:, parameter_mask]
             return found
 
         known = measured.sigma_px is not None
@@ -153,31 +155,33 @@ def _splines(
             variance[seen, column] if known else np.ones(len(seen)),
             known,
             block[seen],
-            slopes,
-            None if joint is None else joint[column, :, column][np.ix_(owned, owned)],
+            parameter_jacobian,
+            None
+            if joint is None
+            else joint[column, :, column][np.ix_(parameter_mask, parameter_mask)],
         )
-        told = _Teller(progress, column, len(models), model.name)
-        fitted = fit_sensor(data, functions, settings.smoothness, told)
-        valid = supported_cells(grid, data.points_mm, settings.near_points, spacing)
+        on_trial = _TrialProgress(progress, column, len(models), model.name)
+        fitted = fit_sensor(data, functions, settings.penalty_weight, on_trial)
+        valid = find_supported_cells(grid, data.points_mm, settings.min_neighbours, spacing)
         parts.append(
-            _Part(
+            _SensorPart(
                 fitted.coefficients_px,
                 corner_values(grid, fitted.variance_px2),
                 valid,
-                describe(data, fitted, float(valid.mean())),
+                summarise_fit(data, fitted, float(valid.mean())),
             )
         )
     return parts
 
 
-def _through(
+def _interpolate(
     models: Sequence[SensorModel],
     cameras: CameraStack,
     measured: MappingMeasurements,
     samples: Array,
     settings: MappingSettings,
-    lattice: Lattice,
-) -> list[_Part]:
+    sample_grid: SampleGrid,
+) -> list[_SensorPart]:
     """Interpolate the values themselves, sensor by sensor."""
     if measured.sigma_px is None:
         raise InvalidParameter(
@@ -189,7 +193,9 @@ def _through(
     for column, model in enumerate(models):
         values = samples[:, column]
         seen = np.isfinite(values)
-        coefficients, valid = lattice.through(values, 1 if settings.method == "trilinear" else 3)
+        coefficients, valid = sample_grid.interpolate(
+            values, 1 if settings.method == "trilinear" else 3
+        )
         figures = SensorMapping(
             model.name,
             int(seen.sum()),
@@ -201,12 +207,14 @@ def _through(
             float(valid.mean()),
         )
         parts.append(
-            _Part(coefficients, nearest_filled(lattice, variance[:, column]), valid, figures)
+            _SensorPart(
+                coefficients, fill_nearest(sample_grid, variance[:, column]), valid, figures
+            )
         )
     return parts
 
 
-class _Teller:
+class _TrialProgress:
     """Tells of trials of one sensor's smoothness; how many there will be is not known before."""
 
     def __init__(self, progress: Progress, sensor: int, sensors: int, name: str) -> None:
@@ -217,11 +225,11 @@ class _Teller:
     def __call__(self) -> None:
         """Count one more trial."""
         self._trials += 1
-        share = 1.0 - float(np.exp(-2.0 * self._trials / _TRIALS))
+        share = 1.0 - float(np.exp(-2.0 * self._trials / _TYPICAL_TRIALS))
         self._progress((self._sensor + share) / self._sensors, f"smoothness of {self._name}")
 
 
-def _blocks(points_mm: Array, spacing: float) -> NDArray[np.intp]:
+def _spatial_blocks(points_mm: Array, spacing: float) -> NDArray[np.intp]:
     """Return the number of each point's block: those in one cube of the spacing's edge."""
     cube = np.floor((points_mm - points_mm.min(axis=0)) / spacing).astype(np.intp)
     _, number = np.unique(cube, axis=0, return_inverse=True)

@@ -54,9 +54,9 @@ class VoxelGrid:
             Cell indices (N, 3), fractions in [0, 1] (N, 3), and whether inside (N,). A point on a
             face between two cells belongs to the upper one, on the box's end to the last.
         """
-        place = (points_mm - np.asarray(self.origin_mm)) / np.asarray(self.pitch_mm)
+        cell_coordinate = (points_mm - np.asarray(self.origin_mm)) / np.asarray(self.pitch_mm)
         count = np.asarray(self.cells)
-        inside = ((place >= 0.0) & (place <= count)).all(axis=1)
-        place = np.clip(place, 0.0, count)
-        cell = np.minimum(place.astype(np.intp), count - 1)
-        return cell, place - cell, inside
+        inside = ((cell_coordinate >= 0.0) & (cell_coordinate <= count)).all(axis=1)
+        cell_coordinate = np.clip(cell_coordinate, 0.0, count)
+        cell = np.minimum(cell_coordinate.astype(np.intp), count - 1)
+        return cell, cell_coordinate - cell, inside

@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.model import SensorModel
-from compute.camera.observations import FLATNESS_LIMIT, check_observations
+from compute.camera.observation_checks import FLATNESS_LIMIT, check_observations
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
 
 Array = NDArray[np.float64]
 
-LEAST_POINTS = 8
+MIN_POINTS = 8
 """Of each sensor: the corners of one cell."""
-ONE_SIDED_LIMIT = 0.1
+MIN_EXTENT_SHARE = 0.1
 """Least share of the extent of all points, along their axes, that a sensor's points must have."""
 
 
@@ -42,8 +42,8 @@ class MappingMeasurements:
 
         Without standard deviations the places' share alone is known.
         """
-        slope = cameras.linearised(self.points_mm)[1]
-        variance: Array = self.point_sigma_mm**2 * (slope**2).sum(axis=2)
+        jacobian = cameras.linearise(self.points_mm)[1]
+        variance: Array = self.point_sigma_mm**2 * (jacobian**2).sum(axis=2)
         if self.sigma_px is not None:
             variance = variance + self.sigma_px**2
         return np.where(np.isfinite(self.readings_px), variance, np.nan)
@@ -54,15 +54,15 @@ def check_measurements(measured: MappingMeasurements, models: Sequence[SensorMod
 
     Raises:
         InvalidParameter, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor: see
-            ``compute.camera.observations``.
+            ``compute.camera.observation_checks``.
         TooFewPoints, DegeneratePoints: of a sensor, which it names.
     """
-    spread = measured.point_sigma_mm
-    if not 0.0 <= spread < np.inf:
-        raise InvalidParameter(f"point_sigma_mm is {spread}; it must be 0 or positive")
+    point_sigma = measured.point_sigma_mm
+    if not 0.0 <= point_sigma < np.inf:
+        raise InvalidParameter(f"point_sigma_mm is {point_sigma}; it must be 0 or positive")
     points, readings = measured.points_mm, measured.readings_px
     check_observations(points, readings, models, measured.sigma_px)
-    whole = _extents(points) if len(points) >= LEAST_POINTS else None
+    whole = _extents(points) if len(points) >= MIN_POINTS else None
     for column, model in enumerate(models):
         _check_sensor(points[np.isfinite(readings[:, column])], model, whole)
 
@@ -70,9 +70,9 @@ def check_measurements(measured: MappingMeasurements, models: Sequence[SensorMod
 def _check_sensor(seen: Array, model: SensorModel, whole: Array | None) -> None:
     """Check the points (n, 3) that one sensor saw, beside the extents of all."""
     count = len(seen)
-    if count < LEAST_POINTS or whole is None:
+    if count < MIN_POINTS or whole is None:
         raise TooFewPoints(
-            f"sensor {model.name} saw {count} of the mapping points; at least {LEAST_POINTS} are "
+            f"sensor {model.name} saw {count} of the mapping points; at least {MIN_POINTS} are "
             "needed, and as many more as the volume is to be resolved",
             sensor=model.name,
             points=count,
@@ -86,10 +86,10 @@ def _check_sensor(seen: Array, model: SensorModel, whole: Array | None) -> None:
             sensor=model.name,
         )
     share = float((extents / whole).min())
-    if share < ONE_SIDED_LIMIT:
+    if share < MIN_EXTENT_SHARE:
         raise DegeneratePoints(
             f"sensor {model.name} saw points on one side only: they reach over {100 * share:.1f} "
-            f"% of the mapped volume in one direction, at least {100 * ONE_SIDED_LIMIT:g} % are "
+            f"% of the mapped volume in one direction, at least {100 * MIN_EXTENT_SHARE:g} % are "
             "needed; add points where it has none, or map the others' volume without it",
             sensor=model.name,
         )

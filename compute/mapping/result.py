@@ -14,12 +14,12 @@ class Suspect:
     Args:
         point: its number, counted from 0.
         left_out_px: its error where its block was left out [px].
-        sigmas: the same in the standard deviations that it should have.
+        normalised_error: the same in the standard deviations that it should have.
     """
 
     point: int
     left_out_px: float
-    sigmas: float
+    normalised_error: float
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class SensorMapping:
         before_rms_px: projection less measurement, without the table [px].
         after_rms_px: the same with it, at the measurements themselves [px].
         left_out_rms_px: at blocks of measurements that were left out, without their own [px].
-        left_out_square: mean square of the left-out errors over what they should have: 1 where
+        normalised_squared_error: mean square of the left-out errors over what they should have: 1 where
             the table's variances are honest.
         effective_parameters: how many parameters the fit amounts to, the calibration's included.
-        smoothness: weight of the penalty [1/px^2], on the squared differences of the splines'
+        penalty_weight: weight of the penalty [1/px^2], on the squared differences of the splines'
             coefficients.
         axis_weights: of the differences along x, y and z.
         gcv_ratio: the generalised cross-validation's error over that of the blocks, RMS: far below
@@ -52,9 +52,9 @@ class SensorMapping:
     before_rms_px: float
     after_rms_px: float
     left_out_rms_px: float | None
-    left_out_square: float | None
+    normalised_squared_error: float | None
     effective_parameters: float | None
-    smoothness: float | None
+    penalty_weight: float | None
     axis_weights: Vector3 | None
     gcv_ratio: float | None
     sigma_px: float

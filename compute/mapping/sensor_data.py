@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.mapping.penalised import PenalisedProblem
-from compute.mapping.smooth_basis import SmoothBasis
+from compute.mapping.diagonalised_basis import DiagonalisedBasis
+from compute.mapping.p_splines import PenalisedProblem
 
 Array = NDArray[np.float64]
 
-BLOCKS_TESTED = 2000
+MAX_LEFT_OUT_BLOCKS = 2000
 """Blocks that are left out in turn, at most; of more, these are spread evenly over all."""
 CHUNK = 4096
 """Points whose functions are held at once."""
@@ -29,7 +29,7 @@ class SensorData:
         variance_px2: of the measurements, shape (N,) [px^2]; ones where not known.
         known_variance: whether they are known.
         block: number of each measurement's block, shape (N,).
-        slopes: d reading / d parameters of the sensor at points (M, 3), shape (M, P).
+        parameter_jacobian: d reading / d parameters of the sensor at points (M, 3), shape (M, P).
         parameter_covariance: of the sensor's parameters, from other measurements, shape (P, P);
             None: these measurements made the calibration.
     """
@@ -41,24 +41,24 @@ class SensorData:
     variance_px2: Array
     known_variance: bool
     block: NDArray[np.intp]
-    slopes: Callable[[Array], Array]
+    parameter_jacobian: Callable[[Array], Array]
     parameter_covariance: Array | None
 
 
-def gather(
-    data: SensorData, functions: SmoothBasis, turn: Array, precision: Array
+def accumulate_equations(
+    data: SensorData, functions: DiagonalisedBasis, parameter_transform: Array, precision: Array
 ) -> PenalisedProblem:
     """Gather the normal equations, chunk by chunk, and the blocks to leave out."""
     weight = 1.0 / np.sqrt(data.variance_px2)
-    size = len(functions) + turn.shape[1]
+    size = len(functions) + parameter_transform.shape[1]
     gram, product = np.zeros((size, size)), np.zeros(size)
     for start in range(0, len(weight), CHUNK):
         part = slice(start, start + CHUNK)
-        rows = _whitened_rows(data, functions, turn, np.arange(len(weight))[part])
+        rows = _whitened_rows(data, functions, parameter_transform, np.arange(len(weight))[part])
         gram += rows.T @ rows
         product += rows.T @ (data.samples_px[part] * weight[part])
-    order, sizes = blocks_tested(data.block)
-    tested = _whitened_rows(data, functions, turn, order)
+    order, sizes = left_out_blocks(data.block)
+    tested = _whitened_rows(data, functions, parameter_transform, order)
     square = float(((data.samples_px * weight) ** 2).sum())
     return PenalisedProblem(
         gram,
@@ -73,24 +73,29 @@ def gather(
     )
 
 
-def blocks_tested(block: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def left_out_blocks(block: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the measurements of the blocks that are left out, block after block, and sizes."""
     numbers, sizes = np.unique(block, return_counts=True)
-    if len(numbers) > BLOCKS_TESTED:
-        spread = np.linspace(0, len(numbers) - 1, BLOCKS_TESTED).astype(np.intp)
-        numbers, sizes = numbers[spread], sizes[spread]
+    if len(numbers) > MAX_LEFT_OUT_BLOCKS:
+        selection = np.linspace(0, len(numbers) - 1, MAX_LEFT_OUT_BLOCKS).astype(np.intp)
+        numbers, sizes = numbers[selection], sizes[selection]
     order = np.argsort(block, kind="stable")
     return order[np.isin(block[order], numbers)], sizes
 
 
 def _whitened_rows(
-    data: SensorData, functions: SmoothBasis, turn: Array, index: NDArray[np.intp]
+    data: SensorData,
+    functions: DiagonalisedBasis,
+    parameter_transform: Array,
+    index: NDArray[np.intp],
 ) -> Array:
     points = data.points_mm[index]
-    rows = rows_of(functions, data.slopes(points) @ turn, points)
+    rows = stack_functions(functions, data.parameter_jacobian(points) @ parameter_transform, points)
     return rows / np.sqrt(data.variance_px2[index])[:, None]
 
 
-def rows_of(functions: SmoothBasis, by_camera: Array, points_mm: Array) -> Array:
+def stack_functions(
+    functions: DiagonalisedBasis, camera_functions: Array, points_mm: Array
+) -> Array:
     """Return the functions at points (N, 3), and beside them those of the camera (N, Q)."""
-    return np.concatenate([functions.values(points_mm), by_camera], axis=1)
+    return np.concatenate([functions.values(points_mm), camera_functions], axis=1)

@@ -8,35 +8,41 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from compute.errors import DegeneratePoints, TooFewPoints
-from compute.mapping.averaged import AveragedFit, average
-from compute.mapping.nodes import of_function
-from compute.mapping.penalised import GROSS, PenalisedFit, PenalisedProblem
-from compute.mapping.result import SensorMapping, Suspect
-from compute.mapping.sensor_data import CHUNK, SensorData, blocks_tested, gather, rows_of
-from compute.mapping.smooth_basis import SmoothBasis
-from compute.mapping.smoothness import (
-    Penalties,
-    Smoothness,
-    fit_with,
+from compute.mapping.diagonalised_basis import DiagonalisedBasis
+from compute.mapping.model_averaging import AveragedFit, average
+from compute.mapping.p_splines import GROSS_ERROR_THRESHOLD, PenalisedFit, PenalisedProblem
+from compute.mapping.penalty_selection import (
+    FittedPenalty,
+    PenaltyPosterior,
+    cross_validate_penalties,
+    fit_penalty,
     gcv_score,
     single_penalty,
-    weigh_penalties,
 )
+from compute.mapping.result import SensorMapping, Suspect
+from compute.mapping.sensor_data import (
+    CHUNK,
+    SensorData,
+    accumulate_equations,
+    left_out_blocks,
+    stack_functions,
+)
+from compute.mapping.spline_interpolation import interpolate_function
 
 Array = NDArray[np.float64]
 
-UNKNOWN_PRECISION = 1e-6
+UNINFORMATIVE_PRECISION = 1e-6
 """Of calibration errors that the measurements themselves must tell, in units of what they do."""
-OPEN_RATIO = 1e-9
+MIN_SINGULAR_RATIO = 1e-9
 """Ratio of singular values below which the measurements leave the calibration open."""
 UNEXPLAINED_PROBABILITY = 0.01
 """Chance that right deviations are taken for too small."""
 CONTRADICTED_PROBABILITY = 1e-4
 """Of the same by what left-out blocks say, which a field that is rough in places can say, too;
 deviations that are half of the right ones go far beyond."""
-MOST_TURNS = 8
+MAX_ITERATIONS = 8
 """Of fitting and of taking the samples' variances anew."""
-SETTLED_FACTOR = 0.05
+FACTOR_TOLERANCE = 0.05
 VARIANCE_FLOOR_PX2 = 1e-12
 """Exact measurements still leave rounding."""
 
@@ -47,33 +53,33 @@ class FittedCorrection:
 
     Args:
         functions: the penalised functions.
-        turn: makes of the camera's parameters the functions fitted beside, shape (P, Q).
-        slopes: as in SensorData.
+        parameter_transform: makes of the camera's parameters the functions fitted beside, shape (P, Q).
+        parameter_jacobian: as in SensorData.
         chosen: the likeliest penalty and the fit with it.
         average: over the penalties.
-        taken: by what the samples' variances were multiplied before the fit.
+        variance_factor: by what the samples' variances were multiplied before the fit.
     """
 
-    functions: SmoothBasis
-    turn: Array
-    slopes: Callable[[Array], Array]
-    chosen: Smoothness
+    functions: DiagonalisedBasis
+    parameter_transform: Array
+    parameter_jacobian: Callable[[Array], Array]
+    chosen: FittedPenalty
     average: AveragedFit
-    taken: float
+    variance_factor: float
 
     @property
     def factor(self) -> float:
         """By what the samples' variances are to be multiplied, as the fit shows."""
-        return self.taken * self.average.factor
+        return self.variance_factor * self.average.factor
 
     @property
     def coefficients_px(self) -> Array:
         """Cubic coefficients of the whole correction, shape (nx + 3, ny + 3, nz + 3) [px]."""
         amounts = self.average.amounts
         count = len(self.functions)
-        by_camera = self.turn @ amounts[count:]
-        return self.functions.coefficients(amounts[:count]) + of_function(
-            self.functions.grid, lambda points: self.slopes(points) @ by_camera
+        camera_functions = self.parameter_transform @ amounts[count:]
+        return self.functions.coefficients(amounts[:count]) + interpolate_function(
+            self.functions.grid, lambda points: self.parameter_jacobian(points) @ camera_functions
         )
 
     def variance_px2(self, points_mm: Array) -> Array:
@@ -81,16 +87,18 @@ class FittedCorrection:
         parts = []
         for start in range(0, len(points_mm), CHUNK):
             points = points_mm[start : start + CHUNK]
-            rows = rows_of(self.functions, self.slopes(points) @ self.turn, points)
+            rows = stack_functions(
+                self.functions, self.parameter_jacobian(points) @ self.parameter_transform, points
+            )
             parts.append(self.average.variance(rows))
         return np.concatenate(parts)
 
 
 def fit_sensor(
     data: SensorData,
-    functions: SmoothBasis,
-    smoothness: float | None,
-    told: Callable[[], None],
+    functions: DiagonalisedBasis,
+    penalty_weight: float | None,
+    on_trial: Callable[[], None],
 ) -> FittedCorrection:
     """Fit one sensor's corrections.
 
@@ -102,59 +110,72 @@ def fit_sensor(
     Raises:
         TooFewPoints, DegeneratePoints: the measurements cannot tell the calibration's error.
     """
-    turn, precision = _drift(data)
+    parameter_transform, precision = _parameter_drift(data)
     contradiction = float(chdtri(1.0, 2.0 * CONTRADICTED_PROBABILITY))  # too small ones alone
-    told_apart = data.parameter_covariance is not None
-    taken = _first_variance(data, turn) if told_apart and not data.known_variance else 1.0
-    for _ in range(MOST_TURNS):
-        counted = taken
-        scaled = replace(data, variance_px2=data.variance_px2 * counted)
-        problem = gather(scaled, functions, turn, precision)
+    separable = data.parameter_covariance is not None
+    variance_factor = (
+        _initial_variance(data, parameter_transform)
+        if separable and not data.known_variance
+        else 1.0
+    )
+    for _ in range(MAX_ITERATIONS):
+        applied_factor = variance_factor
+        scaled = replace(data, variance_px2=data.variance_px2 * applied_factor)
+        problem = accumulate_equations(scaled, functions, parameter_transform, precision)
 
-        def weighed(problem: PenalisedProblem, counted: float = counted) -> Penalties:
-            if smoothness is None:
-                return weigh_penalties(problem, functions, told)
+        def select_penalty(
+            problem: PenalisedProblem, applied_factor: float = applied_factor
+        ) -> PenaltyPosterior:
+            if penalty_weight is None:
+                return cross_validate_penalties(problem, functions, on_trial)
             # Where the variances are not known, the weight is in units of theirs.
-            weight = smoothness if data.known_variance else smoothness / counted
+            weight = penalty_weight if data.known_variance else penalty_weight / applied_factor
             return single_penalty(problem, functions, weight)
 
-        penalties = weighed(problem)
-        estimated = not data.known_variance or counted != 1.0
-        if problem.known_variance and penalties.contradict(contradiction):
+        penalties = select_penalty(problem)
+        estimated = not data.known_variance or applied_factor != 1.0
+        if problem.known_variance and penalties.contradicts_variances(contradiction):
             estimated = True
             problem = replace(problem, known_variance=False)
-            penalties = weighed(problem)
+            penalties = select_penalty(problem)
         likeliest = penalties.trials[penalties.best]
-        chosen = fit_with(problem, functions, likeliest.weight, likeliest.axes)
-        ratio = _ratio(chosen.fit) if estimated else _unexplained(chosen.fit)
-        taken = max(counted * ratio, VARIANCE_FLOOR_PX2)
+        chosen = fit_penalty(problem, functions, likeliest.weight, likeliest.axes)
+        ratio = _variance_ratio(chosen.fit) if estimated else _excess_variance(chosen.fit)
+        variance_factor = max(applied_factor * ratio, VARIANCE_FLOOR_PX2)
         # The samples' variances have a factor, the calibration's own have none: they are weighed
         # anew. Where the measurements alone tell both, the factor is all's.
-        if not told_apart or abs(taken / counted - 1.0) < SETTLED_FACTOR:
+        if not separable or abs(variance_factor / applied_factor - 1.0) < FACTOR_TOLERANCE:
             break
-    each = _ratio if estimated else lambda _fit: ratio
+    each = _variance_ratio if estimated else lambda _fit: ratio
     averaged = average(problem, functions, penalties, each)
-    return FittedCorrection(functions, turn, data.slopes, chosen, averaged, counted)
+    return FittedCorrection(
+        functions, parameter_transform, data.parameter_jacobian, chosen, averaged, applied_factor
+    )
 
 
-def _first_variance(data: SensorData, turn: Array) -> float:
+def _initial_variance(data: SensorData, parameter_transform: Array) -> float:
     """Return what a camera of its kind leaves of the samples at most, by their count [px^2]."""
-    slopes = data.slopes(data.points_mm) @ turn
-    rest = data.samples_px - slopes @ np.linalg.lstsq(slopes, data.samples_px)[0]
-    freedom = max(len(rest) - slopes.shape[1], 1)
-    left = float(rest @ rest) / float(freedom)
+    parameter_jacobian = data.parameter_jacobian(data.points_mm) @ parameter_transform
+    rest = (
+        data.samples_px
+        - parameter_jacobian @ np.linalg.lstsq(parameter_jacobian, data.samples_px)[0]
+    )
+    dof = max(len(rest) - parameter_jacobian.shape[1], 1)
+    left = float(rest @ rest) / float(dof)
     return left if left > VARIANCE_FLOOR_PX2 else VARIANCE_FLOOR_PX2
 
 
-def describe(data: SensorData, fitted: FittedCorrection, valid_share: float) -> SensorMapping:
+def summarise_fit(data: SensorData, fitted: FittedCorrection, valid_share: float) -> SensorMapping:
     """Return the figures of a fit."""
     fit, average = fitted.chosen.fit, fitted.average
-    order, _ = blocks_tested(data.block)
-    sigmas = np.abs(average.error) / average.deviation
-    errors = average.error * np.sqrt(data.variance_px2[order] * fitted.taken)
-    worst = np.argsort(-sigmas, kind="stable")[: int((sigmas > GROSS).sum())]
+    order, _ = left_out_blocks(data.block)
+    normalised_error = np.abs(average.error) / average.sigma
+    errors = average.error * np.sqrt(data.variance_px2[order] * fitted.variance_factor)
+    worst = np.argsort(-normalised_error, kind="stable")[
+        : int((normalised_error > GROSS_ERROR_THRESHOLD).sum())
+    ]
     suspects = tuple(
-        Suspect(int(data.numbers[order[one]]), float(errors[one]), float(sigmas[one]))
+        Suspect(int(data.numbers[order[one]]), float(errors[one]), float(normalised_error[one]))
         for one in worst
     )
     factor = fitted.factor
@@ -166,9 +187,9 @@ def describe(data: SensorData, fitted: FittedCorrection, valid_share: float) -> 
         _rms(data.samples_px),
         _rms(residual),
         _rms(errors),
-        float((sigmas**2).mean()),
+        float((normalised_error**2).mean()),
         average.effective_parameters,
-        float(fitted.chosen.weight * (1.0 if data.known_variance else fitted.taken)),
+        float(fitted.chosen.weight * (1.0 if data.known_variance else fitted.variance_factor)),
         (x, y, z),
         float(np.sqrt(gcv_score(fit) / (fit.left_out().error ** 2).mean())),
         float(np.sqrt(data.variance_px2.mean() * (1.0 if data.known_variance else factor))),
@@ -178,37 +199,37 @@ def describe(data: SensorData, fitted: FittedCorrection, valid_share: float) -> 
     )
 
 
-def _drift(data: SensorData) -> tuple[Array, Array]:
+def _parameter_drift(data: SensorData) -> tuple[Array, Array]:
     """Return what makes functions of the camera's parameters, and their prior precisions."""
-    slopes = data.slopes(data.points_mm)
+    parameter_jacobian = data.parameter_jacobian(data.points_mm)
     if data.parameter_covariance is not None:
         values, vectors = np.linalg.eigh(data.parameter_covariance)
-        turn = vectors * np.sqrt(np.maximum(values, 0.0))
-        return turn, np.ones(turn.shape[1])
-    count = slopes.shape[1]
-    if len(slopes) <= count:
+        parameter_transform = vectors * np.sqrt(np.maximum(values, 0.0))
+        return parameter_transform, np.ones(parameter_transform.shape[1])
+    count = parameter_jacobian.shape[1]
+    if len(parameter_jacobian) <= count:
         raise TooFewPoints(
-            f"sensor {data.name} saw {len(slopes)} mapping points and its calibration has "
+            f"sensor {data.name} saw {len(parameter_jacobian)} mapping points and its calibration has "
             f"{count} parameters, whose errors they are to tell; give at least {count + 1} "
             "points, or other points than the calibration's together with its covariance",
             sensor=data.name,
-            points=len(slopes),
+            points=len(parameter_jacobian),
         )
-    whitened = slopes / np.sqrt(data.variance_px2)[:, None]
+    whitened = parameter_jacobian / np.sqrt(data.variance_px2)[:, None]
     scale = np.linalg.norm(whitened, axis=0)
     # What no reading depends on, as the place along the slit where no term has v in it.
     acting = scale > 0.0
     _, singular, right = np.linalg.svd(whitened[:, acting] / scale[acting], full_matrices=False)
-    if singular[-1] < OPEN_RATIO * singular[0]:
+    if singular[-1] < MIN_SINGULAR_RATIO * singular[0]:
         raise DegeneratePoints(
-            f"the {len(slopes)} mapping points that sensor {data.name} saw leave a combination of "
+            f"the {len(parameter_jacobian)} mapping points that sensor {data.name} saw leave a combination of "
             f"its calibration's parameters open (ratio of singular values "
             f"{singular[-1] / singular[0]:.1e}); add points at other places and depths",
             sensor=data.name,
         )
-    turn = np.zeros((count, len(singular)))
-    turn[acting] = (right.T / singular) / scale[acting, None]
-    return turn, np.full(len(singular), UNKNOWN_PRECISION)
+    parameter_transform = np.zeros((count, len(singular)))
+    parameter_transform[acting] = (right.T / singular) / scale[acting, None]
+    return parameter_transform, np.full(len(singular), UNINFORMATIVE_PRECISION)
 
 
 def _residuals(data: SensorData, fitted: FittedCorrection) -> Array:
@@ -216,24 +237,26 @@ def _residuals(data: SensorData, fitted: FittedCorrection) -> Array:
     parts = []
     for start in range(0, len(data.points_mm), CHUNK):
         points = data.points_mm[start : start + CHUNK]
-        rows = rows_of(fitted.functions, data.slopes(points) @ fitted.turn, points)
+        rows = stack_functions(
+            fitted.functions, data.parameter_jacobian(points) @ fitted.parameter_transform, points
+        )
         parts.append(rows @ fitted.average.amounts)
     rest: Array = data.samples_px - np.concatenate(parts)
     return rest
 
 
-def _ratio(fit: PenalisedFit) -> float:
+def _variance_ratio(fit: PenalisedFit) -> float:
     """Return by what the samples' variances are too small, from the residuals."""
-    return fit.residual_square / _freedom(fit)
+    return fit.residual_sum_of_squares / _residual_dof(fit)
 
 
-def _unexplained(fit: PenalisedFit) -> float:
+def _excess_variance(fit: PenalisedFit) -> float:
     """Return the same of known variances, which hold as long as no residuals contradict them."""
-    wrong = fit.residual_square > chdtri(_freedom(fit), UNEXPLAINED_PROBABILITY)
-    return _ratio(fit) if wrong else 1.0
+    wrong = fit.residual_sum_of_squares > chdtri(_residual_dof(fit), UNEXPLAINED_PROBABILITY)
+    return _variance_ratio(fit) if wrong else 1.0
 
 
-def _freedom(fit: PenalisedFit) -> float:
+def _residual_dof(fit: PenalisedFit) -> float:
     return max(fit.problem.count - fit.effective_parameters, 1.0)
 
 

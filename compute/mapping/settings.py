@@ -21,9 +21,9 @@ class MappingSettings:
             a grid.
         pitch_mm: edges of the cells [mm]; None: about the distance between neighbouring points.
             For "trilinear" and "tricubic" the grid is that of the points, and this is None.
-        smoothness: weight of the penalty, in the units of ``SensorMapping.smoothness``; None:
+        penalty_weight: weight of the penalty, in the units of ``SensorMapping.penalty_weight``; None:
             chosen by cross-validation over blocks, by sensor.
-        near_points: measurements near a cell without which it is not vouched for.
+        min_neighbours: measurements near a cell without which it is not vouched for.
 
     Raises:
         InvalidParameter: a value that is none of that.
@@ -31,8 +31,8 @@ class MappingSettings:
 
     method: MappingMethod = "b-spline"
     pitch_mm: Vector3 | None = None
-    smoothness: float | None = None
-    near_points: int = 4
+    penalty_weight: float | None = None
+    min_neighbours: int = 4
 
     def __post_init__(self) -> None:
         if self.method not in ("b-spline", "trilinear", "tricubic"):
@@ -47,13 +47,15 @@ class MappingSettings:
                     f'pitch_mm is {self.pitch_mm}; with the method "{self.method}" the grid is '
                     "that of the points, leave it out"
                 )
-        if self.smoothness is not None:
-            if not 0.0 < self.smoothness < np.inf:
-                raise InvalidParameter(f"smoothness is {self.smoothness}; it must be positive")
+        if self.penalty_weight is not None:
+            if not 0.0 < self.penalty_weight < np.inf:
+                raise InvalidParameter(
+                    f"penalty_weight is {self.penalty_weight}; it must be positive"
+                )
             if self.method != "b-spline":
                 raise InvalidParameter(
-                    f'smoothness is {self.smoothness}; the method "{self.method}" goes through '
+                    f'penalty_weight is {self.penalty_weight}; the method "{self.method}" goes through '
                     "every value and has none, leave it out"
                 )
-        if self.near_points < 1:
-            raise InvalidParameter(f"near_points is {self.near_points}; it must be 1 or more")
+        if self.min_neighbours < 1:
+            raise InvalidParameter(f"min_neighbours is {self.min_neighbours}; it must be 1 or more")

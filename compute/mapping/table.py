@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter, NonFiniteValue
-from compute.mapping.basis import basis
+from compute.mapping.b_spline_basis import b_spline_basis
 from compute.mapping.grid import VoxelGrid
 
 Array = NDArray[np.float64]
@@ -21,13 +21,13 @@ class Corrections:
 
     Args:
         value_px: to be added to the readings, shape (N, S) [px].
-        slope_px_per_mm: their derivatives by the point, shape (N, S, 3) [px/mm].
+        gradient_px_per_mm: their derivatives by the point, shape (N, S, 3) [px/mm].
         variance_px2: their own variances, shape (N, S) [px^2].
         inside: whether the table vouches for them, shape (N, S).
     """
 
     value_px: Array
-    slope_px_per_mm: Array
+    gradient_px_per_mm: Array
     variance_px2: Array
     inside: NDArray[np.bool_]
 
@@ -101,29 +101,33 @@ class CorrectionTable:
     def at(self, points_mm: Array) -> Corrections:
         """Return the corrections at points (N, 3) [mm]; NaN points have none and are outside."""
         known = np.asarray(np.isfinite(points_mm).all(axis=1))
-        cell, place, inside = self.grid.locate(np.where(known[:, None], points_mm, 0.0))
-        value, slope = self._splines(cell, place)
+        cell, cell_coordinate, inside = self.grid.locate(np.where(known[:, None], points_mm, 0.0))
+        value, gradient = self._evaluate_splines(cell, cell_coordinate)
         # Beyond the box the correction does not change along the axes that are clamped.
         clamped: NDArray[np.bool_] = np.logical_or(
             points_mm < np.asarray(self.grid.origin_mm), points_mm > self.grid.end_mm
         )
-        slope[np.broadcast_to(clamped[:, None, :], slope.shape)] = 0.0
-        corner, _ = basis(place, 1)
+        gradient[np.broadcast_to(clamped[:, None, :], gradient.shape)] = 0.0
+        corner, _ = b_spline_basis(cell_coordinate, 1)
         variance = _tensor(self.variance_px2, cell, corner)
         valid = self.valid[:, cell[:, 0], cell[:, 1], cell[:, 2]].T & (inside & known)[:, None]
-        value[~known], slope[~known], variance[~known] = np.nan, np.nan, np.nan
-        return Corrections(value, slope, variance, valid)
+        value[~known], gradient[~known], variance[~known] = np.nan, np.nan, np.nan
+        return Corrections(value, gradient, variance, valid)
 
-    def _splines(self, cell: NDArray[np.intp], place: Array) -> tuple[Array, Array]:
+    def _evaluate_splines(
+        self, cell: NDArray[np.intp], cell_coordinate: Array
+    ) -> tuple[Array, Array]:
         """Return the splines' values (N, S) and slopes by the point (N, S, 3)."""
-        weights, slopes = basis(place, self.degree)
+        weights, derivative_weights = b_spline_basis(cell_coordinate, self.degree)
         value = _tensor(self.coefficients_px, cell, weights)
-        slope = np.empty((*value.shape, 3))
+        gradient = np.empty((*value.shape, 3))
         for axis in range(3):
             one = weights.copy()
-            one[:, axis] = slopes[:, axis]
-            slope[..., axis] = _tensor(self.coefficients_px, cell, one) / self.grid.pitch_mm[axis]
-        return value, slope
+            one[:, axis] = derivative_weights[:, axis]
+            gradient[..., axis] = (
+                _tensor(self.coefficients_px, cell, one) / self.grid.pitch_mm[axis]
+            )
+        return value, gradient
 
 
 def _tensor(values: Array, cell: NDArray[np.intp], weights: Array) -> Array:

@@ -152,7 +152,7 @@ class SumBackground:
         return total
 
 
-def background_lines(backgrounds: Sequence[Background], pixels: int) -> Array:
+def background_scans(backgrounds: Sequence[Background], pixels: int) -> Array:
     """Return the backgrounds of S sensors as ``DetectorArray`` takes them, shape (S, pixels).
 
     Raises:

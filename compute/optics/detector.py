@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.optics.checks import check_not_negative, check_positive
-from compute.optics.dark import CountDistribution, count_distribution
+from compute.optics.dark_counts import CountDistribution, count_distribution
+from compute.optics.parameter_checks import check_not_negative, check_positive
 
-MOST_ELECTRONS: Final = 1e15
+MAX_ELECTRONS: Final = 1e15
 """The largest mean of a pixel that is simulated; a float counts single electrons up to 9e15."""
 
 _FULL_SIGMA: Final = 4.0  # of the read noise, below the mean count of a full well
@@ -180,11 +180,11 @@ def check_signal(signal_electrons: NDArray[np.float64]) -> None:
     Raises:
         InvalidParameter: with the first such value.
     """
-    wrong = ~((signal_electrons >= 0.0) & (signal_electrons <= MOST_ELECTRONS))
+    wrong = ~((signal_electrons >= 0.0) & (signal_electrons <= MAX_ELECTRONS))
     if wrong.any():
         value = float(signal_electrons[wrong][0])
         raise InvalidParameter(
             f"signal_electrons has {value}; it must be zero or positive, and at most "
-            f"{MOST_ELECTRONS:g}",
+            f"{MAX_ELECTRONS:g}",
             signal_electrons=value,
         )

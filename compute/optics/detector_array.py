@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.optics.blooming import bloom
-from compute.optics.dark import count_distribution
+from compute.optics.dark_counts import count_distribution
 from compute.optics.detector import Detector, check_signal
 from compute.optics.fixed_pattern import FixedPattern, fixed_pattern
 from compute.optics.pixel_noise import SMOOTH_READ_NOISE_ELECTRONS, PixelNoise
@@ -169,7 +169,7 @@ class _DarkCounts(Protocol):
     def draw(self, exposures: int, rng: np.random.Generator) -> NDArray[np.uint16]: ...
 
 
-class _AlikeCounts:
+class _IdenticalPixelCounts:
     """Counts of P pixels without signal, one like the other: exact."""
 
     def __init__(self, detector: Detector, mean_electrons: float, pixels: int) -> None:
@@ -195,7 +195,7 @@ def _dark_counts(
     alike = np.ptp(mean_electrons) == 0.0 and np.ptp(offset_counts) == 0.0
     if alike and not (near_full.any() and detector.blooming > 0.0):
         never = np.zeros_like(near_full)
-        return _AlikeCounts(detector, float(mean_electrons[0]), len(mean_electrons)), never
+        return _IdenticalPixelCounts(detector, float(mean_electrons[0]), len(mean_electrons)), never
     if detector.read_noise_electrons < SMOOTH_READ_NOISE_ELECTRONS or near_full.all():
         return None, np.ones_like(near_full)
     # Pixels near their full well have no table; any mean that has one will do for them.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.optics.detector import Detector
-from compute.optics.random_places import PLACES, random_places
+from compute.optics.random_indices import TABLE_SIZE, random_indices
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ class PixelNoise:
         lower = np.clip(np.searchsorted(nodes, variance, side="right") - 1, 0, max(steps - 1, 0))
         upper = np.minimum(lower + 1, steps)
         share = (variance - nodes[lower]) / np.maximum(nodes[upper] - nodes[lower], 1e-300)
-        self._start = np.rint((lower + share.clip(0.0, 1.0)) * PLACES).astype(np.int64)
+        self._start = np.rint((lower + share.clip(0.0, 1.0)) * TABLE_SIZE).astype(np.int64)
         if steps == 0:
             self._start[:] = 0
 
@@ -110,10 +110,10 @@ class PixelNoise:
             at = index[: len(start)]
             for exposure in range(exposures):
                 entry = drawn[exposure, block]
-                places = random_places(len(start) + 1, rng)
-                np.copyto(at, places[:-1])
+                indices = random_indices(len(start) + 1, rng)
+                np.copyto(at, indices[:-1])
                 at += start
-                begin = int(places[-1]) % _DITHERS
+                begin = int(indices[-1]) % _DITHERS
                 np.take(self._table, at, out=entry, mode="wrap")
                 tail = np.flatnonzero(entry == _ABSENT)
                 entries.append(at[tail])
@@ -134,12 +134,12 @@ class PixelNoise:
     def _tail_counts(
         self, entry: NDArray[np.int64], pixel: NDArray[np.int64], rng: np.random.Generator
     ) -> NDArray[np.uint16]:
-        side = (self._rank[entry % PLACES] >= _TAIL).astype(np.int64)
+        side = (self._rank[entry % TABLE_SIZE] >= _TAIL).astype(np.int64)
         depth = rng.standard_exponential(len(entry)) / _TAIL_STEP
         depth = np.minimum(depth, self._tails.shape[2] - 1.001)
         whole = depth.astype(np.int64)
-        near = self._tails[entry // PLACES, side, whole]
-        far = self._tails[entry // PLACES, side, whole + 1]
+        near = self._tails[entry // TABLE_SIZE, side, whole]
+        far = self._tails[entry // TABLE_SIZE, side, whole + 1]
         dither = rng.choice(self._dithers[:_DITHERS], len(entry)) / self._unit
         value = np.floor(near + (far - near) * (depth - whole) + dither + self._middle[pixel])
         counts: NDArray[np.uint16] = value.clip(0, self._full_scale).astype(np.uint16)
@@ -175,8 +175,8 @@ def _quantiles(
     cells = np.fft.irfft(wave.conj(), size).clip(1e-19)
     below, above = np.cumsum(cells), np.cumsum(cells[::-1])
     edges = lower + width * np.arange(1, size + 1)
-    body = np.interp((np.arange(PLACES) + 0.5) / PLACES, below / below[-1], edges)
-    log_tail = np.log(_TAIL / PLACES) - np.arange(0.0, _TAIL_REACH, _TAIL_STEP)
+    body = np.interp((np.arange(TABLE_SIZE) + 0.5) / TABLE_SIZE, below / below[-1], edges)
+    log_tail = np.log(_TAIL / TABLE_SIZE) - np.arange(0.0, _TAIL_REACH, _TAIL_STEP)
     tails = np.array(
         [
             np.interp(log_tail[::-1], np.log(below / below[-1]), edges)[::-1],
@@ -202,7 +202,7 @@ def _bit_reversed() -> NDArray[np.int64]:
 
     Any run of them is spread evenly over the whole: so is what a window takes from a table.
     """
-    numbers = np.arange(PLACES, dtype=np.int64)
+    numbers = np.arange(TABLE_SIZE, dtype=np.int64)
     turned = np.zeros_like(numbers)
     for bit in range(16):
         turned |= ((numbers >> bit) & 1) << (15 - bit)

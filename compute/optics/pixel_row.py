@@ -53,6 +53,6 @@ class PixelRow:
         return self.count * self.pitch_mm
 
     @property
-    def middle_px(self) -> float:
+    def centre_px(self) -> float:
         """Reading of the row's middle [px]."""
         return (self.count - 1) / 2.0

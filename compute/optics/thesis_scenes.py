@@ -37,10 +37,10 @@ from compute.optics.background import (
 from compute.optics.detector import Detector
 from compute.optics.light.emission import CosinePower
 from compute.optics.light.led import Led
+from compute.optics.light.light_source import LightSource
 from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroSheet, RetroSphere
-from compute.optics.light.source import LightSource
 from compute.optics.light.spectrum import QuantumEfficiency, photoelectrons_per_sr
-from compute.optics.placement import PlacedSensor, place_sensor
+from compute.optics.sensor_placement import PlacedSensor, place_sensor
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from compute.errors import InvalidParameter
 
 Array = NDArray[np.float64]
 
-MOST_POINTS = 100_000
+MAX_GRID_POINTS = 100_000
 """Grid points, at most."""
 
 
@@ -72,7 +72,7 @@ class Grid:
     weights: Array
 
 
-def lattice(box: Box, points: tuple[int, int, int]) -> Grid:
+def volume_grid(box: Box, points: tuple[int, int, int]) -> Grid:
     """Return a lattice over a box.
 
     Args:
@@ -82,10 +82,10 @@ def lattice(box: Box, points: tuple[int, int, int]) -> Grid:
     Raises:
         InvalidParameter: fewer than 2 along an axis, or more than 100,000 in all.
     """
-    if min(points) < 2 or int(np.prod(points, dtype=np.int64)) > MOST_POINTS:
+    if min(points) < 2 or int(np.prod(points, dtype=np.int64)) > MAX_GRID_POINTS:
         raise InvalidParameter(
             f"grid is {points}; it must have at least 2 points along each axis and at most "
-            f"{MOST_POINTS} in all",
+            f"{MAX_GRID_POINTS} in all",
             grid=points,
         )
     axes, shares = [], []
@@ -116,7 +116,7 @@ class Coverage:
     three_or_more: float
 
 
-def seen(position_px: Array, pixels: int, light: Array) -> NDArray[np.bool_]:
+def is_visible(position_px: Array, pixels: int, light: Array) -> NDArray[np.bool_]:
     """Say which sensors see which points: a reading on the pixels, and light.
 
     Args:
@@ -130,19 +130,19 @@ def seen(position_px: Array, pixels: int, light: Array) -> NDArray[np.bool_]:
     return result
 
 
-def coverage(sees: NDArray[np.bool_], weights: Array) -> Coverage:
+def coverage(visible: NDArray[np.bool_], weights: Array) -> Coverage:
     """Sum up which sensors see which points.
 
     Args:
-        sees: shape (N, S).
+        visible: shape (N, S).
         weights: the share of the volume that each point stands for, shape (N,).
     """
-    counts = sees.sum(axis=1)
-    sensors = sees.shape[1]
+    counts = visible.sum(axis=1)
+    sensors = visible.shape[1]
     shares = np.bincount(counts, weights, minlength=sensors + 1)
     return Coverage(
         tuple(shares.tolist()),
-        tuple((weights @ sees).tolist()),
+        tuple((weights @ visible).tolist()),
         float(shares[sensors]),
         float(shares[3:].sum()),
     )

@@ -7,28 +7,28 @@ from numpy.typing import NDArray
 
 from compute.camera.model import Vector3, vector3
 from compute.errors import InvalidParameter
-from compute.optics.profiles.profile import DeviceProfile
-from compute.planning.coverage import Box, Coverage, coverage, lattice
-from compute.planning.device import PlanningDevice, planning_device
-from compute.planning.ghosts import (
-    MOST_SENSORS,
+from compute.optics.profiles.device_profile import DeviceProfile
+from compute.planning.coverage import Box, Coverage, coverage, volume_grid
+from compute.planning.data_rates import Rates, rates
+from compute.planning.ghost_points import (
+    MAX_SENSORS,
     GhostCount,
-    ghost_chances,
+    ghost_probabilities,
     intersecting_points,
 )
-from compute.planning.precision import precision_of_slopes, spread_of_errors
-from compute.planning.rates import Rates, rates
-from compute.planning.readings import Progress, Readings, read_points
-from compute.planning.result import AxisSummary, Plan, PlannedPoint, PlannedSensor
-from compute.reconstruction.points import reconstruct
+from compute.planning.plan_result import AxisSummary, Plan, PlannedPoint, PlannedSensor
+from compute.planning.planning_device import PlanningDevice, planning_device
+from compute.planning.precision import precision_from_jacobian, propagated_sigma
+from compute.planning.simulated_readings import Progress, SimulatedReadings, simulate_readings
+from compute.reconstruction.triangulation import reconstruct
 
 Array = NDArray[np.float64]
 
-MOST_MARKERS: Final = 64
+MAX_MARKERS: Final = 64
 """Markers up to which ghosts are listed."""
 
-_SHOWN: Final = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 28, 32, 40, 50, 64)
-_SEEN_TOGETHER: Final = 0.1
+_LISTED_COUNTS: Final = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 28, 32, 40, 50, 64)
+_MIN_COMMON_COVERAGE: Final = 0.1
 """Least share of the volume that all sensors see, for ghosts to be counted."""
 
 
@@ -57,9 +57,9 @@ def plan(
     Raises:
         InvalidParameter: a value out of its range; a volume that is not seen well enough.
     """
-    most = min(profile.markers.most, MOST_MARKERS) if markers is None else markers
-    if not 1 <= most <= MOST_MARKERS:
-        raise InvalidParameter(f"markers is {most}; it must be 1 to {MOST_MARKERS}", markers=most)
+    most = min(profile.markers.max_markers, MAX_MARKERS) if markers is None else markers
+    if not 1 <= most <= MAX_MARKERS:
+        raise InvalidParameter(f"markers is {most}; it must be 1 to {MAX_MARKERS}", markers=most)
     box = volume or Box(profile.volume.centre_mm, profile.volume.size_mm)
     shape = (grid, grid, grid) if isinstance(grid, int) else grid
     if min(shape) < 3:
@@ -70,19 +70,19 @@ def plan(
         raise InvalidParameter(
             f"ghost_trials is {ghost_trials}; it must be at least 1", ghost_trials=ghost_trials
         )
-    places = lattice(box, shape)
+    places = volume_grid(box, shape)
     device = planning_device(profile)
     tell = progress or (lambda _: None)
-    lines = read_points(device, places.points_mm, tell)
+    lines = simulate_readings(device, places.points_mm, tell)
 
-    slopes = lines.slope_px_per_mm
-    noise = precision_of_slopes(slopes, lines.bound_px)
-    centroid = precision_of_slopes(slopes, lines.centroid_px)
-    dilution = precision_of_slopes(slopes, np.ones(len(device.names)))
-    pattern_mm = spread_of_errors(slopes, lines.bound_px, lines.pattern_px)
+    slopes = lines.gradient_px_per_mm
+    noise = precision_from_jacobian(slopes, lines.bound_px)
+    centroid = precision_from_jacobian(slopes, lines.centroid_px)
+    dilution = precision_from_jacobian(slopes, np.ones(len(device.names)))
+    pattern_mm = propagated_sigma(slopes, lines.bound_px, lines.pattern_px)
     distortion = _distortion(lines, places.points_mm)
-    middle = int(np.linalg.norm(places.points_mm - box.centre_mm, axis=1).argmin())
-    seen_by = coverage(lines.sees, places.weights)
+    centre = int(np.linalg.norm(places.points_mm - box.centre_mm, axis=1).argmin())
+    seen_by = coverage(lines.visible, places.weights)
     ghosts, notes = _ghosts(device, lines, box, seen_by, most, ghost_trials, seed)
     tell(1.0)
     return Plan(
@@ -91,11 +91,11 @@ def plan(
         box,
         places.shape,
         _sensors(device, lines),
-        _summary(noise.sd_mm, middle),
-        _summary(centroid.sd_mm, middle),
-        _summary(dilution.sd_mm, middle),
-        _summary(pattern_mm, middle),
-        _summary(np.abs(distortion), middle),
+        _summary(noise.sd_mm, centre),
+        _summary(centroid.sd_mm, centre),
+        _summary(dilution.sd_mm, centre),
+        _summary(pattern_mm, centre),
+        _summary(np.abs(distortion), centre),
         seen_by,
         _rates(profile, most),
         tuple(intersecting_points(count) for count in _listed(most)),
@@ -104,7 +104,7 @@ def plan(
             PlannedPoint(vector3(point), int(count), int(full), *map(_vector, figures))
             for point, count, full, *figures in zip(
                 places.points_mm,
-                lines.sees.sum(axis=1),
+                lines.visible.sum(axis=1),
                 lines.saturated.sum(axis=1),
                 noise.sd_mm,
                 centroid.sd_mm,
@@ -114,11 +114,11 @@ def plan(
                 strict=True,
             )
         ),
-        (_ASSUMED, *_cut(lines), *notes),
+        (_ASSUMPTIONS, *_saturation_notes(lines), *notes),
     )
 
 
-def _distortion(lines: Readings, points: Array) -> Array:
+def _distortion(lines: SimulatedReadings, points: Array) -> Array:
     """Return the errors of points that perspective cameras make of exact readings, (N, 3)."""
     sigma = np.maximum(lines.misfit_px, 1e-9)
     return reconstruct(lines.cameras, lines.readings_px, sigma).position_mm - points
@@ -126,7 +126,7 @@ def _distortion(lines: Readings, points: Array) -> Array:
 
 def _ghosts(
     device: PlanningDevice,
-    lines: Readings,
+    lines: SimulatedReadings,
     box: Box,
     seen_by: Coverage,
     most: int,
@@ -136,13 +136,13 @@ def _ghosts(
     """Return the expected ghosts, and how they were counted or why not."""
     if most < 2:
         return (), ()
-    if not 3 <= len(device.names) <= MOST_SENSORS:
-        return (), (f"Ghosts are counted for 3 to {MOST_SENSORS} sensors.",)
-    if seen_by.all_sensors < _SEEN_TOGETHER:
+    if not 3 <= len(device.names) <= MAX_SENSORS:
+        return (), (f"Ghosts are counted for 3 to {MAX_SENSORS} sensors.",)
+    if seen_by.all_sensors < _MIN_COMMON_COVERAGE:
         share = 100 * seen_by.all_sensors
         return (), (f"Ghosts are not counted: all sensors see only {share:.0f} % of the volume.",)
     sigma = np.where(np.isfinite(lines.centroid_px), lines.centroid_px, lines.bound_px)
-    chances = ghost_chances(
+    probabilities = ghost_probabilities(
         lines.cameras,
         device.pixels,
         box,
@@ -153,13 +153,13 @@ def _ghosts(
     )
     note = (
         f"Ghosts: {trials} combinations of each way to mix markers were tried, of markers in the "
-        f"{100 * chances.seen_share:.0f} % of the volume that all sensors see."
+        f"{100 * probabilities.visible_fraction:.0f} % of the volume that all sensors see."
     )
-    return tuple(chances.expected(count) for count in _listed(most)), (note,)
+    return tuple(probabilities.expected(count) for count in _listed(most)), (note,)
 
 
 def _listed(most: int) -> tuple[int, ...]:
-    return tuple(sorted({*(count for count in _SHOWN if count < most), most} - {1}))
+    return tuple(sorted({*(count for count in _LISTED_COUNTS if count < most), most} - {1}))
 
 
 def _rates(profile: DeviceProfile, most: int) -> tuple[Rates, ...]:
@@ -176,15 +176,15 @@ def _rates(profile: DeviceProfile, most: int) -> tuple[Rates, ...]:
     )
 
 
-def _sensors(device: PlanningDevice, lines: Readings) -> tuple[PlannedSensor, ...]:
+def _sensors(device: PlanningDevice, lines: SimulatedReadings) -> tuple[PlannedSensor, ...]:
     columns = [
         _median(values).tolist()
         for values in (
-            lines.line_electrons, lines.peak_electrons, lines.bound_px, lines.centroid_px,
+            lines.scan_electrons, lines.peak_electrons, lines.bound_px, lines.centroid_px,
             lines.pattern_px,
         )
     ]  # fmt: skip
-    share = lines.saturated.sum(axis=0) / np.maximum(lines.sees.sum(axis=0), 1)
+    share = lines.saturated.sum(axis=0) / np.maximum(lines.visible.sum(axis=0), 1)
     return tuple(
         PlannedSensor(
             name,
@@ -212,11 +212,11 @@ def _sensors(device: PlanningDevice, lines: Readings) -> tuple[PlannedSensor, ..
     )  # fmt: skip
 
 
-def _cut(lines: Readings) -> tuple[str, ...]:
+def _saturation_notes(lines: SimulatedReadings) -> tuple[str, ...]:
     """Say that lines are saturated, where they are."""
     if not lines.saturated.any():
         return ()
-    share = 100 * lines.saturated.sum() / lines.sees.sum()
+    share = 100 * lines.saturated.sum() / lines.visible.sum()
     note = (
         f"{share:.2g} % of the lines are saturated, with ambient light and dark signal: their "
         "noise and fixed pattern are given as if they were not cut, which is too good."
@@ -232,7 +232,7 @@ def _median(values: Array) -> Array:
     )  # fmt: skip
 
 
-def _summary(values_mm: Array, middle: int) -> AxisSummary:
+def _summary(values_mm: Array, centre: int) -> AxisSummary:
     known = values_mm[np.isfinite(values_mm).all(axis=1)]
     if len(known) == 0:
         return AxisSummary(None, None, None, None)
@@ -240,7 +240,7 @@ def _summary(values_mm: Array, middle: int) -> AxisSummary:
         vector3(known.min(axis=0)),
         vector3(np.median(known, axis=0)),
         vector3(known.max(axis=0)),
-        _vector(values_mm[middle]),
+        _vector(values_mm[centre]),
     )
 
 
@@ -252,7 +252,7 @@ def _number(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-_ASSUMED: Final = (
+_ASSUMPTIONS: Final = (
     "Standard deviations of the noise are of one exposure of a device calibrated without error, "
     "its distortion corrected. The fixed pattern is that of pixels that are not flat-fielded; it "
     "comes on top, the same in every exposure. Markers face every sensor."

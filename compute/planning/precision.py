@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
-from compute.reconstruction.estimate import PointFlag
-from compute.reconstruction.points import DEGENERATE_RATIO, UNINFORMATIVE_RATIO
+from compute.reconstruction.point_batch import PointFlag
+from compute.reconstruction.triangulation import DEGENERATE_RATIO, UNINFORMATIVE_SIGMA_RATIO
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class Precision:
 
 
 def point_precision(cameras: CameraStack, points_mm: Array, sigma_px: Array) -> Precision:
-    """Return the precision of points that cameras see; see ``precision_of_slopes``.
+    """Return the precision of points that cameras see; see ``precision_from_jacobian``.
 
     Args:
         cameras: S cameras.
@@ -47,10 +47,10 @@ def point_precision(cameras: CameraStack, points_mm: Array, sigma_px: Array) -> 
         raise InvalidParameter(
             f"points_mm has the shape {points.shape}; it must be (N, 3)", points_mm=points.shape
         )
-    return precision_of_slopes(cameras.linearised(points)[1], sigma_px)
+    return precision_from_jacobian(cameras.linearise(points)[1], sigma_px)
 
 
-def precision_of_slopes(slope_px_per_mm: Array, sigma_px: Array) -> Precision:
+def precision_from_jacobian(gradient_px_per_mm: Array, sigma_px: Array) -> Precision:
     """Return the covariance ``(sum_s g g' / sigma_s^2)^-1``, g the slope of each reading.
 
     This is the covariance of the weighted least-squares solution of [5.22]-[5.24] for exactly
@@ -59,7 +59,7 @@ def precision_of_slopes(slope_px_per_mm: Array, sigma_px: Array) -> Precision:
     distortion, come on top.
 
     Args:
-        slope_px_per_mm: d reading / d point, shape (N, S, 3) [px/mm]; NaN where a sensor does
+        gradient_px_per_mm: d reading / d point, shape (N, S, 3) [px/mm]; NaN where a sensor does
             not see the point.
         sigma_px: standard deviations of the readings, shape (N, S) or (S,) [px]; NaN or infinite
             where a sensor does not see the point.
@@ -67,7 +67,7 @@ def precision_of_slopes(slope_px_per_mm: Array, sigma_px: Array) -> Precision:
     Raises:
         InvalidParameter: a shape that does not fit, or a deviation that is not positive.
     """
-    rows, used = _weighted(slope_px_per_mm, sigma_px)
+    rows, used = _weighted(gradient_px_per_mm, sigma_px)
     normal = rows.transpose(0, 2, 1) @ rows
 
     sensors = used.sum(axis=1)
@@ -84,15 +84,15 @@ def precision_of_slopes(slope_px_per_mm: Array, sigma_px: Array) -> Precision:
     return Precision(covariance, sd, sensors.astype(np.int32), flags)
 
 
-def spread_of_errors(slope_px_per_mm: Array, sigma_px: Array, error_px: Array) -> Array:
+def propagated_sigma(gradient_px_per_mm: Array, sigma_px: Array, error_px: Array) -> Array:
     """Return the standard deviations of points by errors of readings that the weights ignore.
 
-    The points are those of ``precision_of_slopes``, weighted by the noise; what moves them are
+    The points are those of ``precision_from_jacobian``, weighted by the noise; what moves them are
     errors that differ from sensor to sensor independently, such as the pixels' fixed pattern:
     ``K = C g / sigma^2``, with the covariance C, gives ``var = sum_s (K_s error_s)^2``.
 
     Args:
-        slope_px_per_mm: d reading / d point, shape (N, S, 3) [px/mm].
+        gradient_px_per_mm: d reading / d point, shape (N, S, 3) [px/mm].
         sigma_px: standard deviations of the readings' noise, shape (N, S) or (S,) [px].
         error_px: standard deviations of the readings' errors, shape (N, S) [px].
 
@@ -102,8 +102,8 @@ def spread_of_errors(slope_px_per_mm: Array, sigma_px: Array, error_px: Array) -
     Raises:
         InvalidParameter: a shape that does not fit, or a deviation that is not positive.
     """
-    found = precision_of_slopes(slope_px_per_mm, sigma_px)
-    rows, used = _weighted(slope_px_per_mm, sigma_px)
+    found = precision_from_jacobian(gradient_px_per_mm, sigma_px)
+    rows, used = _weighted(gradient_px_per_mm, sigma_px)
     if np.shape(error_px) != used.shape:
         raise InvalidParameter(
             f"error_px has the shape {np.shape(error_px)}; it must be {used.shape}",
@@ -117,13 +117,13 @@ def spread_of_errors(slope_px_per_mm: Array, sigma_px: Array, error_px: Array) -
     return spread
 
 
-def _weighted(slope_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _weighted(gradient_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the slopes over their deviations, 0 for readings without use, and which have one.
 
     Raises:
         InvalidParameter: a shape that does not fit, or a deviation that is not positive.
     """
-    shape = slope_px_per_mm.shape[:2]
+    shape = gradient_px_per_mm.shape[:2]
     given = np.asarray(sigma_px, dtype=np.float64)
     if given.shape not in (shape, shape[1:]):
         raise InvalidParameter(
@@ -136,10 +136,12 @@ def _weighted(slope_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArray[n
             f"sigma_px has {bad}; it must be positive, or NaN where a sensor sees nothing",
             sigma_px=bad,
         )
-    seen = np.isfinite(slope_px_per_mm).all(axis=2)
+    seen = np.isfinite(gradient_px_per_mm).all(axis=2)
     sigma = np.where(seen, np.broadcast_to(given, shape), np.nan)
     used = _informative(sigma)
-    rows = np.where(used[..., None], slope_px_per_mm / np.where(used, sigma, 1.0)[..., None], 0.0)
+    rows = np.where(
+        used[..., None], gradient_px_per_mm / np.where(used, sigma, 1.0)[..., None], 0.0
+    )
     return rows, used
 
 
@@ -149,4 +151,4 @@ def _informative(sigma: Array) -> NDArray[np.bool_]:
     if sigma.shape[1] < 4:
         return seen
     third = np.partition(np.where(seen, sigma, np.inf), 2, axis=1)[:, 2:3]
-    return seen & (sigma <= UNINFORMATIVE_RATIO * third)
+    return seen & (sigma <= UNINFORMATIVE_SIGMA_RATIO * third)

@@ -20,7 +20,7 @@ class RigidBody:
         strobe_markers: number of each marker's strobe slot or blinking code, M of them, all
             different; None: the markers are lit together and told by their geometry.
         tip_mm: the working point in the tool's coordinates [mm]; None: its origin.
-        most_tip_sd_mm: 3D standard deviation of the tip above which a pose is HIGH_ERROR [mm];
+        max_tip_sd_mm: 3D standard deviation of the tip above which a pose is HIGH_ERROR [mm];
             None: the tracker's settings say.
     """
 
@@ -28,7 +28,7 @@ class RigidBody:
     markers_mm: Array
     strobe_markers: tuple[int, ...] | None = None
     tip_mm: Vector3 | None = None
-    most_tip_sd_mm: float | None = None
+    max_tip_sd_mm: float | None = None
 
     def __len__(self) -> int:
         """Return the number of markers."""

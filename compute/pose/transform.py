@@ -12,7 +12,7 @@ from compute.pose.tool_pose import ToolPose
 
 Array = NDArray[np.float64]
 
-_SKEW = 1e-6
+_ORTHONORMALITY_TOLERANCE = 1e-6
 """How far a rotation matrix may be from one: float32 and printed digits come through."""
 
 
@@ -47,7 +47,7 @@ class Transform:
                 raise NonFiniteValue(f"{name} is {given.tolist()}; it must be finite")
             object.__setattr__(self, name, given)
         off = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
-        if off > _SKEW or np.linalg.det(self.rotation) < 0.0:
+        if off > _ORTHONORMALITY_TOLERANCE or np.linalg.det(self.rotation) < 0.0:
             raise InvalidParameter(
                 f"the matrix is no rotation: R R' is off the identity by {off:.2g} and its "
                 f"determinant is {np.linalg.det(self.rotation):.6g}; it must be 1"
@@ -59,14 +59,14 @@ class Transform:
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
-    def of_vector(
+    def from_rotation_vector(
         cls, vector_rad: Array, translation_mm: Array, covariance: Array | None = None
     ) -> Self:
         """Return the transform of a rotation vector (3,) [rad] and a translation (3,) [mm]."""
         return cls(rotation_matrix(np.asarray(vector_rad)), translation_mm, covariance)
 
     @classmethod
-    def of_pose(cls, pose: ToolPose) -> Self:
+    def from_pose(cls, pose: ToolPose) -> Self:
         """Return T_world_tool of a tool's pose.
 
         Raises:
@@ -101,8 +101,8 @@ class Transform:
         points = np.asarray(points_mm, dtype=np.float64)
         found = np.zeros((*points.shape, 3))
         if self.covariance is not None:
-            slopes = point_slopes(points @ self.rotation.T)
-            found += slopes @ self.covariance @ slopes.swapaxes(-1, -2)
+            jacobian = point_jacobian(points @ self.rotation.T)
+            found += jacobian @ self.covariance @ jacobian.swapaxes(-1, -2)
         if covariance_mm2 is not None:
             found += self.rotation @ covariance_mm2 @ self.rotation.T
         return found
@@ -113,10 +113,10 @@ class Transform:
         covariance = None
         if self.covariance is not None:
             # (exp([w]x) R)' = exp(-[R'w]x) R', and its translation is -R' exp(-[w]x) (t + d).
-            slopes = np.zeros((6, 6))
-            slopes[:3, :3] = slopes[3:, 3:] = -back
-            slopes[3:, :3] = -back @ cross_matrix(self.translation_mm)
-            covariance = slopes @ self.covariance @ slopes.T
+            jacobian = np.zeros((6, 6))
+            jacobian[:3, :3] = jacobian[3:, 3:] = -back
+            jacobian[3:, :3] = -back @ cross_matrix(self.translation_mm)
+            covariance = jacobian @ self.covariance @ jacobian.T
         return type(self)(back, -back @ self.translation_mm, covariance)
 
     def __matmul__(self, other: "Transform") -> "Transform":
@@ -127,13 +127,13 @@ class Transform:
             covariance = np.zeros((6, 6))
         if covariance is not None and self.covariance is not None:
             # exp([w]x) R1 (t2) sweeps the second translation.
-            slopes = np.eye(6)
-            slopes[3:, :3] = -cross_matrix(shift)
-            covariance += slopes @ self.covariance @ slopes.T
+            jacobian = np.eye(6)
+            jacobian[3:, :3] = -cross_matrix(shift)
+            covariance += jacobian @ self.covariance @ jacobian.T
         if covariance is not None and other.covariance is not None:
-            slopes = np.zeros((6, 6))
-            slopes[:3, :3] = slopes[3:, 3:] = self.rotation
-            covariance += slopes @ other.covariance @ slopes.T
+            jacobian = np.zeros((6, 6))
+            jacobian[:3, :3] = jacobian[3:, 3:] = self.rotation
+            covariance += jacobian @ other.covariance @ jacobian.T
         return Transform(
             nearest_rotation(self.rotation @ other.rotation),
             shift + self.translation_mm,
@@ -156,13 +156,13 @@ def cross_matrix(vector: Array) -> Array:
     return found
 
 
-def point_slopes(turned_mm: Array) -> Array:
+def point_jacobian(turned_mm: Array) -> Array:
     """Return d x_to / d (turn, translation) at R x_from (..., 3), shape (..., 3, 6)."""
     turned = np.asarray(turned_mm, dtype=np.float64)
-    slopes = np.empty((*turned.shape, 6))
-    slopes[..., :3] = -cross_matrix(turned)
-    slopes[..., 3:] = np.eye(3)
-    return slopes
+    jacobian = np.empty((*turned.shape, 6))
+    jacobian[..., :3] = -cross_matrix(turned)
+    jacobian[..., 3:] = np.eye(3)
+    return jacobian
 
 
 def nearest_rotation(matrix: Array) -> Array:

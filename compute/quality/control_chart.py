@@ -20,24 +20,24 @@ from compute.errors import InvalidParameter
 
 Array = NDArray[np.float64]
 
-LEAST_BASELINE: Final = 8
+MIN_BASELINE: Final = 8
 """Values that centre and spread are taken from at least."""
 _RANGE_OF_TWO: Final = 1.128379167095513
 """Mean range of two values over their standard deviation, 2 / sqrt(pi)."""
-_LIMIT: Final = 3.0
-_WEIGHT: Final = 0.2
-_AVERAGE_LIMIT: Final = 2.86
+_SHEWHART_LIMIT: Final = 3.0
+_EWMA_WEIGHT: Final = 0.2
+_EWMA_LIMIT: Final = 2.86
 """With the weight 0.2 the average leaves its limits by chance as rarely as a value its own: once
 in 370 (J. M. Lucas and M. S. Saccucci, Technometrics 32, 1, 1990, table 3)."""
-_FREEDOM: Final = 0.62
+_DOF_PER_VALUE: Final = 0.62
 """Degrees of freedom of a spread from the moving range, for each of its values but the first."""
-_LASTING_JUMPS: Final = 3
-_LASTING_VALUES: Final = 8
-_LASTING_CHANCE: Final = 1e-4
+_SUSTAINED_JUMPS: Final = 3
+_SUSTAINED_VALUES: Final = 8
+_SUSTAINED_SIGNIFICANCE: Final = 1e-4
 """Of a mean of so many values, to be off by as much with nothing changed."""
 
 
-class Signal(StrEnum):
+class ControlChartAlarm(StrEnum):
     """What a value says."""
 
     NONE = "none"
@@ -55,10 +55,10 @@ class ControlChart:
         values: shape (N,).
         centre: mean of the baseline.
         sigma: spread of a value, from the baseline's moving range, and the floor.
-        average: exponentially weighted moving average, shape (N,); the centre in the baseline.
+        ewma: exponentially weighted moving average, shape (N,); the centre in the baseline.
         limit: distance from the centre that a single value keeps.
-        average_limit: distance from the centre that the average keeps, shape (N,).
-        signals: one for each value; NONE in the baseline.
+        ewma_limit: distance from the centre that the average keeps, shape (N,).
+        alarms: one for each value; NONE in the baseline.
         baseline: how many of the first values it is made from; all values, while they are fewer
             than asked for.
         ready: whether there are enough for a baseline; without, there are no signals.
@@ -67,10 +67,10 @@ class ControlChart:
     values: Array
     centre: float
     sigma: float
-    average: Array
+    ewma: Array
     limit: float
-    average_limit: Array
-    signals: tuple[Signal, ...]
+    ewma_limit: Array
+    alarms: tuple[ControlChartAlarm, ...]
     baseline: int
     ready: bool
 
@@ -80,7 +80,7 @@ class ControlChart:
         return self.centre - self.limit, self.centre + self.limit
 
     @property
-    def stays_changed(self) -> bool:
+    def is_sustained(self) -> bool:
         """Whether the newest values leave no doubt: each of three a jump, or the mean of eight off.
 
         Signals of the average are no such sign: it has a memory, and one is followed by others.
@@ -88,14 +88,16 @@ class ControlChart:
         judged = len(self.values) - self.baseline
         if not self.ready:
             return False
-        newest = self.signals[-_LASTING_JUMPS:]
-        if judged >= _LASTING_JUMPS and all(signal is Signal.JUMP for signal in newest):
+        newest = self.alarms[-_SUSTAINED_JUMPS:]
+        if judged >= _SUSTAINED_JUMPS and all(
+            signal is ControlChartAlarm.JUMP for signal in newest
+        ):
             return True
-        if judged < _LASTING_VALUES:
+        if judged < _SUSTAINED_VALUES:
             return False
-        off = abs(float(self.values[-_LASTING_VALUES:].mean()) - self.centre)
-        factor = _quantile(self.baseline, 1.0 - _LASTING_CHANCE / 2)
-        return off > factor * self.sigma * math.sqrt(1 / _LASTING_VALUES + 1 / self.baseline)
+        off = abs(float(self.values[-_SUSTAINED_VALUES:].mean()) - self.centre)
+        factor = _quantile(self.baseline, 1.0 - _SUSTAINED_SIGNIFICANCE / 2)
+        return off > factor * self.sigma * math.sqrt(1 / _SUSTAINED_VALUES + 1 / self.baseline)
 
 
 def control_chart(values: Array, baseline: int = 20, floor: float = 0.0) -> ControlChart:
@@ -110,9 +112,9 @@ def control_chart(values: Array, baseline: int = 20, floor: float = 0.0) -> Cont
     Raises:
         InvalidParameter: a value is not finite, or the baseline too short.
     """
-    if baseline < LEAST_BASELINE:
+    if baseline < MIN_BASELINE:
         raise InvalidParameter(
-            f"the baseline has {baseline} values; at least {LEAST_BASELINE} say what is normal",
+            f"the baseline has {baseline} values; at least {MIN_BASELINE} say what is normal",
             baseline=baseline,
         )
     if not np.isfinite(values).all():
@@ -123,25 +125,27 @@ def control_chart(values: Array, baseline: int = 20, floor: float = 0.0) -> Cont
     steps = np.abs(np.diff(first))
     sigma = max(float(steps.mean()) / _RANGE_OF_TWO if len(steps) else 0.0, floor)
     ready = used >= baseline
-    average = np.full(len(values), centre)
+    ewma = np.full(len(values), centre)
     limit = np.zeros(len(values))
     single = several = 0.0
     if ready:
-        single = _quantile(used, ndtr(_LIMIT)) * sigma * np.sqrt(1 + 1 / used)
-        several = _quantile(used, ndtr(_AVERAGE_LIMIT)) * sigma
-    signals = [Signal.NONE] * len(values)
+        single = _quantile(used, ndtr(_SHEWHART_LIMIT)) * sigma * np.sqrt(1 + 1 / used)
+        several = _quantile(used, ndtr(_EWMA_LIMIT)) * sigma
+    alarms = [ControlChartAlarm.NONE] * len(values)
     for index in range(used, len(values)):
-        average[index] = (1 - _WEIGHT) * average[index - 1] + _WEIGHT * values[index]
-        share = _WEIGHT / (2 - _WEIGHT) * (1 - (1 - _WEIGHT) ** (2 * (index - used + 1)))
+        ewma[index] = (1 - _EWMA_WEIGHT) * ewma[index - 1] + _EWMA_WEIGHT * values[index]
+        share = (
+            _EWMA_WEIGHT / (2 - _EWMA_WEIGHT) * (1 - (1 - _EWMA_WEIGHT) ** (2 * (index - used + 1)))
+        )
         limit[index] = several * np.sqrt(share + 1 / used)
         if abs(values[index] - centre) > single:
-            signals[index] = Signal.JUMP
-        elif abs(average[index] - centre) > limit[index]:
-            signals[index] = Signal.DRIFT
-    found = tuple(signals)
-    return ControlChart(values, centre, sigma, average, float(single), limit, found, used, ready)
+            alarms[index] = ControlChartAlarm.JUMP
+        elif abs(ewma[index] - centre) > limit[index]:
+            alarms[index] = ControlChartAlarm.DRIFT
+    found = tuple(alarms)
+    return ControlChart(values, centre, sigma, ewma, float(single), limit, found, used, ready)
 
 
 def _quantile(baseline: int, probability: float) -> float:
     """Return Student's quantile for a spread from so many values' moving range."""
-    return float(stdtrit(_FREEDOM * (baseline - 1), probability))
+    return float(stdtrit(_DOF_PER_VALUE * (baseline - 1), probability))

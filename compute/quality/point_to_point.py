@@ -55,7 +55,7 @@ def point_to_point(
     reference_mm: float,
     reference_sigma_mm: float = 0.0,
     *,
-    longest_gap_s: float = np.inf,
+    max_gap_s: float = np.inf,
 ) -> PointToPoint:
     """Return how well a known distance was measured; after the test of that name in ASTM F2554.
 
@@ -67,7 +67,7 @@ def point_to_point(
         second: the marker at the other.
         reference_mm: their distance [mm].
         reference_sigma_mm: its standard deviation [mm].
-        longest_gap_s: over which no position is interpolated [s].
+        max_gap_s: over which no position is interpolated [s].
 
     Raises:
         InvalidParameter: the distance is not positive, or its deviation negative.
@@ -78,7 +78,7 @@ def point_to_point(
             f"the reference distance is {reference_mm} +- {reference_sigma_mm} mm; it must be "
             "positive, and its deviation zero or more"
         )
-    start, start_covariance, covered = _at(first, second.time_s, longest_gap_s)
+    start, start_covariance, covered = _at(first, second.time_s, max_gap_s)
     if covered.sum() < 2:
         raise TooFewPoints(
             f"both markers were measured together at {covered.sum()} places; at least 2 are "
@@ -92,8 +92,8 @@ def point_to_point(
     along = between / length[:, None]
     variance = np.einsum("ni,nij,nj->n", along, start_covariance + end_covariance, along)
     errors = length - reference_mm
-    middle = (start + end) / 2.0
-    extent = np.ptp(middle, axis=0)
+    centre = (start + end) / 2.0
+    extent = np.ptp(centre, axis=0)
     return PointToPoint(
         reference_mm,
         error_statistics(errors),
@@ -104,7 +104,7 @@ def point_to_point(
 
 
 def _at(
-    track: MarkerTrack, time_s: Array, longest_gap_s: float
+    track: MarkerTrack, time_s: Array, max_gap_s: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return positions and covariances at some times, and where they could be interpolated."""
     if len(track.time_s) == 0:
@@ -116,7 +116,7 @@ def _at(
     gap = track.time_s[after] - track.time_s[before]
     share = np.divide(time_s - track.time_s[before], gap, out=np.zeros(len(time_s)), where=gap > 0)
     exact = (time_s == track.time_s[before]) | (time_s == track.time_s[after])
-    covered = exact | ((share >= 0.0) & (share <= 1.0) & (gap > 0) & (gap <= longest_gap_s))
+    covered = exact | ((share >= 0.0) & (share <= 1.0) & (gap > 0) & (gap <= max_gap_s))
     weight = share[:, None]
     position = (1 - weight) * track.position_mm[before] + weight * track.position_mm[after]
     square = weight[..., None] ** 2

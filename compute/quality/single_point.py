@@ -60,11 +60,11 @@ def single_point(
     if not (np.isfinite(position_mm).all() and np.isfinite(covariance_mm2).all()):
         raise InvalidParameter("a position or covariance is not a number; leave such points out")
     mean = position_mm.mean(axis=0) if len(position_mm) else np.zeros(3)
-    away = position_mm - mean
-    scatter = error_statistics(np.linalg.norm(away, axis=1))
-    speed, sigma = _drift(away, time_s)
+    deviations = position_mm - mean
+    scatter = error_statistics(np.linalg.norm(deviations, axis=1))
+    speed, sigma = _drift(deviations, time_s)
     variances = np.einsum("nii->n", covariance_mm2)
-    axes = away.std(axis=0, ddof=1)
+    axes = deviations.std(axis=0, ddof=1)
     return SinglePoint(
         (float(mean[0]), float(mean[1]), float(mean[2])),
         scatter,
@@ -76,13 +76,13 @@ def single_point(
     )
 
 
-def _drift(away: Array, time_s: Array) -> tuple[float, float]:
+def _drift(deviations: Array, time_s: Array) -> tuple[float, float]:
     """Return the speed of the straight line through the points and its deviation [mm/s]."""
     since = time_s - time_s.mean()
     lever = float((since**2).sum())
-    if lever == 0.0 or len(away) < 3:
+    if lever == 0.0 or len(deviations) < 3:
         return 0.0, np.inf
-    velocity = since @ away / lever
-    left = away - since[:, None] * velocity
-    variance = (left**2).sum() / (len(away) - 2) / lever
+    velocity = since @ deviations / lever
+    left = deviations - since[:, None] * velocity
+    variance = (left**2).sum() / (len(deviations) - 2) / lever
     return float(np.linalg.norm(velocity)), float(np.sqrt(variance))

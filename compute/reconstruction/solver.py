@@ -10,18 +10,18 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
-from compute.reconstruction.estimate import PointBatch
-from compute.reconstruction.native.camera_record import fill_cameras
-from compute.reconstruction.native.job import JOB, MAX_POWER, row_length
+from compute.reconstruction.native.camera_arguments import fill_cameras
+from compute.reconstruction.native.kernel_arguments import JOB, MAX_POWER, row_length
 from compute.reconstruction.native.launch import (
-    THREADS_OF_A_BLOCK,
+    THREADS_PER_BLOCK,
     CpuLaunch,
     CudaLaunch,
     address,
     empty_points,
 )
-from compute.reconstruction.points import (
-    INCONSISTENT_PROBABILITY,
+from compute.reconstruction.point_batch import PointBatch
+from compute.reconstruction.triangulation import (
+    INCONSISTENCY_SIGNIFICANCE,
     check_corrections,
     chi2_limit,
 )
@@ -30,7 +30,7 @@ from compute.warp_host import warp_device
 Array = NDArray[np.float64]
 
 MAX_SENSORS: Final = 64
-LEAST_ROOM: Final = 16
+MIN_CAPACITY: Final = 16
 """Terms of distortion that a kernel has room for, at least, when it has any: calibrations with
 other terms then need no other kernel."""
 
@@ -89,11 +89,11 @@ class PointSolver:
 
         row = row_length(self.sensors, cuda=bool(place.is_cuda))
         fill_cameras(job, put, stack, corrections, row)
-        freedoms = range(-3, self.sensors - 2)
-        put("limits", np.array([chi2_limit(f, INCONSISTENT_PROBABILITY) for f in freedoms]))
+        dofs = range(-3, self.sensors - 2)
+        put("limits", np.array([chi2_limit(f, INCONSISTENCY_SIGNIFICANCE) for f in dofs]))
         if parameter_covariance is not None:
-            put("parameters", stack.spread_covariance(np.asarray(parameter_covariance)))
-        kernel = point_kernel(self.sensors, term_room(stack))
+            put("parameters", stack.covariance_blocks(np.asarray(parameter_covariance)))
+        kernel = point_kernel(self.sensors, term_capacity(stack))
         self.launch: CpuLaunch | CudaLaunch = (
             CudaLaunch(wp, kernel, job, self.sensors, place)
             if place.is_cuda
@@ -133,7 +133,7 @@ class PointSolver:
 
 
 def load_kernels(sensors: int, device: str | None = None) -> None:
-    """Load what solvers for so many sensors need, with up to LEAST_ROOM terms of distortion.
+    """Load what solvers for so many sensors need, with up to MIN_CAPACITY terms of distortion.
 
     Raises:
         InvalidParameter: no such device.
@@ -144,19 +144,19 @@ def load_kernels(sensors: int, device: str | None = None) -> None:
 
     place = warp_device(wp, device)
     # As they are launched: a kernel is built anew for blocks of another size.
-    block = 1 if place.is_cpu else THREADS_OF_A_BLOCK
-    for room in (0, LEAST_ROOM):
-        point_kernel(sensors, room).module.load(place, block_dim=block)
+    block = 1 if place.is_cpu else THREADS_PER_BLOCK
+    for capacity in (0, MIN_CAPACITY):
+        point_kernel(sensors, capacity).module.load(place, block_dim=block)
 
 
-def term_room(cameras: CameraStack) -> int:
+def term_capacity(cameras: CameraStack) -> int:
     """Return how many terms of distortion the kernel for these cameras has room for."""
-    if not cameras.distorted:
+    if not cameras.has_distortion:
         return 0
-    room = LEAST_ROOM
-    while room < len(cameras.terms):
-        room *= 2
-    return room
+    capacity = MIN_CAPACITY
+    while capacity < len(cameras.terms):
+        capacity *= 2
+    return capacity
 
 
 def _check(cameras: CameraStack, covariance: Array | None) -> None:
@@ -169,7 +169,7 @@ def _check(cameras: CameraStack, covariance: Array | None) -> None:
             raise InvalidParameter(
                 f"a term of distortion has the powers {term}; they must be {MAX_POWER} at most"
             )
-    count = int(cameras.owned.sum())
+    count = int(cameras.parameter_mask.sum())
     if covariance is not None and np.shape(covariance) != (count, count):
         raise InvalidParameter(
             f"the parameters' covariance has the shape {np.shape(covariance)}; the cameras have "

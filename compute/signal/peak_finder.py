@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from compute.signal.peaks import PeakBatch
 
 if TYPE_CHECKING:
-    from compute.signal.native.runner import LineRunner
+    from compute.signal.native.kernel_runner import ScanKernelRunner
 
 
 class PeakFinder(ABC):
@@ -19,7 +19,7 @@ class PeakFinder(ABC):
         runner: runs the kernel.
     """
 
-    def __init__(self, runner: "LineRunner") -> None:
+    def __init__(self, runner: "ScanKernelRunner") -> None:
         self._runner = runner
 
     @property

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from compute.flags import flag_names
 
-JOINT_PEAKS: Final = 4
+MAX_JOINT_PEAKS: Final = 4
 """Most peaks that are fitted together."""
 
 
@@ -75,8 +75,8 @@ class PeakBatch:
         flags: PeakFlag values, int32, shape (L, K); zero where there is no peak.
         reduced_chi2: misfit of the fitted shape, chi-square per degree of freedom, float32,
             shape (L, K); NaN for a centre of gravity, and where no degree of freedom is left.
-        covariance_px2: covariance of a peak's position with those of the next JOINT_PEAKS - 1
-            peaks of the line [px^2], float32, shape (L, K, JOINT_PEAKS - 1); zero but among peaks
+        covariance_px2: covariance of a peak's position with those of the next MAX_JOINT_PEAKS - 1
+            peaks of the line [px^2], float32, shape (L, K, MAX_JOINT_PEAKS - 1); zero but among peaks
             that were fitted together. With the squares of ``sigma_px`` it is the whole covariance
             of a line's positions; ``covariance`` puts it together.
     """
@@ -102,7 +102,7 @@ class PeakBatch:
             np.full(shape, np.nan, np.float32),
             np.zeros(shape, np.int32),
             np.full(shape, np.nan, np.float32),
-            np.zeros((*shape, JOINT_PEAKS - 1), np.float32),
+            np.zeros((*shape, MAX_JOINT_PEAKS - 1), np.float32),
         )
 
     def __len__(self) -> int:
@@ -113,7 +113,7 @@ class PeakBatch:
         """Return the covariance of the positions of one line's k peaks, shape (k, k) [px^2]."""
         count = int(self.count[line])
         whole = np.diag(self.sigma_px[line, :count].astype(np.float64) ** 2)
-        for ahead in range(1, min(JOINT_PEAKS, count)):
+        for ahead in range(1, min(MAX_JOINT_PEAKS, count)):
             with_next = self.covariance_px2[line, : count - ahead, ahead - 1]
             row = np.arange(count - ahead)
             whole[row, row + ahead] = whole[row + ahead, row] = with_next

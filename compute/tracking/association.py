@@ -5,69 +5,79 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.clusters import clusters
-from compute.tracking.filtering import (
-    Innovation,
-    SoftReadings,
-    joint_update,
-    left_out_residuals,
-    soft_update,
+from compute.tracking.clustering import split_clusters
+from compute.tracking.imm_states import (
+    CombinedState,
+    ImmStates,
+    combine_modes,
+    update_mode_probabilities,
 )
-from compute.tracking.frame_peaks import FramePeaks
-from compute.tracking.joint_hypotheses import REACH, Claim, Contender, claims
+from compute.tracking.joint_events import (
+    SHARED_PEAK_REACH,
+    ClusterTrack,
+    Marginals,
+    event_marginals,
+)
+from compute.tracking.measurement_model import MeasurementModel
+from compute.tracking.measurement_update import (
+    Innovation,
+    PdaMixture,
+    joint_update,
+    leave_one_out_residuals,
+    pda_update,
+)
+from compute.tracking.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
-from compute.tracking.reading_model import ReadingModel
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.states import Combined, States, combined, weighed
 
 Array = NDArray[np.float64]
 
-RELINEARISED_MM = 0.3
+RELINEARISATION_STEP_MM = 0.3
 """A step as long as this is taken once more, with slopes at its end: 1e-4 px at 1.5 m."""
-MOST_TURNS = 3
-LOST = 4.0
-"""A track is lost when a sensor's reading is predicted worse than so many ``search_px``."""
-GIVEN_UP = 0.01
+MAX_ITERATIONS = 3
+LOST_SIGMA_FACTOR = 4.0
+"""A track is lost when a sensor's reading is predicted worse than so many ``max_prediction_sigma_px``."""
+PRUNED_WEIGHT_THRESHOLD = 0.01
 """Share of joint hypotheses that were not followed, beyond which a track is ambiguous."""
-DOUBTED_SIGMA = 3.0
+SUSPECT_RESIDUAL_SIGMA = 3.0
 """A reading this far from what all others and the prediction say counts for less."""
-SEEN = 0.5
+ASSOCIATION_PROBABILITY_THRESHOLD = 0.5
 """Probability from which a peak is said to be a track's."""
 
 
 @dataclass(frozen=True, eq=False)
-class Associated:
+class AssociationResult:
     """What T tracks saw in a frame.
 
     Args:
         states: after the update.
         peaks: index of each sensor's peak; -1: none, int32, shape (T, S).
         merged: whether that peak is shared, shape (T, S).
-        chance: probability that it is the track's, 0 where there is none, shape (T, S).
+        probability: probability that it is the track's, 0 where there is none, shape (T, S).
         nis: normalised innovation squared, shape (T,).
-        evidence: log likelihood of what was seen, over that of false peaks, shape (T,).
-        doubtful: whether hypotheses were given up that might have mattered, shape (T,).
+        log_likelihood_ratio: log likelihood of what was seen, over that of false peaks, shape (T,).
+        hypotheses_pruned: whether hypotheses were given up that might have mattered, shape (T,).
         in_view: how many sensors each place is in the view of, shape (T,).
     """
 
-    states: States
+    states: ImmStates
     peaks: NDArray[np.int32]
     merged: NDArray[np.bool_]
-    chance: Array
+    probability: Array
     nis: Array
-    evidence: Array
-    doubtful: NDArray[np.bool_]
+    log_likelihood_ratio: Array
+    hypotheses_pruned: NDArray[np.bool_]
     in_view: NDArray[np.int32]
 
 
 def associate(
-    model: ReadingModel,
+    model: MeasurementModel,
     motion: MotionModels,
     settings: TrackerSettings,
-    states: States,
+    states: ImmStates,
     bias: Array,
-    peaks: FramePeaks,
-) -> Associated:
+    peaks: Measurements,
+) -> AssociationResult:
     """Associate the peaks of a frame with tracks and update their states.
 
     Readings that leave no choice come first, of all sensors at once; what they make of a state
@@ -83,19 +93,19 @@ def associate(
         peaks: of the frame.
     """
     work = _Work(model, motion, settings, states, bias, peaks)
-    work.take_decisive(first=True)
+    work.associate_unambiguous(first=True)
     if work.contested.any():
-        work.take_decisive(first=False)
+        work.associate_unambiguous(first=False)
     if work.contested.any():
-        work.take_contested()
-    return Associated(
+        work.associate_contested()
+    return AssociationResult(
         work.states,
         work.choice,
         work.merged,
-        work.chance,
+        work.probability,
         work.nis,
-        work.evidence,
-        work.doubtful,
+        work.log_likelihood_ratio,
+        work.hypotheses_pruned,
         work.predicted.in_view.sum(axis=1, dtype=np.int32),
     )
 
@@ -105,12 +115,12 @@ class _Work:
 
     def __init__(
         self,
-        model: ReadingModel,
+        model: MeasurementModel,
         motion: MotionModels,
         settings: TrackerSettings,
-        states: States,
+        states: ImmStates,
         bias: Array,
-        peaks: FramePeaks,
+        peaks: Measurements,
     ) -> None:
         self.model, self.motion, self.settings = model, motion, settings
         # A copy: it is written to.
@@ -119,26 +129,26 @@ class _Work:
         shape = (len(states), len(model))
         self.choice = np.full(shape, -1, dtype=np.int32)
         self.merged = np.zeros(shape, dtype=np.bool_)
-        self.chance = np.zeros(shape)
+        self.probability = np.zeros(shape)
         self.nis = np.zeros(len(states))
-        self.evidence = np.zeros(len(states))
-        self.doubtful = np.zeros(len(states), dtype=np.bool_)
+        self.log_likelihood_ratio = np.zeros(len(states))
+        self.hypotheses_pruned = np.zeros(len(states), dtype=np.bool_)
         self.taken = np.zeros(peaks.position_px.shape, dtype=np.bool_)
-        self.whole = combined(motion, states)
+        self.whole = combine_modes(motion, states)
         self.place = self.whole.mean[:, :3]
         self.predicted = model.predict(self.place)
         # A track that some sensor would see anywhere takes peaks that fit by chance.
-        limit = (LOST * settings.search_px) ** 2
-        wide = self._variance(self.whole, self.predicted.slope) > limit
+        limit = (LOST_SIGMA_FACTOR * settings.max_prediction_sigma_px) ** 2
+        wide = self._variance(self.whole, self.predicted.jacobian) > limit
         narrow: NDArray[np.bool_] = np.logical_not((wide & self.predicted.in_view).any(axis=1))
         self.contested = np.repeat(narrow[:, None], len(model), axis=1)
-        self._gain = float(np.log(settings.detection / settings.false_per_px))
+        self._gain = float(np.log(settings.detection_probability / settings.clutter_density_per_px))
 
-    def take_decisive(self, *, first: bool) -> None:
+    def associate_unambiguous(self, *, first: bool) -> None:
         """Find readings without rivals among what is open, and update by all of them at once."""
         reading = self._readings()
-        variance = self._variance(self.whole, self.predicted.slope)
-        choice, contested = _decisive(
+        variance = self._variance(self.whole, self.predicted.jacobian)
+        choice, contested = _unambiguous_peaks(
             reading,
             variance,
             self.predicted.in_view & self.contested,
@@ -155,9 +165,9 @@ class _Work:
         position = np.where(used, self.peaks.position_px[sensor, at], 0.0)
         noise = self.peaks.variance_px2[sensor, at]
         # A reading that all others contradict is a false peak in a wide gate.
-        for _ in range(MOST_TURNS):
-            innovation = Innovation.of(used, self.predicted.slope, noise, self.bias)
-            off = left_out_residuals(
+        for _ in range(MAX_ITERATIONS):
+            innovation = Innovation.of(used, self.predicted.jacobian, noise, self.bias)
+            off = leave_one_out_residuals(
                 self.whole, innovation, np.where(used, position - reading, 0.0)
             )
             worst = np.abs(off).argmax(axis=1)
@@ -169,22 +179,26 @@ class _Work:
             used[row[bad], worst[bad]] = False
         # One that they only doubt may be drawn by a neighbour that is not known.
         noise = np.where(
-            np.abs(off) > DOUBTED_SIGMA, noise + self.settings.merge_px**2 / 12.0, noise
+            np.abs(off) > SUSPECT_RESIDUAL_SIGMA,
+            noise + self.settings.resolution_px**2 / 12.0,
+            noise,
         )
-        states, log, nis = self._update(used, position, noise, turns=MOST_TURNS if first else 1)
+        states, log, nis = self._update(
+            used, position, noise, iterations=MAX_ITERATIONS if first else 1
+        )
         self.choice = np.where(used, choice, self.choice)
-        self.chance = np.where(used, 1.0, self.chance)
+        self.probability = np.where(used, 1.0, self.probability)
         self.taken[np.broadcast_to(sensor, used.shape)[used], choice[used]] = True
         top = log.max(axis=1)
         share = self.states.probability * np.exp(log - top[:, None])
-        self.evidence += top + np.log(share.sum(axis=1)) + used.sum(axis=1) * self._gain
+        self.log_likelihood_ratio += top + np.log(share.sum(axis=1)) + used.sum(axis=1) * self._gain
         states.probability = self.states.probability.copy()
-        weighed(states, log)
+        update_mode_probabilities(states, log)
         self.nis += (states.probability * nis).sum(axis=1)
         self.states = states
         self._renew()
 
-    def take_contested(self) -> None:
+    def associate_contested(self) -> None:
         """Take what is still open by joint hypotheses, the least contested sensors first."""
         count = self.contested.sum(axis=0)
         for sensor in np.argsort(count, kind="stable"):
@@ -192,20 +206,22 @@ class _Work:
                 self._take_sensor(int(sensor), np.flatnonzero(self.contested[:, sensor]))
 
     def _update(
-        self, used: NDArray[np.bool_], position: Array, noise: Array, turns: int
-    ) -> tuple[States, Array, Array]:
+        self, used: NDArray[np.bool_], position: Array, noise: Array, iterations: int
+    ) -> tuple[ImmStates, Array, Array]:
         """Return the joint update, with slopes taken anew while steps are long."""
-        for turn in range(turns):
-            innovation = Innovation.of(used, self.predicted.slope, noise, self.bias)
+        for iteration in range(iterations):
+            innovation = Innovation.of(used, self.predicted.jacobian, noise, self.bias)
             apart = self.states.mean[..., :3] - self.place[:, None]
             expected = self.predicted.reading_px[:, None] + np.einsum(
-                "tsi,tmi->tms", self.predicted.slope, apart
+                "tsi,tmi->tms", self.predicted.jacobian, apart
             )
             difference = np.where(used[:, None], position[:, None] - expected, 0.0)
             updated = joint_update(self.states, innovation, difference)
             place = (self.states.probability[..., None] * updated[0].mean[..., :3]).sum(axis=1)
-            far = used.any(axis=1) & ~(np.abs(place - self.place) < RELINEARISED_MM).all(axis=1)
-            if turn + 1 == turns or not far.any():
+            far = used.any(axis=1) & ~(np.abs(place - self.place) < RELINEARISATION_STEP_MM).all(
+                axis=1
+            )
+            if iteration + 1 == iterations or not far.any():
                 break
             self.place = np.where(far[:, None], place, self.place)
             self.predicted = self.model.predict(self.place)
@@ -214,31 +230,33 @@ class _Work:
     def _take_sensor(self, sensor: int, rows: NDArray[np.intp]) -> None:
         """Take one sensor's peaks by the joint hypotheses of the tracks ``rows``."""
         states = self.states.rows(rows)
-        whole = combined(self.motion, states)
-        slope = self.predicted.slope[rows, sensor]
+        whole = combine_modes(self.motion, states)
+        jacobian = self.predicted.jacobian[rows, sensor]
         reading = self.predicted.reading_px[rows, sensor] + np.einsum(
-            "ti,ti->t", slope, whole.mean[:, :3] - self.place[rows]
+            "ti,ti->t", jacobian, whole.mean[:, :3] - self.place[rows]
         )
         bias = self.bias[rows, sensor]
-        variance = _variance(whole, slope, sensor, bias[:, sensor])
-        found = self._claims(sensor, reading, variance)
+        variance = _variance(whole, jacobian, sensor, bias[:, sensor])
+        found = self._event_marginals(sensor, reading, variance)
         most = max((len(own) for own in found), default=0)
         if most == 0:
             return
         weight, difference = np.zeros((len(rows), most)), np.zeros((len(rows), most))
         noise = np.ones((len(rows), most))
         for place, own in enumerate(found):
-            for column, claim in enumerate(own):
-                weight[place, column] = claim.chance
-                difference[place, column] = claim.difference_px
-                noise[place, column] = claim.variance_px2
-        soft = SoftReadings(weight, difference, noise)
-        self.states.put(rows, soft_update(states, whole, soft, sensor, slope, bias))
+            for column, marginal in enumerate(own):
+                weight[place, column] = marginal.probability
+                difference[place, column] = marginal.difference_px
+                noise[place, column] = marginal.variance_px2
+        soft = PdaMixture(weight, difference, noise)
+        self.states.put(rows, pda_update(states, whole, soft, sensor, jacobian, bias))
         for place, own in enumerate(found):
-            for claim in own:
-                self._record(int(rows[place]), sensor, claim, float(variance[place]))
+            for marginal in own:
+                self._record(int(rows[place]), sensor, marginal, float(variance[place]))
 
-    def _claims(self, sensor: int, reading: Array, variance: Array) -> list[list[Claim]]:
+    def _event_marginals(
+        self, sensor: int, reading: Array, variance: Array
+    ) -> list[list[Marginals]]:
         """Return what each of the contending tracks may have read."""
         free = np.flatnonzero(self.peaks.usable[sensor] & ~self.taken[sensor])
         peaks = [
@@ -249,60 +267,66 @@ class _Work:
             )
             for peak in free
         ]
-        found: list[list[Claim]] = [[] for _ in reading]
+        found: list[list[Marginals]] = [[] for _ in reading]
         rows = np.flatnonzero(self.contested[:, sensor])
-        contenders = [Contender(float(a), float(b)) for a, b in zip(reading, variance, strict=True)]
-        for members, contended in clusters(contenders, peaks, self.settings):
-            own, given_up = claims([contenders[m] for m in members], contended, self.settings)
+        cluster_tracks = [
+            ClusterTrack(float(a), float(b)) for a, b in zip(reading, variance, strict=True)
+        ]
+        for members, cluster_peaks in split_clusters(cluster_tracks, peaks, self.settings):
+            own, pruned_weight = event_marginals(
+                [cluster_tracks[m] for m in members], cluster_peaks, self.settings
+            )
             for member, each in zip(members, own, strict=True):
                 found[member] = each
-                self.doubtful[rows[member]] |= given_up > GIVEN_UP
+                self.hypotheses_pruned[rows[member]] |= pruned_weight > PRUNED_WEIGHT_THRESHOLD
         return found
 
-    def _record(self, track: int, sensor: int, claim: Claim, variance: float) -> None:
-        if claim.chance <= SEEN:
+    def _record(self, track: int, sensor: int, marginal: Marginals, variance: float) -> None:
+        if marginal.probability <= ASSOCIATION_PROBABILITY_THRESHOLD:
             return
-        self.choice[track, sensor] = claim.peak
-        self.chance[track, sensor] = claim.chance
-        self.merged[track, sensor] = claim.merged
-        self.taken[sensor, claim.peak] = True
-        total = variance + claim.variance_px2
-        off = claim.difference_px**2 / total
+        self.choice[track, sensor] = marginal.peak
+        self.probability[track, sensor] = marginal.probability
+        self.merged[track, sensor] = marginal.merged
+        self.taken[sensor, marginal.peak] = True
+        total = variance + marginal.variance_px2
+        off = marginal.difference_px**2 / total
         self.nis[track] += off
         density = -0.5 * (off + np.log(2.0 * np.pi * total))
-        self.evidence[track] += claim.chance * (density + self._gain)
+        self.log_likelihood_ratio[track] += marginal.probability * (density + self._gain)
 
     def _renew(self) -> None:
-        self.whole = combined(self.motion, self.states)
+        self.whole = combine_modes(self.motion, self.states)
 
     def _readings(self) -> Array:
         """Return the predicted readings at the states' present means, shape (T, S)."""
         apart = self.whole.mean[:, :3] - self.place
-        moved: Array = np.einsum("tsi,ti->ts", self.predicted.slope, apart)
+        moved: Array = np.einsum("tsi,ti->ts", self.predicted.jacobian, apart)
         return self.predicted.reading_px + moved
 
-    def _variance(self, whole: Combined, slope: Array) -> Array:
+    def _variance(self, whole: CombinedState, jacobian: Array) -> Array:
         """Return the variance of predicted readings, constant errors included, shape (T, S)."""
-        half = slope @ whole.covariance[:, :3, :3]
+        half = jacobian @ whole.covariance[:, :3, :3]
         diagonal = np.arange(len(self.model))
-        variance: Array = (half * slope).sum(axis=2)
-        variance += 2.0 * np.einsum("tsi,tis->ts", slope, whole.with_bias[:, :3])
+        variance: Array = (half * jacobian).sum(axis=2)
+        variance += 2.0 * np.einsum("tsi,tis->ts", jacobian, whole.bias_cross_covariance[:, :3])
         variance += self.bias[:, diagonal, diagonal]
         return np.asarray(np.maximum(variance, 0.0))
 
 
-def _variance(whole: Combined, slope: Array, sensor: int, bias: Array) -> Array:
+def _variance(whole: CombinedState, jacobian: Array, sensor: int, bias: Array) -> Array:
     """Return the variance of one sensor's predicted readings, with its bias's own, shape (T,)."""
-    variance: Array = np.einsum("ti,tij,tj->t", slope, whole.covariance[:, :3, :3], slope)
-    variance += 2.0 * np.einsum("ti,ti->t", slope, whole.with_bias[:, :3, sensor]) + bias
+    variance: Array = np.einsum("ti,tij,tj->t", jacobian, whole.covariance[:, :3, :3], jacobian)
+    variance += (
+        2.0 * np.einsum("ti,ti->t", jacobian, whole.bias_cross_covariance[:, :3, sensor]) + bias
+    )
     return np.asarray(np.maximum(variance, 0.0))
 
 
-def _decisive(
+def _unambiguous_peaks(
     reading: Array,
     variance: Array,
     open_: NDArray[np.bool_],
-    peaks: FramePeaks,
+    peaks: Measurements,
     free: NDArray[np.bool_],
     settings: TrackerSettings,
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
@@ -319,7 +343,7 @@ def _decisive(
         free: which peaks are looked at, shape (S, K).
         settings: gate and widths.
     """
-    sought = open_ & (variance <= settings.search_px**2)
+    sought = open_ & (variance <= settings.max_prediction_sigma_px**2)
     at = np.where(sought, reading, np.inf)
     with np.errstate(invalid="ignore"):
         off = np.abs(peaks.position_px[None] - at[..., None])
@@ -329,7 +353,7 @@ def _decisive(
         own = (gated.sum(axis=2) == 1) & alone.any(axis=2)
         apart = np.abs(at[:, None] - at[None])
         deviation = np.sqrt(variance)
-        reach = REACH * (settings.merge_px + deviation[:, None] + deviation[None])
+        reach = SHARED_PEAK_REACH * (settings.resolution_px + deviation[:, None] + deviation[None])
         near = apart <= reach
     near[np.arange(len(reading)), np.arange(len(reading))] = False
     near &= ~(own[:, None] & own[None])

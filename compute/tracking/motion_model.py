@@ -10,7 +10,7 @@ from compute.tracking.settings import TrackerSettings
 
 Array = NDArray[np.float64]
 
-STATES = 9
+STATE_SIZE = 9
 """Position, velocity and acceleration, x, y, z each."""
 
 
@@ -24,41 +24,41 @@ class MotionModels:
     zeros in its place.
 
     Args:
-        with_acceleration: whether each model has acceleration as a state, M of them.
-        density: of the white noise, M of them [mm^2/s^3] or [mm^2/s^5].
-        switch_s: mean time between two switches from a model to the other one [s].
+        has_acceleration: whether each model has acceleration as a state, M of them.
+        noise_psd: of the white noise, M of them [mm^2/s^3] or [mm^2/s^5].
+        mean_sojourn_s: mean time between two switches from a model to the other one [s].
     """
 
-    with_acceleration: tuple[bool, ...]
-    density: tuple[float, ...]
-    switch_s: float
+    has_acceleration: tuple[bool, ...]
+    noise_psd: tuple[float, ...]
+    mean_sojourn_s: float
 
     @classmethod
     def of(cls, settings: TrackerSettings) -> "MotionModels":
         """Return the models that the settings ask for."""
         velocity = settings.motion != "acceleration"
         acceleration = settings.motion != "velocity"
-        density = (settings.white_acceleration,) * velocity + (settings.white_jerk,) * acceleration
-        return cls((False,) * velocity + (True,) * acceleration, density, settings.switch_s)
+        noise_psd = (settings.acceleration_psd,) * velocity + (settings.jerk_psd,) * acceleration
+        return cls((False,) * velocity + (True,) * acceleration, noise_psd, settings.mean_sojourn_s)
 
     def __len__(self) -> int:
         """Return the number of models."""
-        return len(self.density)
+        return len(self.noise_psd)
 
-    def steps(self, step_s: Array) -> tuple[Array, Array]:
+    def transitions(self, step_s: Array) -> tuple[Array, Array]:
         """Return transitions and noise covariances over T times [s], each (T, M, 9, 9)."""
-        kind = self.with_acceleration, self.density
+        kind = self.has_acceleration, self.noise_psd
         each = [_step(kind, step) for step in step_s.tolist()]
         if not each:
-            return np.empty((0, len(self), STATES, STATES)), np.empty(
-                (0, len(self), STATES, STATES)
+            return np.empty((0, len(self), STATE_SIZE, STATE_SIZE)), np.empty(
+                (0, len(self), STATE_SIZE, STATE_SIZE)
             )
         if all(one is each[0] for one in each):
-            shape = (len(each), len(self), STATES, STATES)
+            shape = (len(each), len(self), STATE_SIZE, STATE_SIZE)
             return np.broadcast_to(each[0][0], shape), np.broadcast_to(each[0][1], shape)
         return np.stack([one[0] for one in each]), np.stack([one[1] for one in each])
 
-    def switching(self, step_s: Array) -> Array:
+    def mode_transition_probabilities(self, step_s: Array) -> Array:
         """Return the chances to go from one model to another, shape (T, M, M), rows from.
 
         Switches are a Poisson process: over any time the chances are exact, as of a Markov chain
@@ -66,7 +66,7 @@ class MotionModels:
         """
         if len(self) == 1:
             return np.ones((len(step_s), 1, 1))
-        change = 0.5 * -np.expm1(-2.0 * step_s / self.switch_s)
+        change = 0.5 * -np.expm1(-2.0 * step_s / self.mean_sojourn_s)
         chances = np.empty((len(step_s), 2, 2))
         chances[:, 0, 0] = chances[:, 1, 1] = 1.0 - change
         chances[:, 0, 1] = chances[:, 1, 0] = change
@@ -77,8 +77,8 @@ class MotionModels:
 def _step(kind: tuple[tuple[bool, ...], tuple[float, ...]], t: float) -> tuple[Array, Array]:
     """Return transitions and noise covariances over t [s], each (M, 9, 9)."""
     parts = [
-        acceleration_step(t, density) if with_acceleration else velocity_step(t, density)
-        for with_acceleration, density in zip(*kind, strict=True)
+        ca_transition(t, noise_psd) if has_acceleration else cv_transition(t, noise_psd)
+        for has_acceleration, noise_psd in zip(*kind, strict=True)
     ]
     axes = np.eye(3)
     return (
@@ -87,14 +87,14 @@ def _step(kind: tuple[tuple[bool, ...], tuple[float, ...]], t: float) -> tuple[A
     )
 
 
-def velocity_step(t: float, density: float) -> tuple[Array, Array]:
+def cv_transition(t: float, noise_psd: float) -> tuple[Array, Array]:
     """Return transition and noise of position, velocity (and no acceleration), each (3, 3)."""
     transition = np.array([[1.0, t, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
     noise = np.array([[t**3 / 3, t**2 / 2, 0.0], [t**2 / 2, t, 0.0], [0.0, 0.0, 0.0]])
-    return transition, density * noise
+    return transition, noise_psd * noise
 
 
-def acceleration_step(t: float, density: float) -> tuple[Array, Array]:
+def ca_transition(t: float, noise_psd: float) -> tuple[Array, Array]:
     """Return transition and noise of position, velocity and acceleration, each (3, 3)."""
     transition = np.array([[1.0, t, t**2 / 2], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
     noise = np.array(
@@ -104,4 +104,4 @@ def acceleration_step(t: float, density: float) -> tuple[Array, Array]:
             [t**3 / 6, t**2 / 2, t],
         ]
     )
-    return transition, density * noise
+    return transition, noise_psd * noise

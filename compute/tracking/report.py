@@ -2,28 +2,28 @@
 
 import numpy as np
 
-from compute.tracking.frame_peaks import REPORTED, FramePeaks
-from compute.tracking.life_cycle import WEAK_EXPOSURES
+from compute.tracking.associations import Associations
+from compute.tracking.imm_states import combine_modes, mix_and_predict
+from compute.tracking.measurement_model import MeasurementModel
+from compute.tracking.measurements import REPORTED_FLAGS, Measurements
 from compute.tracking.motion_model import MotionModels
-from compute.tracking.reading_model import ReadingModel
-from compute.tracking.seen import Seen
-from compute.tracking.states import combined, predicted
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
+from compute.tracking.track_management import UNSUPPORTED_EXPOSURES
 from compute.tracking.tracks import Tracks
 
 # As arrays' own numbers: an enumeration's operations take as long as an array's. TENTATIVE is 0.
 _CONFIRMED, _COASTING = np.int8(TrackState.CONFIRMED), np.int8(TrackState.COASTING)
 _MERGED, _AMBIGUOUS = np.int32(TrackFlag.MERGED), np.int32(TrackFlag.AMBIGUOUS)
-_FEW_SENSORS, _DOUBTFUL_PEAK = np.int32(TrackFlag.FEW_SENSORS), np.int32(TrackFlag.DOUBTFUL_PEAK)
+_FEW_SENSORS, _DOUBTFUL_PEAK = np.int32(TrackFlag.FEW_SENSORS), np.int32(TrackFlag.SUSPECT_PEAK)
 _OUTSIDE_MAP = np.int32(TrackFlag.OUTSIDE_MAP)
 
 
-def batch_of(
-    model: ReadingModel,
+def to_track_batch(
+    model: MeasurementModel,
     motion: MotionModels,
     tracks: Tracks,
-    seen: Seen,
-    peaks: FramePeaks,
+    seen: Associations,
+    peaks: Measurements,
     time_ns: int,
 ) -> TrackBatch:
     """Return the tracks, predicted to ``time_ns`` where they were not looked for."""
@@ -32,27 +32,31 @@ def batch_of(
     if len(late):
         states = states.rows(np.arange(len(tracks)))
         step = np.asarray((time_ns - tracks.time_ns[late]) * 1e-9, dtype=np.float64)
-        states.put(late, predicted(motion, tracks.states.rows(late), step))
-    whole = combined(motion, states)
+        states.put(late, mix_and_predict(motion, tracks.states.rows(late), step))
+    whole = combine_modes(motion, states)
     mean, covariance = whole.mean.copy(), whole.covariance.copy()
-    if not any(motion.with_acceleration):
+    if not any(motion.has_acceleration):
         mean[:, 6:] = np.nan
         covariance[:, 6:] = covariance[:, :, 6:] = np.nan
-    degrees = seen.degrees()
+    dof = seen.sensor_counts()
     used = seen.peaks >= 0
-    state = np.where(degrees > 0, _CONFIRMED, _COASTING)
+    state = np.where(dof > 0, _CONFIRMED, _COASTING)
     state *= tracks.confirmed
     flags = seen.merged * _MERGED
-    doubt = tracks.uncertain | seen.doubtful | (tracks.weak >= WEAK_EXPOSURES)
+    doubt = (
+        tracks.ambiguous_identity
+        | seen.hypotheses_pruned
+        | (tracks.unsupported >= UNSUPPORTED_EXPOSURES)
+    )
     flags |= doubt * _AMBIGUOUS
-    flags |= (degrees < 3) * _FEW_SENSORS
+    flags |= (dof < 3) * _FEW_SENSORS
     if peaks.flags.any():
         sensor = np.arange(len(model))
         marks = np.where(used, peaks.flags[sensor, np.maximum(seen.peaks, 0)], 0)
-        doubtful = (marks & REPORTED).any(axis=1)
+        doubtful = (marks & REPORTED_FLAGS).any(axis=1)
         flags |= doubtful * _DOUBTFUL_PEAK
     if model.corrections is not None:
-        outside = (used & ~model.vouched(mean[:, :3])).any(axis=1)
+        outside = (used & ~model.inside_hull(mean[:, :3])).any(axis=1)
         flags |= outside * _OUTSIDE_MAP
     return TrackBatch(
         tracks.identity.copy(),
@@ -64,6 +68,6 @@ def batch_of(
         mean[:, 6:],
         covariance,
         seen.peaks,
-        np.where(degrees > 0, seen.nis, np.nan),
-        degrees,
+        np.where(dof > 0, seen.nis, np.nan),
+        dof,
     )

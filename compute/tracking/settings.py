@@ -16,52 +16,52 @@ class TrackerSettings:
 
     Args:
         motion: the model of motion.
-        white_acceleration: spectral density of the constant-velocity model's acceleration
+        acceleration_psd: spectral density of the constant-velocity model's acceleration
             [mm^2/s^3]: after t seconds the velocity is uncertain by sqrt(this t).
-        white_jerk: spectral density of the constant-acceleration model's jerk [mm^2/s^5].
-        switch_s: mean time that a marker keeps to one of two interacting models [s].
+        jerk_psd: spectral density of the constant-acceleration model's jerk [mm^2/s^5].
+        mean_sojourn_s: mean time that a marker keeps to one of two interacting models [s].
         start_speed_mm_s: standard deviation of a new track's velocity along each axis [mm/s].
         start_acceleration_mm_s2: likewise of its acceleration [mm/s^2].
-        detection: probability that a sensor has a peak of a marker that lies in its view.
-        false_per_px: expected number of false peaks per pixel and exposure.
-        merge_px: distance of two peaks at which every second pair is found as one peak [px].
+        detection_probability: probability that a sensor has a peak of a marker that lies in its view.
+        clutter_density_per_px: expected number of false peaks per pixel and exposure.
+        resolution_px: distance of two peaks at which every second pair is found as one peak [px].
         gate_sigma: readings further than this from their prediction are not a track's.
-        search_px: where a sensor's reading is predicted less well than this (standard deviation),
+        max_prediction_sigma_px: where a sensor's reading is predicted less well than this (standard deviation),
             a track takes no peak of it; where one is four times as bad, it takes no single peaks
             at all, but points of three sensors or more [px].
-        doubtful_factor: by which standard deviations of saturated, overlapping and ill-fitted peaks
+        suspect_sigma_factor: by which standard deviations of saturated, overlapping and ill-fitted peaks
             grow.
         confirm_hits: exposures that must have seen a track, after its first, before it is a marker.
         confirm_misses: exposures that may miss it until then; with one more it ends. The second one
             must see it.
-        false_confirmation: chance that is accepted for a track of false peaks to be confirmed.
+        false_track_probability: chance that is accepted for a track of false peaks to be confirmed.
         coast_s: how long a confirmed track is predicted without being seen, then it ends [s].
-        start_every_s: least time between two searches for new markers in peaks that are left over,
+        initiation_interval_s: least time between two searches for new markers in peaks that are left over,
             while none has just begun [s]. A strobed marker without a track is sought at once.
-        most_hypotheses: joint hypotheses of one cluster and sensor that are kept.
+        max_hypotheses: joint hypotheses of one cluster and sensor that are kept.
 
     Raises:
         InvalidParameter: a value outside its range.
     """
 
     motion: MotionModel = "interacting"
-    white_acceleration: float = 1e4
-    white_jerk: float = 1e8
-    switch_s: float = 0.3
+    acceleration_psd: float = 1e4
+    jerk_psd: float = 1e8
+    mean_sojourn_s: float = 0.3
     start_speed_mm_s: float = 500.0
     start_acceleration_mm_s2: float = 3000.0
-    detection: float = 0.95
-    false_per_px: float = 2e-4
-    merge_px: float = 4.0
+    detection_probability: float = 0.95
+    clutter_density_per_px: float = 2e-4
+    resolution_px: float = 4.0
     gate_sigma: float = 4.5
-    search_px: float = 10.0
-    doubtful_factor: float = 3.0
+    max_prediction_sigma_px: float = 10.0
+    suspect_sigma_factor: float = 3.0
     confirm_hits: int = 3
     confirm_misses: int = 2
-    false_confirmation: float = 1e-6
+    false_track_probability: float = 1e-6
     coast_s: float = 1.0
-    start_every_s: float = 0.05
-    most_hypotheses: int = 256
+    initiation_interval_s: float = 0.05
+    max_hypotheses: int = 256
 
     def __post_init__(self) -> None:
         if self.motion not in get_args(MotionModel):
@@ -69,27 +69,27 @@ class TrackerSettings:
                 f"motion is {self.motion!r}; it must be one of {', '.join(get_args(MotionModel))}"
             )
         for name in (
-            "white_acceleration",
-            "white_jerk",
-            "switch_s",
+            "acceleration_psd",
+            "jerk_psd",
+            "mean_sojourn_s",
             "start_speed_mm_s",
             "start_acceleration_mm_s2",
-            "false_per_px",
-            "merge_px",
-            "search_px",
+            "clutter_density_per_px",
+            "resolution_px",
+            "max_prediction_sigma_px",
             "coast_s",
         ):
             _check(name, getattr(self, name), above=0.0)
-        for name in ("detection", "false_confirmation"):
+        for name in ("detection_probability", "false_track_probability"):
             value = getattr(self, name)
             if not 0.0 < value < 1.0:
                 raise InvalidParameter(f"{name} is {value}; it must lie between 0 and 1")
         _check("gate_sigma", self.gate_sigma, above=1.0)
-        for name in ("doubtful_factor", "confirm_hits", "most_hypotheses"):
+        for name in ("suspect_sigma_factor", "confirm_hits", "max_hypotheses"):
             value = getattr(self, name)
             if not (isfinite(value) and value >= 1):
                 raise InvalidParameter(f"{name} is {value}; it must be 1 or more")
-        for name in ("start_every_s", "confirm_misses"):
+        for name in ("initiation_interval_s", "confirm_misses"):
             value = getattr(self, name)
             if not (isfinite(value) and value >= 0):
                 raise InvalidParameter(f"{name} is {value}; it must be 0 or more")

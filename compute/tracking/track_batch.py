@@ -31,7 +31,7 @@ class TrackFlag(IntFlag):
     """It may have changed places with another track, or be a ghost: identity is not sure."""
     FEW_SENSORS = 4
     """Fewer than three sensors saw it now: what the others would add is predicted."""
-    DOUBTFUL_PEAK = 8
+    SUSPECT_PEAK = 8
     """One of its peaks is saturated or clipped."""
     OUTSIDE_MAP = 16
     """The correction table vouches for the reading of some used sensor not there."""
@@ -54,7 +54,7 @@ class TrackBatch:
         peaks: index of the peak, in its line, that each sensor saw of each track; -1: none,
             int32, shape (T, S).
         nis: normalised innovation squared of what was seen now, shape (T,); NaN: nothing was.
-        degrees: number of readings that ``nis`` sums over, int32, shape (T,).
+        dof: number of readings that ``nis`` sums over, int32, shape (T,).
     """
 
     identity: NDArray[np.int64]
@@ -67,7 +67,7 @@ class TrackBatch:
     covariance: Array
     peaks: NDArray[np.int32]
     nis: Array
-    degrees: NDArray[np.int32]
+    dof: NDArray[np.int32]
 
     @classmethod
     def empty(cls, sensors: int) -> Self:

@@ -9,28 +9,38 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.correspondence import MatchSettings, Predictor
-from compute.tracking.frame_peaks import FramePeaks
-from compute.tracking.given_starts import GivenStarts
-from compute.tracking.left_over import PointFinder
-from compute.tracking.life_cycle import VOUCHING_SENSORS, count_weak, exchangeable, not_taken
+from compute.tracking.associations import Associations
+from compute.tracking.imm_states import ImmStates, combine_modes, mean_positions, mix_and_predict
+from compute.tracking.measurement_model import MeasurementModel
+from compute.tracking.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
-from compute.tracking.new_states import given_states
-from compute.tracking.newcomers import Newcomers, free_peaks
-from compute.tracking.reading_model import ReadingModel
-from compute.tracking.report import batch_of
-from compute.tracking.seen import Seen
+from compute.tracking.prior_tracks import PriorTracks
+from compute.tracking.report import to_track_batch
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.states import States, combined, places, predicted
-from compute.tracking.strangers import any_near, beside_after, doubted, hidden_now
+from compute.tracking.state_initialisation import states_from_prior
 from compute.tracking.track_batch import TrackBatch
+from compute.tracking.track_initiation import TrackInitiator, free_peaks
+from compute.tracking.track_management import (
+    MIN_SUPPORT_SENSORS,
+    exclude_prior_duplicates,
+    indistinguishable_tracks,
+    update_support,
+)
 from compute.tracking.tracks import Tracks
+from compute.tracking.unassociated_points import UnassociatedPointFinder
+from compute.tracking.unresolved_neighbours import (
+    any_neighbour,
+    inflate_unresolved,
+    predict_merged,
+    update_neighbours,
+)
 
 Array = NDArray[np.float64]
 
 STANDARD = TrackerSettings()
-BEYOND_DOUBT = log(1000.0)
+ALIVE_LOG_LIKELIHOOD_RATIO = log(1000.0)
 """Evidence of one exposure that a confirmed track lives."""
-STALE_MM = 5.0
+BIAS_UPDATE_DISTANCE_MM = 5.0
 """A marker that moved so far has the calibration's errors worked out anew."""
 
 
@@ -62,31 +72,35 @@ class Tracker:
         self.settings = settings
         self.motion = MotionModels.of(settings)
         self._pixels = pixels
-        self.model, finder = self._made(cameras, parameter_covariance, corrections, pixels)
-        self._newcomers = Newcomers(self.model, self.motion, settings, finder, self._associator)
+        self.model, finder = self._build(cameras, parameter_covariance, corrections, pixels)
+        self._newcomers = TrackInitiator(
+            self.model, self.motion, settings, finder, self._associator
+        )
         self._tracks = Tracks.empty(len(self.motion), len(self.model))
         self._time_ns: int | None = None
         self._begun_ns: int | None = None
         self._last_ns: int | None = None
 
-    def _made(
+    def _build(
         self,
         cameras: CameraStack,
         parameter_covariance: Array | None,
         corrections: CorrectionTable | None,
         pixels: tuple[int, ...] | None,
-    ) -> tuple[ReadingModel, PointFinder]:
+    ) -> tuple[MeasurementModel, UnassociatedPointFinder]:
         # Here and not above: Warp takes a second to load, and the types are used without it.
         from compute.reconstruction.solver import PointSolver
         from compute.tracking.native.associator import Associator
 
-        model = ReadingModel(cameras, parameter_covariance, corrections, pixels)
+        model = MeasurementModel(cameras, parameter_covariance, corrections, pixels)
         self._associator = Associator(model, self.motion, self.settings)
         solver = PointSolver(cameras, parameter_covariance, corrections, "cpu", threads=1)
-        finder = PointFinder(
+        finder = UnassociatedPointFinder(
             lambda readings, sigma: solver.solve(readings, np.where(sigma > 0.0, sigma, 1.0)),
             Predictor(cameras, parameter_covariance, corrections, pixels),
-            MatchSettings(self.settings.detection, self.settings.false_per_px),
+            MatchSettings(
+                self.settings.detection_probability, self.settings.clutter_density_per_px
+            ),
         )
         return model, finder
 
@@ -108,9 +122,9 @@ class Tracker:
             raise InvalidParameter(
                 f"there are {len(cameras)} cameras; the tracker is for {len(self.model)}"
             )
-        self.model, finder = self._made(cameras, parameter_covariance, corrections, self._pixels)
-        self._newcomers.renew(self.model, finder, self._associator)
-        self._tracks.states.with_bias[:] = 0.0
+        self.model, finder = self._build(cameras, parameter_covariance, corrections, self._pixels)
+        self._newcomers.set_cameras(self.model, finder, self._associator)
+        self._tracks.states.bias_cross_covariance[:] = 0.0
         self._tracks.bias[:] = 0.0
         self._tracks.bias_mm[:] = np.inf
 
@@ -120,7 +134,7 @@ class Tracker:
         self._time_ns = self._begun_ns = None
         self._newcomers.reset()
 
-    def begin_at(
+    def add_prior_tracks(
         self,
         time_ns: int,
         position_mm: Array,
@@ -146,7 +160,7 @@ class Tracker:
                 positive definite, a time before the last exposure's, several markers with one
                 strobe slot, or a marker that may be one that is tracked already.
         """
-        starts = GivenStarts.of(position_mm, velocity_mm_s, covariance)
+        starts = PriorTracks.of(position_mm, velocity_mm_s, covariance)
         last = max((t for t in (self._time_ns, self._begun_ns) if t is not None), default=time_ns)
         if time_ns < last:
             raise InvalidParameter(
@@ -157,14 +171,14 @@ class Tracker:
             raise InvalidParameter(
                 f"marker is {marker} for {len(starts)} markers; it must be 0 or more, for one"
             )
-        states = given_states(
+        states = states_from_prior(
             self.motion, self.settings, starts.mean, starts.covariance, len(self.model)
         )
         self._predict(np.arange(len(self._tracks)), time_ns)
         self._tracks = self._tracks.rows(
-            not_taken(self.motion, self._tracks, states, starts.mean[:, :3])
+            exclude_prior_duplicates(self.motion, self._tracks, states, starts.mean[:, :3])
         )
-        begun = Tracks.begun(
+        begun = Tracks.create(
             states,
             self.model.bias_covariance(starts.mean[:, :3]),
             starts.mean[:, :3],
@@ -172,9 +186,9 @@ class Tracker:
             marker=marker,
             time_ns=time_ns,
             confirmed=True,
-            uncertain=np.zeros(len(starts), dtype=np.bool_),
+            ambiguous_identity=np.zeros(len(starts), dtype=np.bool_),
         )
-        self._tracks = self._tracks.joined(begun)
+        self._tracks = self._tracks.concatenate(begun)
         self._begun_ns = time_ns
         return begun.identity.copy()
 
@@ -211,21 +225,21 @@ class Tracker:
             )
         if marker is not None and marker < 0:
             raise InvalidParameter(f"marker is {marker}; it must be 0 or more, or None")
-        peaks = FramePeaks.of(position_px, sigma_px, peak_flags, len(self.model), self.settings)
+        peaks = Measurements.of(position_px, sigma_px, peak_flags, len(self.model), self.settings)
         self._last_ns, self._time_ns = self._time_ns, time_ns
         tracks = self._tracks
-        seen = Seen.nothing(len(tracks), len(self.model))
-        part = self._taking_part(marker)
+        seen = Associations.empty(len(tracks), len(self.model))
+        part = self._visible_rows(marker)
         self._predict(part, time_ns)
         followed = part[tracks.confirmed[part]]
-        self._follow(followed, peaks, seen, marker, time_ns)
+        self._update_confirmed(followed, peaks, seen, marker, time_ns)
         free = free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_))
         if marker is None:
-            self._note_strangers(followed, peaks, seen, free, time_ns)
+            self._update_neighbours(followed, peaks, seen, free, time_ns)
         self._tracks, seen = self._newcomers.find(tracks, part, seen, peaks, free, marker, time_ns)
-        return batch_of(self.model, self.motion, self._tracks, seen, peaks, time_ns)
+        return to_track_batch(self.model, self.motion, self._tracks, seen, peaks, time_ns)
 
-    def _taking_part(self, marker: int | None) -> NDArray[np.intp]:
+    def _visible_rows(self, marker: int | None) -> NDArray[np.intp]:
         """Return the rows of tracks that this exposure may show."""
         tracks = self._tracks
         if marker is None:
@@ -241,11 +255,11 @@ class Tracker:
         if len(rows) == 0:
             return
         step = np.asarray((time_ns - tracks.time_ns[rows]) * 1e-9, dtype=np.float64)
-        states = predicted(self.motion, tracks.states.rows(rows), step)
+        states = mix_and_predict(self.motion, tracks.states.rows(rows), step)
         tracks.time_ns[rows] = time_ns
         if not self.model.exact:
-            place = combined(self.motion, states).mean[:, :3]
-            moved = np.abs(place - tracks.bias_mm[rows]).max(axis=1) > STALE_MM
+            place = combine_modes(self.motion, states).mean[:, :3]
+            moved = np.abs(place - tracks.bias_mm[rows]).max(axis=1) > BIAS_UPDATE_DISTANCE_MM
             if moved.any():
                 # The errors there are about as large, and of the same cause.
                 stale = rows[moved]
@@ -253,15 +267,15 @@ class Tracker:
                 diagonal = np.arange(len(self.model))
                 before = tracks.bias[stale][:, diagonal, diagonal]
                 ratio = bias[:, diagonal, diagonal] / np.where(before > 0.0, before, np.inf)
-                states.with_bias[moved] *= np.sqrt(ratio)[:, None, None]
+                states.bias_cross_covariance[moved] *= np.sqrt(ratio)[:, None, None]
                 tracks.bias[stale], tracks.bias_mm[stale] = bias, place[moved]
         tracks.states.put(rows, states)
 
-    def _follow(
+    def _update_confirmed(
         self,
         rows: NDArray[np.intp],
-        peaks: FramePeaks,
-        seen: Seen,
+        peaks: Measurements,
+        seen: Associations,
         marker: int | None,
         time_ns: int,
     ) -> None:
@@ -269,42 +283,46 @@ class Tracker:
         tracks = self._tracks
         if len(rows) == 0 or not peaks.usable.any():
             return
-        weighed = self._doubted(rows, peaks, time_ns)
-        found = self._associator.associate(tracks.states.rows(rows), tracks.bias[rows], weighed)
+        inflated = self._inflate_unresolved(rows, peaks, time_ns)
+        found = self._associator.associate(tracks.states.rows(rows), tracks.bias[rows], inflated)
         tracks.states.put(rows, found.states)
         seen.peaks[rows], seen.nis[rows] = found.peaks, found.nis
         seen.merged[rows] = found.merged.any(axis=1)
-        seen.doubtful[rows] = found.doubtful
-        degrees = (found.peaks >= 0).sum(axis=1)
-        possible = self._possible(found.states, found.peaks, degrees, found.in_view, peaks)
-        count_weak(tracks, rows, degrees, possible, found.in_view)
-        alive = rows[found.evidence >= BEYOND_DOUBT]
+        seen.hypotheses_pruned[rows] = found.hypotheses_pruned
+        sensor_counts = (found.peaks >= 0).sum(axis=1)
+        possible = self._count_possible_sensors(
+            found.states, found.peaks, sensor_counts, found.in_view, peaks
+        )
+        update_support(tracks, rows, sensor_counts, possible, found.in_view)
+        alive = rows[found.log_likelihood_ratio >= ALIVE_LOG_LIKELIHOOD_RATIO]
         tracks.seen_ns[alive] = time_ns
         if marker is not None:
-            known = rows[degrees >= 3]
+            known = rows[sensor_counts >= 3]
             tracks.marker[known] = marker
-            tracks.uncertain[known] = False
+            tracks.ambiguous_identity[known] = False
         else:
-            tracks.uncertain[exchangeable(self.motion, tracks, rows)] = True
+            tracks.ambiguous_identity[indistinguishable_tracks(self.motion, tracks, rows)] = True
 
-    def _doubted(self, rows: NDArray[np.intp], peaks: FramePeaks, time_ns: int) -> FramePeaks:
+    def _inflate_unresolved(
+        self, rows: NDArray[np.intp], peaks: Measurements, time_ns: int
+    ) -> Measurements:
         """Return the peaks, less certain where one that is not tracked may be merged with them."""
         tracks = self._tracks
-        if not tracks.beside[rows, :, 2].any() or self._last_ns is None:
+        if not tracks.neighbours[rows, :, 2].any() or self._last_ns is None:
             return peaks
         step = np.full(len(rows), (time_ns - self._last_ns) * 1e-9)
-        hidden = hidden_now(tracks.beside[rows], step, self.settings)
+        hidden = predict_merged(tracks.neighbours[rows], step, self.settings)
         some = np.flatnonzero(hidden.any(axis=1))
         if len(some) == 0:
             return peaks
-        reading = self.model.predict(places(tracks.states)[rows[some]]).reading_px
-        return doubted(peaks, reading, hidden[some], self.settings)
+        reading = self.model.predict(mean_positions(tracks.states)[rows[some]]).reading_px
+        return inflate_unresolved(peaks, reading, hidden[some], self.settings)
 
-    def _note_strangers(
+    def _update_neighbours(
         self,
         rows: NDArray[np.intp],
-        peaks: FramePeaks,
-        seen: Seen,
+        peaks: Measurements,
+        seen: Associations,
         free: NDArray[np.bool_],
         time_ns: int,
     ) -> None:
@@ -312,30 +330,32 @@ class Tracker:
         tracks = self._tracks
         if len(rows) == 0:
             return
-        known = tracks.beside[rows, :, 2].any()
-        if not known and not any_near(seen.peaks[rows], peaks, free, self.settings):
+        known = tracks.neighbours[rows, :, 2].any()
+        if not known and not any_neighbour(seen.peaks[rows], peaks, free, self.settings):
             return
         before = time_ns if self._last_ns is None else self._last_ns
         step = np.full(len(rows), (time_ns - before) * 1e-9)
-        tracks.beside[rows] = beside_after(
-            tracks.beside[rows], seen.peaks[rows], peaks, free, step, self.settings
+        tracks.neighbours[rows] = update_neighbours(
+            tracks.neighbours[rows], seen.peaks[rows], peaks, free, step, self.settings
         )
 
-    def _possible(
+    def _count_possible_sensors(
         self,
-        states: States,
+        states: ImmStates,
         own: NDArray[np.int32],
-        degrees: NDArray[np.integer],
+        sensor_counts: NDArray[np.integer],
         in_view: NDArray[np.int32],
-        peaks: FramePeaks,
+        peaks: Measurements,
     ) -> NDArray[np.integer]:
         """Return how many sensors saw each track, or have a peak there that it may share, (T,)."""
-        possible = degrees.copy()
-        few = np.flatnonzero((degrees < VOUCHING_SENSORS) & (in_view >= VOUCHING_SENSORS))
+        possible = sensor_counts.copy()
+        few = np.flatnonzero(
+            (sensor_counts < MIN_SUPPORT_SENSORS) & (in_view >= MIN_SUPPORT_SENSORS)
+        )
         if len(few):
-            reading = self.model.predict(places(states)[few]).reading_px
+            reading = self.model.predict(mean_positions(states)[few]).reading_px
             with np.errstate(invalid="ignore"):
                 apart = np.abs(peaks.position_px - reading[..., None])
-                shared = ((apart <= self.settings.merge_px) & peaks.usable).any(axis=2)
+                shared = ((apart <= self.settings.resolution_px) & peaks.usable).any(axis=2)
             possible[few] = ((own[few] >= 0) | shared).sum(axis=1)
         return possible

@@ -6,8 +6,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.states import States
-from compute.tracking.strangers import FIELDS
+from compute.tracking.imm_states import ImmStates
+from compute.tracking.unresolved_neighbours import NEIGHBOUR_FIELDS
 
 Array = NDArray[np.float64]
 
@@ -21,45 +21,45 @@ class Tracks:
         identity: numbers that are never used again, int64, shape (T,).
         marker: strobe slot; -1: not known, int32, shape (T,).
         confirmed: shape (T,).
-        uncertain: whether the identity is not sure, shape (T,).
+        ambiguous_identity: whether the identity is not sure, shape (T,).
         time_ns: of the states, int64, shape (T,).
         seen_ns: when it was last seen beyond doubt, int64, shape (T,).
         hits: exposures that saw an unconfirmed track after its first, int32, shape (T,).
-        vouched: of these, how many saw it by as many sensors as vouch for a place, int32, (T,).
+        supported_hits: of these, how many saw it by as many sensors as vouch for a place, int32, (T,).
         misses: exposures that did not, int32, shape (T,).
-        weak: how often, lately, too few sensors saw a confirmed one to vouch for it, int32, shape
+        unsupported: how often, lately, too few sensors saw a confirmed one to vouch for it, int32, shape
             (T,).
-        unproved: exposures in which a confirmed one that came of many peaks must yet be seen by as
+        probation_left: exposures in which a confirmed one that came of many peaks must yet be seen by as
             many sensors as vouch for a place, int32, shape (T,).
-        evidence: log likelihood ratio of an unconfirmed track to false peaks, shape (T,).
+        log_likelihood_ratio: log likelihood ratio of an unconfirmed track to false peaks, shape (T,).
         bias: covariance of the readings' constant errors at ``bias_mm``, shape (T, S, S) [px^2].
         bias_mm: where that was worked out, shape (T, 3).
-        beside: peaks of markers that are not tracked, beside its own; see ``strangers``, shape
+        neighbours: peaks of markers that are not tracked, beside its own; see ``strangers``, shape
             (T, S, 3).
     """
 
-    states: States
+    states: ImmStates
     identity: NDArray[np.int64]
     marker: NDArray[np.int32]
     confirmed: NDArray[np.bool_]
-    uncertain: NDArray[np.bool_]
+    ambiguous_identity: NDArray[np.bool_]
     time_ns: NDArray[np.int64]
     seen_ns: NDArray[np.int64]
     hits: NDArray[np.int32]
-    vouched: NDArray[np.int32]
+    supported_hits: NDArray[np.int32]
     misses: NDArray[np.int32]
-    weak: NDArray[np.int32]
-    unproved: NDArray[np.int32]
-    evidence: Array
+    unsupported: NDArray[np.int32]
+    probation_left: NDArray[np.int32]
+    log_likelihood_ratio: Array
     bias: Array
     bias_mm: Array
-    beside: Array
+    neighbours: Array
 
     @classmethod
     def empty(cls, models: int, sensors: int) -> Self:
         """Return no tracks."""
         return cls(
-            States.empty(models, sensors),
+            ImmStates.empty(models, sensors),
             np.empty(0, np.int64),
             np.empty(0, np.int32),
             np.empty(0, np.bool_),
@@ -74,33 +74,33 @@ class Tracks:
             np.empty(0),
             np.empty((0, sensors, sensors)),
             np.empty((0, 3)),
-            np.empty((0, sensors, FIELDS)),
+            np.empty((0, sensors, NEIGHBOUR_FIELDS)),
         )
 
     @classmethod
-    def begun(
+    def create(
         cls,
-        states: States,
+        states: ImmStates,
         bias: Array,
-        place_mm: Array,
+        position_mm: Array,
         *,
         first: int,
         marker: int | None,
         time_ns: int,
         confirmed: bool,
-        uncertain: NDArray[np.bool_],
+        ambiguous_identity: NDArray[np.bool_],
     ) -> Self:
         """Return new tracks, seen now.
 
         Args:
             states: of N markers.
             bias: covariance of the readings' constant errors there, shape (N, S, S) [px^2].
-            place_mm: shape (N, 3).
+            position_mm: shape (N, 3).
             first: number of the first; the others follow.
             marker: strobe slot of them all; None: not known.
             time_ns: of the states.
             confirmed: whether they are markers for sure.
-            uncertain: whether an identity is not sure, shape (N,).
+            ambiguous_identity: whether an identity is not sure, shape (N,).
         """
         count = len(states)
         return cls(
@@ -108,7 +108,7 @@ class Tracks:
             np.arange(first, first + count, dtype=np.int64),
             np.full(count, -1 if marker is None else marker, dtype=np.int32),
             np.full(count, confirmed, dtype=np.bool_),
-            uncertain.copy(),
+            ambiguous_identity.copy(),
             np.full(count, time_ns, dtype=np.int64),
             np.full(count, time_ns, dtype=np.int64),
             np.zeros(count, dtype=np.int32),
@@ -118,8 +118,8 @@ class Tracks:
             np.zeros(count, dtype=np.int32),
             np.zeros(count),
             bias,
-            place_mm.copy(),
-            np.zeros((count, bias.shape[1], FIELDS)),
+            position_mm.copy(),
+            np.zeros((count, bias.shape[1], NEIGHBOUR_FIELDS)),
         )
 
     def __len__(self) -> int:
@@ -133,10 +133,10 @@ class Tracks:
             *(getattr(self, field.name)[index] for field in fields(self)[1:]),
         )
 
-    def joined(self, other: "Tracks") -> Self:
+    def concatenate(self, other: "Tracks") -> Self:
         """Return these tracks and others after them."""
         return type(self)(
-            self.states.joined(other.states),
+            self.states.concatenate(other.states),
             *(
                 np.concatenate([getattr(self, field.name), getattr(other, field.name)])
                 for field in fields(self)[1:]

@@ -20,8 +20,8 @@ from hardware.genicam.aravis import (
     AravisError,
     library,
 )
-from hardware.genicam.arrivals import Arrivals
-from hardware.genicam.pixels import check_width, counts_of
+from hardware.genicam.buffer_timestamps import BufferTimestamps
+from hardware.genicam.pixel_formats import check_width, unpack_counts
 from hardware.genicam.settings import Feature, GenicamCamera, GenicamSettings
 
 _CONTINUOUS: Final = 0
@@ -66,19 +66,19 @@ class Camera:
     """
 
     def __init__(self, which: GenicamCamera, settings: GenicamSettings) -> None:
-        self._which = which
+        self._camera_settings = which
         self._settings = settings
         self._aravis: Aravis = library()
         self._stream: int | None = None
-        self._arrivals = Arrivals()
+        self._arrivals = BufferTimestamps()
         try:
             self._camera: int | None = self._aravis.camera_new(which.camera.encode())
         except AravisError as error:
-            raise self._not_there(str(error)) from error
+            raise self._unavailable(str(error)) from error
         self._gige = bool(self._aravis.camera_is_gv_device(self._camera))
         try:
-            if not self.there():
-                raise self._not_there("another program controls it, or it went away")
+            if not self.is_present():
+                raise self._unavailable("another program controls it, or it went away")
             self._set_up()
             self.width: int = self._get("integer", "Width")
             check_width(settings.pixel_format, self.width)
@@ -95,7 +95,7 @@ class Camera:
     @property
     def where(self) -> str:
         """The camera in words."""
-        return f'sensor "{self._which.name}", camera {self._which.camera}'
+        return f'sensor "{self._camera_settings.name}", camera {self._camera_settings.camera}'
 
     def start(self) -> None:
         """Let it send; raises DeviceNotConnected when it does not take that."""
@@ -108,7 +108,7 @@ class Camera:
                 call.stream_push_buffer(self._stream, call.buffer_new_allocate(size))
             call.camera_start_acquisition(self._camera)
         except AravisError as error:
-            raise self._not_there(str(error)) from error
+            raise self._unavailable(str(error)) from error
 
     def take(self, wait_us: int) -> Buffer | None:
         """Return the next buffer; None: none came within that time."""
@@ -128,7 +128,7 @@ class Camera:
         finally:
             call.stream_push_buffer(stream, pointer)
 
-    def there(self) -> bool:
+    def is_present(self) -> bool:
         """Whether it answers and is still under this program's control; may take 3 s if not."""
         call = self._aravis
         try:
@@ -164,7 +164,7 @@ class Camera:
             height = call.buffer_get_image_height(pointer)
             if (width, height) == (self.width, self._settings.lines_per_buffer):
                 raw = string_at(data, size.value)
-                lines = counts_of(raw, self._settings.pixel_format, width, height)
+                lines = unpack_counts(raw, self._settings.pixel_format, width, height)
         return Buffer(
             number=call.buffer_get_frame_id(pointer),
             device_ns=call.buffer_get_timestamp(pointer),
@@ -240,8 +240,8 @@ class Camera:
         try:
             setting()
         except AravisError as error:
-            if error.unanswered or not self.there():
-                raise self._not_there(f"it went away while it was set up: {error}") from error
+            if error.unanswered or not self.is_present():
+                raise self._unavailable(f"it went away while it was set up: {error}") from error
             feature = f" (its feature {name})" if name is not None else ""
             raise InvalidParameter(
                 f"{self.where}: {what}{feature} cannot be {value!r}: {error}", **{what: value}
@@ -252,14 +252,14 @@ class Camera:
             return bool(self._aravis.camera_is_feature_available(self._camera, name.encode()))
         except AravisError as error:
             if error.unanswered:
-                raise self._not_there(f"whether it has {name} cannot be read: {error}") from error
+                raise self._unavailable(f"whether it has {name} cannot be read: {error}") from error
             return False
 
     def _get(self, kind: str, name: str) -> Any:
         try:
             return getattr(self._aravis, f"camera_get_{kind}")(self._camera, name.encode())
         except AravisError as error:
-            raise self._not_there(f"its {name} cannot be read: {error}") from error
+            raise self._unavailable(f"its {name} cannot be read: {error}") from error
 
     def _first_float(self, names: tuple[str, ...]) -> float:
         """Return the first of these features that the camera has; 0: none."""
@@ -269,7 +269,7 @@ class Camera:
                     return float(self._aravis.camera_get_float(self._camera, name.encode()))
                 except AravisError as error:
                     if error.unanswered:
-                        raise self._not_there(f"its {name} cannot be read: {error}") from error
+                        raise self._unavailable(f"its {name} cannot be read: {error}") from error
                     return float(self._get("integer", name))
         return 0.0
 
@@ -280,9 +280,9 @@ class Camera:
             return line_rate_hz
         return self._first_float(_FRAME_RATES) * self._settings.lines_per_buffer
 
-    def _not_there(self, why: str) -> DeviceNotConnected:
+    def _unavailable(self, why: str) -> DeviceNotConnected:
         return DeviceNotConnected(
             f"{self.where} cannot be used: {why}; check its cable, power and address, and that no "
             "other program has it open",
-            camera=self._which.camera,
+            camera=self._camera_settings.camera,
         )

@@ -10,21 +10,21 @@ import numpy as np
 from compute.errors import InvalidParameter
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.errors import DeviceNotConnected
-from hardware.frame import FrameFlag, LineFrame
-from hardware.genicam.feed import CameraFeed
-from hardware.genicam.matching import CameraLine, LineMatcher
-from hardware.genicam.pixels import bits_of
+from hardware.genicam.camera_stream import CameraStream
+from hardware.genicam.frame_sync import CameraScan, FrameSynchroniser
+from hardware.genicam.pixel_formats import bits_per_pixel
 from hardware.genicam.settings import GenicamSettings
+from hardware.line_frame import FrameFlag, LineFrame
 from hardware.link import LinkPhase, LinkState
 from hardware.link_report import LinkReport
-from hardware.pacing import host_time_ns
+from hardware.timing import host_time_ns
 
 SILENCE_S: Final = 1.0
 """How long nothing may come before a camera is asked whether it is there."""
 
 _WAIT_US: Final = 20_000
 _CLOSE_S: Final = 0.5
-_WORST_FIRST: Final[tuple[LinkPhase, ...]] = ("disconnected", "silent", "garbled")
+_PHASES_BY_SEVERITY: Final[tuple[LinkPhase, ...]] = ("disconnected", "silent", "garbled")
 
 
 class GenicamDriver:
@@ -55,11 +55,11 @@ class GenicamDriver:
         return DeviceDescription(
             name=self._name,
             sensors=tuple(
-                SensorDescription(camera.name, feed.width, settings.pitch_um)
-                for camera, feed in zip(settings.cameras, run.feeds, strict=True)
+                SensorDescription(camera.name, stream.width, settings.pitch_um)
+                for camera, stream in zip(settings.cameras, run.streams, strict=True)
             ),
             frame_rate_hz=run.line_rate_hz,
-            bits=bits_of(settings.pixel_format),
+            bits=bits_per_pixel(settings.pixel_format),
             electrons_per_count=settings.electrons_per_count,
             read_noise_electrons=settings.read_noise_electrons,
             offset_counts=settings.offset_counts,
@@ -119,33 +119,33 @@ class _Run:
 
     def __init__(self, name: str, settings: GenicamSettings, report: LinkReport) -> None:
         self.closed = Event()
-        self.feeds = [CameraFeed(camera, settings) for camera in settings.cameras]
+        self.streams = [CameraStream(camera, settings) for camera in settings.cameras]
         self.line_rate_hz = 0.0
         self._name = name
         self._report = report
-        self._bits = bits_of(settings.pixel_format)
-        self._matcher = LineMatcher(len(self.feeds), round(settings.match_us * 1e3))
+        self._bits = bits_per_pixel(settings.pixel_format)
+        self._matcher = FrameSynchroniser(len(self.streams), round(settings.match_us * 1e3))
         self._lock = Lock()
         self._started = False
-        self._heard_s = [0.0] * len(self.feeds)
-        self._garbled = [False] * len(self.feeds)
+        self._heard_s = [0.0] * len(self.streams)
+        self._garbled = [False] * len(self.streams)
         self._sequence = -1
         self._restarts: int | None = None
-        self._troubles: dict[int, tuple[LinkPhase, str]] = {}
+        self._faults: dict[int, tuple[LinkPhase, str]] = {}
 
     def open(self) -> None:
         """Open all cameras, closing them again on an error."""
         with self._lock:
             try:
-                for feed in self.feeds:
+                for stream in self.streams:
                     if self.closed.is_set():
                         raise DeviceNotConnected("the driver was closed while it was opened")
-                    feed.open()
+                    stream.open()
                 self._check_widths()
             except BaseException:
                 self._release()
                 raise
-            self.line_rate_hz = self.feeds[0].line_rate_hz
+            self.line_rate_hz = self.streams[0].line_rate_hz
 
     def close(self) -> None:
         """End the work; whoever is in a step lets the cameras go at its end."""
@@ -156,8 +156,8 @@ class _Run:
             finally:
                 self._lock.release()
         # A camera that is there is let go in milliseconds; who opens it next finds it free.
-        for feed in self.feeds:
-            feed.wait_closed(_CLOSE_S)
+        for stream in self.streams:
+            stream.wait_closed(_CLOSE_S)
 
     def step(self) -> list[LineFrame] | None:
         """Return the frames that came in some milliseconds; None: closed."""
@@ -181,23 +181,23 @@ class _Run:
 
     def _start(self) -> None:
         self._started = True
-        for index, feed in enumerate(self.feeds):
+        for index, stream in enumerate(self.streams):
             self._heard_s[index] = time.monotonic()
             try:
-                feed.start()
+                stream.start()
             except DeviceNotConnected as error:
-                feed.lose(error.detail)
-                self._trouble(index, "disconnected", _waiting(feed))
+                stream.mark_lost(error.detail)
+                self._record_fault(index, "disconnected", _waiting(stream))
 
     def _listen(self) -> None:
         """Take what came from every camera, and look after those from which nothing came."""
-        waiting_us = _WAIT_US // len(self.feeds)
-        for index, feed in enumerate(self.feeds):
-            if not feed.connected:
-                self._try_again(index, feed)
+        waiting_us = _WAIT_US // len(self.streams)
+        for index, stream in enumerate(self.streams):
+            if not stream.connected:
+                self._reconnect(index, stream)
                 continue
             wait_us = waiting_us
-            while (buffer := feed.take(wait_us)) is not None:
+            while (buffer := stream.take(wait_us)) is not None:
                 wait_us = 0
                 self._report.count(bytes_received=buffer.bytes)
                 if buffer.lines is None:
@@ -205,51 +205,55 @@ class _Run:
                     self._report.count(frames_garbled=1)
                     continue
                 self._heard_s[index], self._garbled[index] = time.monotonic(), False
-                lost, restarts = feed.numbering.lost, feed.times.restarts
-                for line in feed.lines(buffer):
+                lost, restarts = stream.frame_counter.lost, stream.timestamps.restarts
+                for line in stream.lines(buffer):
                     self._matcher.add(index, line)
                 self._report.count(
-                    frames_lost=(feed.numbering.lost - lost) * len(buffer.lines),
-                    clock_restarts=feed.times.restarts - restarts,
+                    frames_lost=(stream.frame_counter.lost - lost) * len(buffer.lines),
+                    clock_restarts=stream.timestamps.restarts - restarts,
                 )
                 if self.closed.is_set():
                     return
             if time.monotonic() - self._heard_s[index] > SILENCE_S:
-                self._look_after(index, feed)
+                self._service_camera(index, stream)
 
-    def _look_after(self, index: int, feed: CameraFeed) -> None:
+    def _service_camera(self, index: int, stream: CameraStream) -> None:
         """Find out why no lines come from a camera."""
-        if not feed.there():
-            feed.lose(f"{feed.name} does not answer any more")
+        if not stream.is_present():
+            stream.mark_lost(f"{stream.name} does not answer any more")
             self._matcher.forget()
-            self._trouble(index, "disconnected", _waiting(feed))
+            self._record_fault(index, "disconnected", _waiting(stream))
         elif self._garbled[index]:
-            self._trouble(index, "garbled", f"{feed.name} sends, but parts of all buffers are lost")
+            self._record_fault(
+                index, "garbled", f"{stream.name} sends, but parts of all buffers are lost"
+            )
         else:
-            told = f"{feed.name} answers, but no lines came for {SILENCE_S:g} s"
-            self._trouble(index, "silent", f"{told}: it may wait for a trigger")
+            told = f"{stream.name} answers, but no lines came for {SILENCE_S:g} s"
+            self._record_fault(index, "silent", f"{told}: it may wait for a trigger")
         self._heard_s[index] = time.monotonic()
 
-    def _try_again(self, index: int, feed: CameraFeed) -> None:
-        if feed.again():
+    def _reconnect(self, index: int, stream: CameraStream) -> None:
+        if stream.reconnect():
             self._report.count(reconnects=1)
             self._heard_s[index] = time.monotonic()
             self._garbled[index] = False
-            del self._troubles[index]  # told when there is a frame
+            del self._faults[index]  # told when there is a frame
         else:
-            self._trouble(index, "disconnected", _waiting(feed))
+            self._record_fault(index, "disconnected", _waiting(stream))
             self.closed.wait(_WAIT_US * 1e-6)
 
-    def _trouble(self, index: int, phase: LinkPhase, reason: str) -> None:
+    def _record_fault(self, index: int, phase: LinkPhase, reason: str) -> None:
         """Note what is wrong with a camera, and tell the worst of all."""
-        self._troubles[index] = phase, reason
-        self._report.tell(*min(self._troubles.values(), key=lambda one: _WORST_FIRST.index(one[0])))
+        self._faults[index] = phase, reason
+        self._report.tell(
+            *min(self._faults.values(), key=lambda one: _PHASES_BY_SEVERITY.index(one[0]))
+        )
 
-    def _frame(self, matched: tuple[CameraLine, ...]) -> LineFrame:
+    def _frame(self, matched: tuple[CameraScan, ...]) -> LineFrame:
         first = matched[0]
         unmatched, self._matcher.unmatched = self._matcher.unmatched, 0
         self._report.count(frames=1, frames_incomplete=unmatched)
-        self._troubles.clear()
+        self._faults.clear()
         self._report.tell("connected")
         lines = np.stack([line.counts for line in matched])
         flags = FrameFlag.NONE
@@ -273,17 +277,17 @@ class _Run:
         )
 
     def _check_widths(self) -> None:
-        widths = {feed.width for feed in self.feeds}
+        widths = {stream.width for stream in self.streams}
         if len(widths) > 1:
-            listed = ", ".join(f"{feed.name}: {feed.width}" for feed in self.feeds)
+            listed = ", ".join(f"{stream.name}: {stream.width}" for stream in self.streams)
             raise InvalidParameter(
                 f"the cameras' lines differ in length ({listed}); set one width for all"
             )
 
     def _release(self) -> None:
-        for feed in self.feeds:
-            feed.close()
+        for stream in self.streams:
+            stream.close()
 
 
-def _waiting(feed: CameraFeed) -> str:
-    return f"{feed.reason}; it is opened again when it is back"
+def _waiting(stream: CameraStream) -> str:
+    return f"{stream.reason}; it is opened again when it is back"

@@ -7,8 +7,8 @@ from pydantic import ConfigDict, Field, StringConstraints
 
 from compute.errors import InvalidParameter
 from hardware.driver import PeakMethod
-from hardware.genicam.pixels import PixelFormat
-from hardware.simulated.bounds import check_bounds
+from hardware.genicam.pixel_formats import PixelFormat
+from hardware.simulated.field_bounds import check_field_bounds
 
 _NAME = r"^[^\s\u0085](.{0,62}[^\s\u0085])?$"
 _FEATURE = r"^[A-Za-z_][A-Za-z0-9_]{0,99}$"
@@ -82,7 +82,7 @@ class GenicamSettings:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_field_bounds(self)
         for what in ("name", "camera"):
             values = [getattr(camera, what) for camera in self.cameras]
             twice = next((value for value in values if values.count(value) > 1), None)

@@ -5,8 +5,7 @@ from typing import Final
 
 from compute.errors import InvalidParameter
 from hardware.errors import DeviceNotConnected
-from hardware.serial.assembly import Assembler
-from hardware.serial.busy import AGAIN_NS, BUSY_NS, Busy
+from hardware.serial.busy_retry import BUSY_LIMIT_NS, RETRY_INTERVAL_NS, BusyRetry
 from hardware.serial.decoder import Decoder
 from hardware.serial.encoding import encode
 from hardware.serial.messages import (
@@ -24,7 +23,8 @@ from hardware.serial.messages import (
     Stop,
     Strobe,
 )
-from hardware.serial.port import Closing, PortLost, open_port
+from hardware.serial.port import CloseSignal, PortDisconnected, open_port
+from hardware.serial.reassembly import ExposureAssembler
 from hardware.serial.settings import SerialSettings
 
 DESCRIBE_S: Final = 2.5
@@ -51,23 +51,23 @@ class Connection:
         DeviceNotConnected: the port cannot be opened, or no description comes.
     """
 
-    def __init__(self, settings: SerialSettings, decoder: Decoder, closing: Closing) -> None:
+    def __init__(self, settings: SerialSettings, decoder: Decoder, closing: CloseSignal) -> None:
         self._settings = settings
         self._decoder = decoder
         self._closing = closing
         self._number = 0
-        self._busy = Busy()
+        self._busy = BusyRetry()
         decoder.reset()
         self._port = open_port(settings.url, settings.baudrate, closing)
         try:
             self.description = self._describe()
-        except PortLost as error:
+        except PortDisconnected as error:
             self.close()
             raise DeviceNotConnected(f"{settings.url}: {error}", url=settings.url) from error
         except BaseException:
             self.close()
             raise
-        self.assembler = Assembler(len(self.description.sensors), self.description.pixels)
+        self.assembler = ExposureAssembler(len(self.description.sensors), self.description.pixels)
 
     def read(self, timeout_s: float) -> tuple[list[Message], int, bool]:
         """Wait for messages.
@@ -77,11 +77,11 @@ class Connection:
             byte came.
 
         Raises:
-            PortLost: the connection is lost.
+            PortDisconnected: the connection is lost.
         """
-        again_ns = self._busy.again_ns
-        if again_ns is not None:
-            left_s = (again_ns - time.monotonic_ns()) * 1e-9
+        retry_ns = self._busy.retry_ns
+        if retry_ns is not None:
+            left_s = (retry_ns - time.monotonic_ns()) * 1e-9
             if left_s <= 0.0:
                 self.tell()
             else:
@@ -95,14 +95,14 @@ class Connection:
 
         Raises:
             InvalidParameter: it cannot be told so, or refuses.
-            PortLost: the connection is lost, or the device is busy for too long.
+            PortDisconnected: the connection is lost, or the device is busy for too long.
         """
-        busy_until_ns = time.monotonic_ns() + BUSY_NS
+        busy_until_ns = time.monotonic_ns() + BUSY_LIMIT_NS
         for command in self.commands():
-            self._obeyed(command, busy_until_ns)
+            self._acknowledged(command, busy_until_ns)
 
     def ask(self) -> None:
-        """Ask again what it is, without waiting for it; raises PortLost."""
+        """Ask again what it is, without waiting for it; raises PortDisconnected."""
         self._port.write(encode(Describe(self._next())))
 
     def tell(self) -> None:
@@ -110,7 +110,7 @@ class Connection:
 
         Raises:
             InvalidParameter: it cannot be told so.
-            PortLost: the connection is lost.
+            PortDisconnected: the connection is lost.
         """
         commands = self.commands()
         for command in commands:
@@ -122,7 +122,7 @@ class Connection:
         if self.description.abilities & Ability.START_STOP:
             try:
                 self._port.write(encode(Stop(self._next())))
-            except PortLost:
+            except PortDisconnected:
                 return
 
     def close(self) -> None:
@@ -181,7 +181,7 @@ class Connection:
             f"{url} is open, but no device said what it is in {DESCRIBE_S:g} s: {what}", url=url
         )
 
-    def _obeyed(self, command: FromHost, busy_until_ns: int) -> None:
+    def _acknowledged(self, command: FromHost, busy_until_ns: int) -> None:
         """Send a command and wait until it is obeyed; try twice, and while the device is busy."""
         unanswered = 0
         while not self._closing.is_set():
@@ -190,14 +190,14 @@ class Connection:
                 unanswered += 1
                 if unanswered == 2 and not self._closing.is_set():
                     name = type(command).__name__.lower()
-                    raise PortLost(f"it did not answer the command {name}")
+                    raise PortDisconnected(f"it did not answer the command {name}")
             elif answer.result != Result.BUSY:
                 self._check_answer(answer)
                 return
             elif time.monotonic_ns() > busy_until_ns:
-                raise PortLost(f"the device is busy for {BUSY_NS * 1e-9:g} s")
+                raise PortDisconnected(f"the device is busy for {BUSY_LIMIT_NS * 1e-9:g} s")
             else:
-                self._await(None, AGAIN_NS * 1e-9)
+                self._await(None, RETRY_INTERVAL_NS * 1e-9)
 
     def _answer(self, command: FromHost) -> Answer | None:
         self._port.write(encode(command))
@@ -217,7 +217,7 @@ class Connection:
 
         Raises:
             InvalidParameter: the command was refused.
-            PortLost: the device is busy for too long.
+            PortDisconnected: the device is busy for too long.
         """
         self._busy.answered(answer, now_ns)
         if answer.result != Result.BUSY:

@@ -7,8 +7,8 @@ from typing import Final
 from cobs import cobs
 
 from hardware.serial.encoding import CRC, HEAD
-from hardware.serial.messages import MOST_BYTES, VERSION, Message
-from hardware.serial.parsing import Malformed, parse
+from hardware.serial.messages import MAX_BYTES, VERSION, Message
+from hardware.serial.parsing import MalformedMessage, parse
 
 _LEAST: Final = HEAD.size + CRC.size
 
@@ -21,7 +21,7 @@ class DecoderCounters:
         bytes_received: all bytes.
         messages: whole and known ones.
         garbled: no code of COBS, or the checksum is wrong: damaged, cut short, or something else.
-        too_long: longer than MOST_BYTES.
+        too_long: longer than MAX_BYTES.
         wrong_version: whole, of another version of the protocol.
         unknown: whole, of a type that is not known here.
         malformed: whole, and their content makes no sense.
@@ -36,7 +36,7 @@ class DecoderCounters:
     malformed: int = 0
 
     @property
-    def thrown_away(self) -> int:
+    def discarded(self) -> int:
         """Number of messages that could not be used; unknown types are for newer hosts."""
         return self.garbled + self.too_long + self.wrong_version + self.malformed
 
@@ -44,7 +44,7 @@ class DecoderCounters:
 class Decoder:
     """Splits a stream of bytes at its zeros and decodes what lies between.
 
-    Whatever comes, it raises nothing, keeps at most ``most_bytes`` of an unfinished message, and
+    Whatever comes, it raises nothing, keeps at most ``max_bytes`` of an unfinished message, and
     begins afresh behind the next zero. What lies before the first zero after ``reset`` is not
     counted as garbled when it is no message: the host began to listen in the middle of it.
 
@@ -53,10 +53,10 @@ class Decoder:
             words; None: there was none since ``reset``.
     """
 
-    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, max_bytes: int = MAX_BYTES) -> None:
         self.counters = DecoderCounters()
         self.complaint: str | None = None
-        self._most = most_bytes
+        self._most = max_bytes
         self._tail = bytearray()
         self._skipping = False
         self._first = True
@@ -130,7 +130,7 @@ class Decoder:
             return None
         try:
             message = parse(content[: -CRC.size])
-        except Malformed as error:
+        except MalformedMessage as error:
             self.counters.malformed += 1
             self.complaint = str(error)
             return None

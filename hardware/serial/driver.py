@@ -3,9 +3,9 @@
 from collections.abc import Callable, Iterator
 
 from hardware.driver import DeviceDescription
-from hardware.frame import LineFrame
+from hardware.line_frame import LineFrame
 from hardware.link import LinkState
-from hardware.serial.run import Run
+from hardware.serial.session import SerialSession
 from hardware.serial.settings import SerialSettings
 
 
@@ -21,7 +21,7 @@ class SerialDriver:
         self._name = name
         self._settings = settings
         self._changed: Callable[[LinkState], None] = lambda _: None
-        self._run: Run | None = None
+        self._run: SerialSession | None = None
 
     @property
     def description(self) -> DeviceDescription:
@@ -40,7 +40,7 @@ class SerialDriver:
             InvalidParameter: it cannot be told its settings.
         """
         self.close()
-        run = self._run = Run(self._name, self._settings)
+        run = self._run = SerialSession(self._name, self._settings)
         run.open()
 
     def close(self) -> None:
@@ -68,7 +68,7 @@ class SerialDriver:
         """
         return self._opened().frames(self._changed)
 
-    def _opened(self) -> Run:
+    def _opened(self) -> SerialSession:
         if self._run is None:
             raise RuntimeError("the driver is not open; call open() first")
         return self._run

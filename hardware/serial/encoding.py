@@ -10,8 +10,8 @@ from cobs import cobs
 
 from compute.errors import InvalidParameter
 from hardware.serial.messages import (
-    MOST_BYTES,
-    MOST_NAME_BYTES,
+    MAX_BYTES,
+    MAX_NAME_BYTES,
     VERSION,
     Answer,
     Describe,
@@ -41,7 +41,7 @@ def encode(message: Message) -> bytes:
 
     Raises:
         InvalidParameter: a value has no room in its field, or the whole is longer than
-            MOST_BYTES.
+            MAX_BYTES.
     """
     try:
         kind, body = _body(message)
@@ -51,9 +51,9 @@ def encode(message: Message) -> bytes:
         ) from error
     content = HEAD.pack(VERSION, kind) + body
     line: bytes = cobs.encode(content + CRC.pack(zlib.crc32(content))) + b"\0"
-    if len(line) > MOST_BYTES:
+    if len(line) > MAX_BYTES:
         raise InvalidParameter(
-            f"the message is {len(line)} bytes long; it may have {MOST_BYTES}: send its lines in "
+            f"the message is {len(line)} bytes long; it may have {MAX_BYTES}: send its lines in "
             "parts",
             bytes=len(line),
         )
@@ -108,9 +108,9 @@ def _(message: Description) -> tuple[MessageType, bytes]:
 
 def _name(text: str) -> bytes:
     encoded = text.encode()
-    if not 1 <= len(encoded) <= MOST_NAME_BYTES:
+    if not 1 <= len(encoded) <= MAX_NAME_BYTES:
         raise InvalidParameter(
-            f"the name {text!r} has {len(encoded)} bytes; it must have 1 to {MOST_NAME_BYTES}"
+            f"the name {text!r} has {len(encoded)} bytes; it must have 1 to {MAX_NAME_BYTES}"
         )
     return bytes([len(encoded)]) + encoded
 

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 VERSION: Final = 1
 NO_MARKER: Final = 255
-MOST_SENSORS: Final = 64
-MOST_PIXELS: Final = 65_535
-MOST_MARKERS: Final = 254
-MOST_SLOTS: Final = 254
-MOST_NAME_BYTES: Final = 64
-MOST_VALUE: Final = 1e9
+MAX_SENSORS: Final = 64
+MAX_PIXELS: Final = 65_535
+MAX_MARKERS: Final = 254
+MAX_SLOTS: Final = 254
+MAX_NAME_BYTES: Final = 64
+MAX_VALUE: Final = 1e9
 """Of a description's values that have no other bound."""
-MOST_BYTES: Final = 2**20
+MAX_BYTES: Final = 2**20
 """A message is at most so long as it goes over the line [bytes]."""
 
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from hardware.serial import encoding
 from hardware.serial.messages import (
-    MOST_MARKERS,
-    MOST_NAME_BYTES,
-    MOST_PIXELS,
-    MOST_SENSORS,
-    MOST_VALUE,
+    MAX_MARKERS,
+    MAX_NAME_BYTES,
+    MAX_PIXELS,
+    MAX_SENSORS,
+    MAX_VALUE,
     NO_MARKER,
     Ability,
     Answer,
@@ -37,7 +37,7 @@ _TINY: Final = math.ulp(0.0)
 _COUNT: Final = np.dtype("<u2")
 
 
-class Malformed(Exception):
+class MalformedMessage(Exception):
     """The checksum is right, and the content makes no sense."""
 
 
@@ -57,12 +57,12 @@ def parse(content: bytes) -> Message | None:
         return parser(content[_HEAD:])
     except (struct.error, IndexError) as error:
         name = MessageType(kind).name.lower()
-        raise Malformed(f"a message {name} came that ends too early ({error})") from error
+        raise MalformedMessage(f"a message {name} came that ends too early ({error})") from error
 
 
 def _lines(content: bytes) -> Lines:
     if len(content) < _COUNTS + 2 or len(content) % 2:
-        raise Malformed(f"lines came in a message of {len(content)} bytes")
+        raise MalformedMessage(f"lines came in a message of {len(content)} bytes")
     marker, flags, sequence, ticks, lost, first = encoding.LINES.unpack_from(content, _HEAD)
     counts = np.frombuffer(content, _COUNT, offset=_COUNTS)
     return Lines(sequence, ticks, marker, _FLAGS[flags], lost, first, counts)
@@ -77,35 +77,41 @@ def _description(body: bytes) -> Description:
     for _ in range(1 + sensors):
         length = body[place]
         name = body[place + 1 : place + 1 + length]
-        if not 1 <= length <= MOST_NAME_BYTES or len(name) != length:
-            raise Malformed(f"a description came with a name of {length} bytes, {len(name)} sent")
+        if not 1 <= length <= MAX_NAME_BYTES or len(name) != length:
+            raise MalformedMessage(
+                f"a description came with a name of {length} bytes, {len(name)} sent"
+            )
         try:
             names.append(name.decode())
         except UnicodeDecodeError as error:
-            raise Malformed(f"a description came with a name not in UTF-8: {name!r}") from error
+            raise MalformedMessage(
+                f"a description came with a name not in UTF-8: {name!r}"
+            ) from error
         place += 1 + length
     bounds = (
-        ("number of sensors", sensors, 1, MOST_SENSORS),
-        ("number of pixels", pixels, 1, MOST_PIXELS),
-        ("number of markers", markers, 0, MOST_MARKERS),
+        ("number of sensors", sensors, 1, MAX_SENSORS),
+        ("number of pixels", pixels, 1, MAX_PIXELS),
+        ("number of markers", markers, 0, MAX_MARKERS),
         ("number of bits of the conversion", bits, 1, 16),
         ("number of bits of the clock", clock_bits, 16, 64),
         ("clock rate", clock_hz, 1, math.inf),
-        ("pixel pitch", pitch, _TINY, MOST_VALUE),
-        ("gain", gain, _TINY, MOST_VALUE),
-        ("read noise", noise, 0.0, MOST_VALUE),
-        ("offset", offset, -MOST_VALUE, MOST_VALUE),
+        ("pixel pitch", pitch, _TINY, MAX_VALUE),
+        ("gain", gain, _TINY, MAX_VALUE),
+        ("read noise", noise, 0.0, MAX_VALUE),
+        ("offset", offset, -MAX_VALUE, MAX_VALUE),
         ("frame rate", rate, 0.0, 1e6),
-        ("exposure time", exposure, 0.0, MOST_VALUE),
-        ("delay", delay, 0.0, MOST_VALUE),
-        ("line width", sigma, 0.0, MOST_VALUE),
+        ("exposure time", exposure, 0.0, MAX_VALUE),
+        ("delay", delay, 0.0, MAX_VALUE),
+        ("line width", sigma, 0.0, MAX_VALUE),
     )
     for what, value, least, most in bounds:
         if not least <= value <= most:
             asked = "above 0" if least == _TINY else f"{least:g} to {most:g}"
-            raise Malformed(f"a description came with {what} {value:g}; it must be {asked}")
+            raise MalformedMessage(f"a description came with {what} {value:g}; it must be {asked}")
     if len(set(names[1:])) < sensors:
-        raise Malformed(f"a description came with sensors of one name: {', '.join(names[1:])}")
+        raise MalformedMessage(
+            f"a description came with sensors of one name: {', '.join(names[1:])}"
+        )
     return Description(
         names[0], tuple(names[1:]), pixels, pitch, clock_hz, clock_bits, bits, gain, noise,
         offset, rate, exposure, delay, sigma, markers, Ability(abilities & _ABILITIES),
@@ -128,15 +134,15 @@ def _answer(body: bytes) -> Answer:
 def _exposure(body: bytes) -> Exposure:
     number, rate, exposure = encoding.EXPOSURE.unpack_from(body)
     if not (0.0 <= rate < math.inf and 0.0 <= exposure < math.inf):
-        raise Malformed(f"a command came with {rate} Hz and an exposure of {exposure} us")
+        raise MalformedMessage(f"a command came with {rate} Hz and an exposure of {exposure} us")
     return Exposure(number, rate, exposure)
 
 
 def _strobe(body: bytes) -> Strobe:
     (number,) = encoding.NUMBER.unpack_from(body)
     slots = tuple(body[3 : 3 + body[2]])
-    if len(slots) != body[2] or any(MOST_MARKERS <= slot < NO_MARKER for slot in slots):
-        raise Malformed("a schedule came cut short, or with a marker that cannot be")
+    if len(slots) != body[2] or any(MAX_MARKERS <= slot < NO_MARKER for slot in slots):
+        raise MalformedMessage("a schedule came cut short, or with a marker that cannot be")
     return Strobe(number, slots)
 
 

@@ -25,11 +25,11 @@ WRITE_S: Final = 1.0
 _POLL_S: Final = 0.05
 
 
-class PortLost(Exception):
+class PortDisconnected(Exception):
     """The port is gone; the message says why."""
 
 
-class Closing:
+class CloseSignal:
     """Says from any thread that a driver is to end; wakes whoever waits for bytes at once."""
 
     def __init__(self) -> None:
@@ -69,12 +69,12 @@ class Port(Protocol):
         """Return what has come, or comes first; empty when nothing does, or it is closing.
 
         Raises:
-            PortLost: there is nothing to read from any more.
+            PortDisconnected: there is nothing to read from any more.
         """
         ...
 
     def write(self, data: bytes) -> None:
-        """Send; raises PortLost."""
+        """Send; raises PortDisconnected."""
         ...
 
     def close(self) -> None:
@@ -82,7 +82,7 @@ class Port(Protocol):
         ...
 
 
-def open_port(url: str, baudrate: int, closing: Closing) -> Port:
+def open_port(url: str, baudrate: int, closing: CloseSignal) -> Port:
     """Open a port.
 
     Raises:
@@ -96,7 +96,7 @@ def open_port(url: str, baudrate: int, closing: Closing) -> Port:
         raise DeviceNotConnected(f"{url} cannot be opened: {_reason(error)}", url=url) from error
 
 
-def _opened(url: str, baudrate: int, closing: Closing) -> Port:
+def _opened(url: str, baudrate: int, closing: CloseSignal) -> Port:
     port = serial.serial_for_url(url, do_not_open=True)
     port.baudrate = baudrate
     port.timeout = 0
@@ -114,7 +114,7 @@ def _opened(url: str, baudrate: int, closing: Closing) -> Port:
 
 
 class _SocketPort:
-    def __init__(self, connection: socket.socket, closing: Closing) -> None:
+    def __init__(self, connection: socket.socket, closing: CloseSignal) -> None:
         self._socket = connection
         self._bytes = _Bytes(connection, closing)
 
@@ -124,9 +124,9 @@ class _SocketPort:
                 return b""
             data = self._socket.recv(READ_BYTES)
         except OSError as error:
-            raise PortLost(_reason(error)) from error
+            raise PortDisconnected(_reason(error)) from error
         if not data:
-            raise PortLost("the connection was closed by the other side")
+            raise PortDisconnected("the connection was closed by the other side")
         return data
 
     def write(self, data: bytes) -> None:
@@ -134,7 +134,7 @@ class _SocketPort:
             self._socket.settimeout(WRITE_S)
             self._socket.sendall(data)
         except OSError as error:
-            raise PortLost(_reason(error)) from error
+            raise PortDisconnected(_reason(error)) from error
 
     def close(self) -> None:
         self._bytes.close()
@@ -144,7 +144,7 @@ class _SocketPort:
 class _DescriptorPort:
     """A local port, read through its descriptor."""
 
-    def __init__(self, port: serial.Serial, closing: Closing) -> None:
+    def __init__(self, port: serial.Serial, closing: CloseSignal) -> None:
         self._port = port
         self._bytes = _Bytes(port.fileno(), closing)
 
@@ -154,9 +154,9 @@ class _DescriptorPort:
                 return b""
             data = os.read(self._port.fileno(), READ_BYTES)
         except OSError as error:
-            raise PortLost(_reason(error)) from error
+            raise PortDisconnected(_reason(error)) from error
         if not data:
-            raise PortLost("it was unplugged")
+            raise PortDisconnected("it was unplugged")
         return data
 
     def write(self, data: bytes) -> None:
@@ -171,7 +171,7 @@ class _DescriptorPort:
 class _PollingPort:
     """A port without a descriptor: RFC 2217, and all on Windows. Ends within _POLL_S."""
 
-    def __init__(self, port: serial.Serial, closing: Closing) -> None:
+    def __init__(self, port: serial.Serial, closing: CloseSignal) -> None:
         self._port = port
         self._closing = closing
 
@@ -183,7 +183,7 @@ class _PollingPort:
                 if data or time.monotonic() >= end:
                     return data
         except (OSError, TypeError) as error:
-            raise PortLost(_reason(error)) from error
+            raise PortDisconnected(_reason(error)) from error
         return b""
 
     def write(self, data: bytes) -> None:
@@ -198,13 +198,13 @@ def _write(port: serial.Serial, data: bytes) -> None:
     try:
         port.write(data)
     except OSError as error:
-        raise PortLost(_reason(error)) from error
+        raise PortDisconnected(_reason(error)) from error
 
 
 class _Bytes:
     """Waits for bytes of a port, or for the closing."""
 
-    def __init__(self, port: socket.socket | int, closing: Closing) -> None:
+    def __init__(self, port: socket.socket | int, closing: CloseSignal) -> None:
         self._closing = closing
         self._selector = selectors.DefaultSelector()
         self._key = self._selector.register(port, selectors.EVENT_READ)
@@ -219,7 +219,7 @@ class _Bytes:
         self._selector.close()
 
 
-def _connected(url: str, closing: Closing) -> socket.socket:
+def _connected(url: str, closing: CloseSignal) -> socket.socket:
     """Return a connected socket; a host that does not answer is waited for CONNECT_S at most."""
     parts = urlsplit(url)
     if parts.hostname is None or parts.port is None:

@@ -8,8 +8,8 @@ from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
 from hardware.driver import PeakMethod
-from hardware.simulated.bounds import check_bounds
-from hardware.strobe import StrobeSchedule
+from hardware.simulated.field_bounds import check_field_bounds
+from hardware.strobe_schedule import StrobeSchedule
 
 _HOST: Final = r"[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?"
 URL_PATTERN: Final = (
@@ -51,7 +51,7 @@ class SerialSettings:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_field_bounds(self)
         if re.fullmatch(URL_PATTERN, self.url) is None:
             raise InvalidParameter(
                 f"url is {self.url!r:.100}; it must be a serial port as /dev/ttyACM0 or COM3, "

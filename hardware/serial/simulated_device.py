@@ -30,11 +30,11 @@ from hardware.serial.messages import (
     Stop,
     Strobe,
 )
-from hardware.simulated.bar import PIXELS, sensor_bar
-from hardware.simulated.batch import BATCH, Batch
+from hardware.simulated.frame_batch import BATCH, Batch
 from hardware.simulated.renderer import FrameRenderer
 from hardware.simulated.settings import SimulationSettings
-from hardware.strobe import StrobeSchedule
+from hardware.simulated.simulated_rig import PIXELS, simulated_rig
+from hardware.strobe_schedule import StrobeSchedule
 
 CLOCK_HZ: Final = 1_000_000
 STATUS_NS: Final = 1_000_000_000
@@ -86,7 +86,7 @@ class SimulatedSerialDevice:
     def description(self) -> Description:
         """Return what it says it is."""
         settings = self._settings
-        sensors = sensor_bar()
+        sensors = simulated_rig()
         return Description(
             name=self.name,
             sensors=tuple(sensor.model.name for sensor in sensors),
@@ -110,7 +110,7 @@ class SimulatedSerialDevice:
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
         """Take bytes of the host; return what it answers."""
-        return b"".join(self._obey(message, now_ns) for message in self._decoder.feed(data))
+        return b"".join(self._execute(message, now_ns) for message in self._decoder.feed(data))
 
     def due_ns(self) -> int:
         """Return when the next exposure's middle, or the next status, is."""
@@ -123,7 +123,7 @@ class SimulatedSerialDevice:
         if now_ns >= self._status_ns:
             self._status_ns = now_ns + STATUS_NS
             counters = self._decoder.counters
-            yield encode(DeviceStatus(self._ticks(now_ns), 25.0, self._lost, counters.thrown_away))
+            yield encode(DeviceStatus(self._ticks(now_ns), 25.0, self._lost, counters.discarded))
         if not self._exposing:
             return
         rate = self._settings.frame_rate_hz
@@ -172,7 +172,7 @@ class SimulatedSerialDevice:
     def _ticks(self, now_ns: int) -> int:
         return (now_ns - self._begin_ns) * CLOCK_HZ // 1_000_000_000 % 2**32
 
-    def _obey(self, message: Message, now_ns: int) -> bytes:
+    def _execute(self, message: Message, now_ns: int) -> bytes:
         if isinstance(message, Describe):
             return encode(self.description())
         if not isinstance(message, Start | Stop | Exposure | Strobe):

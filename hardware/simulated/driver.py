@@ -7,12 +7,12 @@ from threading import Event
 from typing import Final
 
 from hardware.driver import DeviceDescription, SensorDescription
-from hardware.frame import FrameFlag, LineFrame
-from hardware.pacing import host_time_ns, wait_until
-from hardware.simulated.bar import sensor_bar
-from hardware.simulated.batch import BATCH, Renderer, Timing
+from hardware.line_frame import FrameFlag, LineFrame
+from hardware.simulated.frame_batch import BATCH, Renderer, Timing
 from hardware.simulated.renderer import FrameRenderer
 from hardware.simulated.settings import SimulationSettings
+from hardware.simulated.simulated_rig import simulated_rig
+from hardware.timing import host_time_ns, wait_until
 
 FIFO_S: Final = 1.0
 """What the device's memory holds; older exposures that nobody fetched are lost."""
@@ -123,7 +123,7 @@ class SimulatedDriver(RenderedDriver):
             name=name,
             sensors=tuple(
                 SensorDescription(sensor.model.name, sensor.model.pixels, sensor.pitch_um)
-                for sensor in sensor_bar()
+                for sensor in simulated_rig()
             ),
             frame_rate_hz=settings.frame_rate_hz,
             bits=settings.bits,

@@ -1,10 +1,10 @@
 """ProfileDriver: a device simulated from its profile."""
 
-from compute.optics.masks.window import CodedWindow
-from compute.optics.profiles.profile import DeviceProfile, PlateOptics
+from compute.optics.coded_aperture.coded_window import CodedWindow
+from compute.optics.profiles.device_profile import DeviceProfile, PlateOptics
 from hardware.driver import DeviceDescription, Readout, SensorDescription
-from hardware.simulated.batch import Timing
 from hardware.simulated.driver import RenderedDriver
+from hardware.simulated.frame_batch import Timing
 from hardware.simulated.profile_renderer import ProfileRenderer
 from hardware.simulated.profile_settings import ProfileSettings
 

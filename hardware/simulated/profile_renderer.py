@@ -9,22 +9,22 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.optics.detector_array import DetectorArray
-from compute.optics.footprints import FootprintOptics, line_electrons
-from compute.optics.line_optics.sensor import in_optics_frame
-from compute.optics.profiles.build import (
+from compute.optics.pixel_solid_angles import SolidAngleOptics, scan_electrons
+from compute.optics.profiles.device_profile import DeviceProfile
+from compute.optics.profiles.profile_optics import (
     lens_sensors,
     light_source,
     mask_optics,
     pixel_row,
     profile_optics,
 )
-from compute.optics.profiles.profile import DeviceProfile
-from hardware.simulated.batch import Batch, Timing, batch_rng, batch_sequence, finished_batch
+from compute.optics.stripe_optics.optical_sensor import to_optics_frame
+from hardware.simulated.frame_batch import Batch, Timing, batch_rng, batch_sequence, frame_batch
 from hardware.simulated.profile_settings import ProfileSettings
 
 _log = logging.getLogger(__name__)
 
-_LOOKS: Final = 181  # at a scene's period
+_FIELD_SAMPLES: Final = 181  # at a scene's period
 
 
 class ProfileRenderer:
@@ -61,10 +61,10 @@ class ProfileRenderer:
             return
         # A turn of the bar lasts as long as its period; what is still is so at all times.
         period = getattr(self._scene, "period_s", 1.0)
-        points = self._scene.points(np.linspace(0.0, period, _LOOKS)).reshape(-1, 3)
+        points = self._scene.points(np.linspace(0.0, period, _FIELD_SAMPLES)).reshape(-1, 3)
         for sensor in lens_sensors(self._profile, pixel_row(self._profile)):
             try:
-                sensor.assembly.check_source(in_optics_frame(sensor.in_sensor_frame(points)))
+                sensor.assembly.check_source(to_optics_frame(sensor.to_sensor_frame(points)))
             except InvalidParameter as error:
                 raise InvalidParameter(
                     f"scene runs through the optics of sensor {sensor.name}: {error.detail}",
@@ -72,7 +72,7 @@ class ProfileRenderer:
                 ) from None
 
     @cached_property
-    def _optics(self) -> FootprintOptics:
+    def _optics(self) -> SolidAngleOptics:
         name = self._profile.name
         _log.info("profile %s: tracing its optics, seconds before the first frame", name)
         optics = profile_optics(self._profile, self._settings.optics)
@@ -86,8 +86,8 @@ class ProfileRenderer:
         photons = self._source.photons_per_sr(
             flat, None, self._lenses_mm, self._profile.rates.exposure_s
         )
-        return line_electrons(
-            self._optics.footprints(flat),
+        return scan_electrons(
+            self._optics.solid_angles(flat),
             photons * self._profile.detector.quantum_efficiency,
             points.shape[1],
             self._profile.pixels.count,
@@ -97,4 +97,4 @@ class ProfileRenderer:
         """Render exposures ``BATCH * number`` to ``BATCH * (number + 1) - 1``."""
         signal = self.signal_electrons(batch_sequence(number))
         lines = self._detector.expose(signal, batch_rng(self._settings.seed, number))
-        return finished_batch(lines, self._full_counts)
+        return frame_batch(lines, self._full_counts)

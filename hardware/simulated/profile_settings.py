@@ -6,20 +6,22 @@ from typing import Annotated, ClassVar, Final, Literal, get_args
 from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
-from compute.optics.masks.window import CodedWindow
-from compute.optics.profiles.build import OpticsMode
-from compute.optics.profiles.profile import DeviceProfile
+from compute.optics.coded_aperture.coded_window import CodedWindow
+from compute.optics.profiles.device_profile import DeviceProfile
+from compute.optics.profiles.profile_optics import OpticsMode
 from hardware.driver import PeakMethod
-from hardware.simulated.bounds import check_bounds
+from hardware.simulated.field_bounds import check_field_bounds
 from hardware.simulated.scenes import RotatingBar, Scene
 
-FASTEST_HZ: Final = 1000.0
+MAX_RATE_HZ: Final = 1000.0
 """Frame rate of a profile's device unless another is asked for: what a host follows easily."""
 
-FASTEST_SHADOWS_HZ: Final = 100.0
+MAX_SHADOW_RATE_HZ: Final = 100.0
 """The same for a device with coded windows, whose shadows take milliseconds to work out."""
 
-_BAR_SHARE: Final = 0.5  # length of the bar in the default scene, of the volume's least side
+_BAR_LENGTH_FRACTION: Final = (
+    0.5  # length of the bar in the default scene, of the volume's least side
+)
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class ProfileSettings:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_field_bounds(self)
         if self.optics not in get_args(OpticsMode):
             raise InvalidParameter(
                 f"optics is {self.optics!r}; it must be 'tabulated' or 'exact'",
@@ -81,7 +83,9 @@ class ProfileSettings:
         if self.scene is not None:
             return self.scene
         volume = profile.volume
-        return RotatingBar(length_mm=_BAR_SHARE * min(volume.size_mm), centre_mm=volume.centre_mm)
+        return RotatingBar(
+            length_mm=_BAR_LENGTH_FRACTION * min(volume.size_mm), centre_mm=volume.centre_mm
+        )
 
     def rate_of(self, profile: DeviceProfile) -> float:
         """Return the exposures per second [Hz].
@@ -92,7 +96,7 @@ class ProfileSettings:
         fastest = profile.rates.line_rate_hz
         if self.frame_rate_hz is None:
             shadows = any(isinstance(one, CodedWindow) for one in profile.optics.values())
-            return min(fastest, FASTEST_SHADOWS_HZ if shadows else FASTEST_HZ)
+            return min(fastest, MAX_SHADOW_RATE_HZ if shadows else MAX_RATE_HZ)
         if self.frame_rate_hz > fastest:
             raise InvalidParameter(
                 f"frame_rate_hz is {self.frame_rate_hz}; {profile.name} reads at most "

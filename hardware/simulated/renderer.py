@@ -4,11 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.optics.detector import Detector
-from compute.optics.ideal import IdealOptics
-from compute.optics.line_image import line_images
-from hardware.simulated.bar import PIXELS, WORKING_CENTRE_MM, sensor_bar
-from hardware.simulated.batch import Batch, batch_rng, batch_sequence, finished_batch
+from compute.optics.ideal_optics import IdealOptics
+from compute.optics.stripe_images import stripe_images
+from hardware.simulated.frame_batch import Batch, batch_rng, batch_sequence, frame_batch
 from hardware.simulated.settings import SimulationSettings
+from hardware.simulated.simulated_rig import PIXELS, WORKING_CENTRE_MM, simulated_rig
 
 
 class FrameRenderer:
@@ -21,7 +21,7 @@ class FrameRenderer:
     def __init__(self, settings: SimulationSettings) -> None:
         self._settings = settings
         self._optics = IdealOptics(
-            sensor_bar(),
+            simulated_rig(),
             spot_sigma_px=settings.spot_sigma_px,
             signal_electrons=settings.signal_electrons,
             reference_distance_mm=WORKING_CENTRE_MM[2] if settings.distance_falloff else None,
@@ -40,7 +40,7 @@ class FrameRenderer:
         timing = self._settings.timing
         points = timing.lit(self._settings.scene.points(timing.time_s(sequence)), sequence)
         frames, markers, _ = points.shape
-        spots = self._optics.spots(points.reshape(-1, 3))
+        spots = self._optics.stripes(points.reshape(-1, 3))
         sensors = spots.position_px.shape[1]
         electrons = spots.electrons
         if self._settings.blink is not None:
@@ -50,7 +50,7 @@ class FrameRenderer:
             per_frame = values.reshape(frames, markers, sensors)
             return per_frame.transpose(0, 2, 1).reshape(frames * sensors, markers)
 
-        signal = line_images(
+        signal = stripe_images(
             by_line(spots.position_px), by_line(spots.sigma_px), by_line(electrons), PIXELS
         )
         return signal.reshape(frames, sensors, PIXELS)
@@ -59,4 +59,4 @@ class FrameRenderer:
         """Render exposures ``BATCH * number`` to ``BATCH * (number + 1) - 1``."""
         signal = self.signal_electrons(batch_sequence(number))
         lines = self._detector.expose(signal, batch_rng(self._settings.seed, number))
-        return finished_batch(lines, self._detector.full_scale)
+        return frame_batch(lines, self._detector.full_scale)

@@ -8,24 +8,24 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
-from hardware.simulated.bounds import check_bounds
-from hardware.simulated.frame_shape import frame_shape_mm
+from hardware.simulated.calibration_target import calibration_target_points_mm
+from hardware.simulated.field_bounds import check_field_bounds
 
 Array = NDArray[np.float64]
 Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 Angle = Annotated[float, Field(ge=-10.0, le=10.0)]
-Turn = tuple[Angle, Angle, Angle]
+RotationVector = tuple[Angle, Angle, Angle]
 
 # Swings in a period about X, Y, Z, all different, and where in a swing each begins.
-_CURVE_RATES: Final = (1.0, 2.0, 3.0)
-_CURVE_PHASES: Final = (0.0, 0.125, 0.25)
-_TURN_RATES: Final = (2.0, 3.0, 1.0)
-_TURN_PHASES: Final = (0.0, 0.25, 0.125)
+_PATH_RATES: Final = (1.0, 2.0, 3.0)
+_PATH_PHASES: Final = (0.0, 0.125, 0.25)
+_ROTATION_RATES: Final = (2.0, 3.0, 1.0)
+_ROTATION_PHASES: Final = (0.0, 0.25, 0.125)
 
 
 @dataclass(frozen=True)
-class CalibrationFrame:
+class CalibrationTarget:
     """The thesis's pyramidal calibration frame with 19 markers, at rest (Figure 5.8).
 
     Args:
@@ -40,16 +40,18 @@ class CalibrationFrame:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_field_bounds(self)
 
     @property
     def markers(self) -> int:
         """Number of markers."""
-        return len(frame_shape_mm())
+        return len(calibration_target_points_mm())
 
     def points(self, time_s: float | Array) -> Array:
         """Return the markers at times (...,) [s], shape (..., 19, 3) [mm]."""
-        return _at_rest(np.asarray(self.centre_mm) + self.scale * frame_shape_mm(), time_s)
+        return _at_rest(
+            np.asarray(self.centre_mm) + self.scale * calibration_target_points_mm(), time_s
+        )
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ class StillPoints:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_field_bounds(self)
 
     @property
     def markers(self) -> int:
@@ -100,7 +102,7 @@ class ShiftedPoints:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_field_bounds(self)
         if 2.0 * self.moving_s > self.away * self.period_s:
             raise InvalidParameter(
                 f"moving_s is {self.moving_s}; there and back it must be within the "
@@ -149,7 +151,7 @@ class RotatingBar:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_field_bounds(self)
         if np.linalg.norm(self.plane_normal) < 1e-6:
             raise InvalidParameter(
                 f"plane_normal is {self.plane_normal}; its length must be at least 1e-6",
@@ -198,8 +200,8 @@ class MovingTool:
     markers_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=64)]
     centre_mm: Point = (0.0, 0.0, 1500.0)
     swing_mm: Point = (120.0, 90.0, 60.0)
-    turn_rad: Turn = (0.4, 0.5, 0.6)
-    rest_rad: Turn = (0.0, 0.0, 0.0)
+    turn_rad: RotationVector = (0.4, 0.5, 0.6)
+    rest_rad: RotationVector = (0.0, 0.0, 0.0)
     held_mm: Point = (0.0, 0.0, 0.0)
     period_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 6.0
     phase: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
@@ -207,15 +209,15 @@ class MovingTool:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_field_bounds(self)
 
     def pose(self, time_s: float | Array) -> tuple[Array, Array]:
         """Return R_world_tool, shape (..., 3, 3), and the origin, shape (..., 3) [mm], then."""
         # Within the period, so that hours later it is as exact as at the start.
         at = (np.asarray(time_s, dtype=np.float64) / self.period_s + self.phase) % 1.0
-        turn = np.asarray(self.turn_rad) * _swings(at, _TURN_RATES, _TURN_PHASES)
+        turn = np.asarray(self.turn_rad) * _swings(at, _ROTATION_RATES, _ROTATION_PHASES)
         rotation = _rotation(turn) @ _rotation(np.asarray(self.rest_rad))
-        place = np.asarray(self.swing_mm) * _swings(at, _CURVE_RATES, _CURVE_PHASES)
+        place = np.asarray(self.swing_mm) * _swings(at, _PATH_RATES, _PATH_PHASES)
         return rotation, np.asarray(self.centre_mm) + place - rotation @ np.asarray(self.held_mm)
 
 
@@ -235,7 +237,7 @@ class MovingTools:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_field_bounds(self)
 
     @property
     def markers(self) -> int:
@@ -267,7 +269,7 @@ class MovingTools:
 
 
 Scene = Annotated[
-    CalibrationFrame | StillPoints | ShiftedPoints | RotatingBar | MovingTools,
+    CalibrationTarget | StillPoints | ShiftedPoints | RotatingBar | MovingTools,
     Field(discriminator="kind"),
 ]
 

@@ -6,12 +6,12 @@ from typing import Annotated, ClassVar, Literal, get_args
 from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
-from hardware.blinking import BlinkSchedule
+from hardware.blink_schedule import BlinkSchedule
 from hardware.driver import PeakMethod
-from hardware.simulated.batch import Timing
-from hardware.simulated.bounds import check_bounds
+from hardware.simulated.field_bounds import check_field_bounds
+from hardware.simulated.frame_batch import Timing
 from hardware.simulated.scenes import RotatingBar, Scene
-from hardware.strobe import StrobeSchedule
+from hardware.strobe_schedule import StrobeSchedule
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class SimulationSettings:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_field_bounds(self)
         if self.illumination not in ("strobed", "simultaneous"):
             raise InvalidParameter(
                 f"illumination is {self.illumination!r}; it must be 'strobed' or 'simultaneous'",

@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from hardware.errors import DeviceNotConnected
 from hardware.link import LinkPhase
-from hardware.serial.port import Closing, Port, PortLost, open_port
-from hardware.tcd1304.answer import Answer, AnswerCollector, Refused
-from hardware.tcd1304.protocol import ANSWER_BYTES, Request
+from hardware.serial.port import CloseSignal, Port, PortDisconnected, open_port
+from hardware.tcd1304.protocol import RESPONSE_BYTES, Request
+from hardware.tcd1304.response import InvalidResponse, Response, ResponseCollector
 from hardware.tcd1304.settings import Tcd1304Board, Tcd1304Settings
 
 LATENCY_NS: Final = 20_000_000
 """What the way of an answer's first byte takes at most: an adapter's latency timer (16 ms), and
 the host's own delay."""
 
-PATIENCE_S: Final = 1.0
+RESPONSE_TIMEOUT_S: Final = 1.0
 """How much longer than the longest time that a working board takes it is waited for."""
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class BoardScan:
     """A line, and when it was exposed.
 
     Args:
@@ -41,7 +41,7 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Trouble:
+class BoardFault:
     """Why no line came."""
 
     phase: LinkPhase
@@ -62,14 +62,14 @@ class BoardLink:
         closed: ends every wait.
     """
 
-    def __init__(self, board: Tcd1304Board, settings: Tcd1304Settings, closed: Closing) -> None:
+    def __init__(self, board: Tcd1304Board, settings: Tcd1304Settings, closed: CloseSignal) -> None:
         self._board = board
         self._settings = settings
         self._request = settings.request
         self._closed = closed
         self._lock = Lock()
         self._port: Port | None = None
-        self._collector = AnswerCollector()
+        self._collector = ResponseCollector()
         self._quiet = False
 
     def connect(self) -> None:
@@ -88,7 +88,7 @@ class BoardLink:
         """Whether the port is open."""
         return self._port is not None
 
-    def ask(self) -> Reading | Trouble | None:
+    def ask(self) -> BoardScan | BoardFault | None:
         """Ask for a line and wait for it; None when the driver is closed meanwhile."""
         with self._lock:
             try:
@@ -99,10 +99,10 @@ class BoardLink:
             except _Closed:
                 return None
             except DeviceNotConnected as error:
-                return Trouble("disconnected", error.detail)
-            except PortLost as error:
+                return BoardFault("disconnected", error.detail)
+            except PortDisconnected as error:
                 self._release()
-                return Trouble("disconnected", f"{self._where} was lost: {error}")
+                return BoardFault("disconnected", f"{self._where} was lost: {error}")
 
     def close(self) -> None:
         """Close the port; waits for ``ask``, which ends as ``closed`` is set."""
@@ -131,7 +131,7 @@ class BoardLink:
         if port is not None:
             port.close()
 
-    def _exchange(self, port: Port) -> Reading | Trouble:
+    def _exchange(self, port: Port) -> BoardScan | BoardFault:
         self._collector.clear()
         surplus = 0 if self._quiet else self._drain(port)
         # One write: the firmware reads the 12 bytes as one transfer.
@@ -141,13 +141,13 @@ class BoardLink:
         outcome = self._collector.silence()
         self._quiet = True
         if outcome is None:
-            wait_s = self._request.longest_wait_ns * 1e-9 + PATIENCE_S
-            return Trouble(
+            wait_s = self._request.max_wait_ns * 1e-9 + RESPONSE_TIMEOUT_S
+            return BoardFault(
                 "silent", f"{self._where} did not answer a request within {wait_s:.1f} s", received
             )
-        if isinstance(outcome, Refused):
+        if isinstance(outcome, InvalidResponse):
             self._quiet = False
-            return Trouble("garbled", f"{self._where}: {outcome.detail}", received)
+            return BoardFault("garbled", f"{self._where}: {outcome.detail}", received)
         return _reading(outcome, self._request, sent_ns, received)
 
     def _drain(self, port: Port) -> int:
@@ -166,12 +166,12 @@ class BoardLink:
 
     def _collect(self, port: Port, sent_ns: int) -> int:
         """Feed the collector until the silence after the answer; return how many bytes came."""
-        wait_ns = self._request.longest_wait_ns + round(PATIENCE_S * 1e9)
-        while not (data := self._read(port, PATIENCE_S)):
+        wait_ns = self._request.max_wait_ns + round(RESPONSE_TIMEOUT_S * 1e9)
+        while not (data := self._read(port, RESPONSE_TIMEOUT_S)):
             if time.monotonic_ns() - sent_ns > wait_ns:
                 return 0
         # A board that never stops is cut off: twice an answer is no answer.
-        while data and self._collector.pending < 2 * ANSWER_BYTES:
+        while data and self._collector.pending < 2 * RESPONSE_BYTES:
             self._collector.feed(data, time.monotonic_ns())
             data = self._read(port, self._settings.gap_ms * 1e-3)
         return self._collector.pending
@@ -184,8 +184,8 @@ class BoardLink:
         return data
 
 
-def _reading(answer: Answer, request: Request, sent_ns: int, received: int) -> Reading:
+def _reading(answer: Response, request: Request, sent_ns: int, received: int) -> BoardScan:
     """Return the line with the bounds of the middle of its exposure."""
-    latest_ns = max(answer.first_byte_ns - request.middle_to_answer_ns, sent_ns)
+    latest_ns = max(answer.first_byte_ns - request.centre_to_response_ns, sent_ns)
     earliest_ns = max(latest_ns - LATENCY_NS, sent_ns)
-    return Reading(answer.counts, earliest_ns, latest_ns, received)
+    return BoardScan(answer.counts, earliest_ns, latest_ns, received)

@@ -9,37 +9,37 @@ from typing import Final
 import numpy as np
 
 from hardware.driver import DeviceDescription, SensorDescription
-from hardware.frame import FrameFlag, LineFrame
+from hardware.line_frame import FrameFlag, LineFrame
 from hardware.link import LinkPhase, LinkState
 from hardware.link_report import LinkReport
-from hardware.pacing import host_time_ns
-from hardware.serial.port import Closing
-from hardware.tcd1304.board import BoardLink, Reading, Trouble
-from hardware.tcd1304.light import light_counts
+from hardware.serial.port import CloseSignal
+from hardware.tcd1304.board import BoardFault, BoardLink, BoardScan
+from hardware.tcd1304.dark_correction import dark_corrected_counts
 from hardware.tcd1304.protocol import BITS, FULL_SCALE, PITCH_UM, PIXELS
 from hardware.tcd1304.settings import Tcd1304Settings
+from hardware.timing import host_time_ns
 
 RETRY_S: Final = (0.1, 0.25, 0.5, 1.0, 2.0)
 """How long to wait before a lost board is tried again; the last for all attempts that follow."""
 
-_WORST_FIRST: Final[tuple[LinkPhase, ...]] = ("disconnected", "silent", "garbled")
+_PHASES_BY_SEVERITY: Final[tuple[LinkPhase, ...]] = ("disconnected", "silent", "garbled")
 
 
 @dataclass(frozen=True)
 class ExposureTime:
     """When the boards exposed: the middle of all, and how far each may be from it [ns]."""
 
-    middle_ns: int
+    centre_ns: int
     uncertainty_ns: int
 
 
-def exposure_time(readings: Sequence[Reading]) -> ExposureTime:
+def combined_exposure_time(scans: Sequence[BoardScan]) -> ExposureTime:
     """Return the middle between the earliest and the latest exposure there may have been.
 
     Boards run freely, each with its own clock, so the lines of a frame are not of one moment.
     """
-    earliest = min(reading.earliest_ns for reading in readings)
-    latest = max(reading.latest_ns for reading in readings)
+    earliest = min(scan.earliest_ns for scan in scans)
+    latest = max(scan.latest_ns for scan in scans)
     return ExposureTime((earliest + latest) // 2, (latest - earliest + 1) // 2)
 
 
@@ -132,33 +132,33 @@ class Tcd1304Driver:
                 outcomes = list(pool.map(BoardLink.ask, run.boards))
                 if run.closed.is_set():
                     return
-                readings = [one for one in outcomes if isinstance(one, Reading)]
-                troubles = [one for one in outcomes if isinstance(one, Trouble)]
+                scans = [one for one in outcomes if isinstance(one, BoardScan)]
+                troubles = [one for one in outcomes if isinstance(one, BoardFault)]
                 back = {i for i in lost if run.boards[i].connected}
                 lost = {i for i, board in enumerate(run.boards) if not board.connected}
                 self._count(outcomes, len(back))
                 if not troubles:
                     failures = 0
                     self._report.tell("connected")
-                    yield self._frame(run, sequence, readings, after_loss=loss)
+                    yield self._frame(run, sequence, scans, after_loss=loss)
                     sequence += 1
                     loss = False
                     continue
                 loss = True
-                worst = min(troubles, key=lambda one: _WORST_FIRST.index(one.phase))
+                worst = min(troubles, key=lambda one: _PHASES_BY_SEVERITY.index(one.phase))
                 self._report.tell(worst.phase, f"{worst.reason}; it is tried again")
-                exposed = any(one.bytes_received for one in troubles) or bool(readings)
+                exposed = any(one.bytes_received for one in troubles) or bool(scans)
                 sequence += exposed
                 self._report.count(frames_lost=int(exposed))
                 if lost:
                     run.closed.wait(RETRY_S[min(failures, len(RETRY_S) - 1)])
                     failures += 1
 
-    def _count(self, outcomes: Sequence[Reading | Trouble | None], back: int) -> None:
+    def _count(self, outcomes: Sequence[BoardScan | BoardFault | None], back: int) -> None:
         received = sum(one.bytes_received for one in outcomes if one is not None)
-        whole = all(isinstance(one, Reading) for one in outcomes)
-        some = any(isinstance(one, Reading) for one in outcomes)
-        garbled = sum(isinstance(one, Trouble) and one.phase == "garbled" for one in outcomes)
+        whole = all(isinstance(one, BoardScan) for one in outcomes)
+        some = any(isinstance(one, BoardScan) for one in outcomes)
+        garbled = sum(isinstance(one, BoardFault) and one.phase == "garbled" for one in outcomes)
         self._report.count(
             bytes_received=received,
             frames=int(whole),
@@ -168,12 +168,12 @@ class Tcd1304Driver:
         )
 
     def _frame(
-        self, run: "_Run", sequence: int, readings: Sequence[Reading], *, after_loss: bool
+        self, run: "_Run", sequence: int, scans: Sequence[BoardScan], *, after_loss: bool
     ) -> LineFrame:
-        exposed = exposure_time(readings)
+        exposed = combined_exposure_time(scans)
         run.uncertainty_ns = exposed.uncertainty_ns
         lines = np.stack(
-            [light_counts(reading.counts, self._settings.saturated_at) for reading in readings]
+            [dark_corrected_counts(scan.counts, self._settings.saturated_at) for scan in scans]
         )
         flags = FrameFlag.OVERFLOW if after_loss else FrameFlag.NONE
         if bool((lines == FULL_SCALE).any()):
@@ -181,8 +181,8 @@ class Tcd1304Driver:
         return LineFrame(
             device=self._description.name,
             sequence=sequence,
-            exposure_device_ns=exposed.middle_ns - run.opened_ns,
-            exposure_host_ns=host_time_ns(exposed.middle_ns),
+            exposure_device_ns=exposed.centre_ns - run.opened_ns,
+            exposure_host_ns=host_time_ns(exposed.centre_ns),
             marker=None,
             lines=lines,
             flags=flags,
@@ -193,7 +193,7 @@ class _Run:
     """One opening of the driver."""
 
     def __init__(self, settings: Tcd1304Settings) -> None:
-        self.closed = Closing()
+        self.closed = CloseSignal()
         self.boards = [BoardLink(board, settings, self.closed) for board in settings.boards]
         self.opened_ns = time.monotonic_ns()
         self.uncertainty_ns: int | None = None

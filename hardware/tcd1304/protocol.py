@@ -15,7 +15,7 @@ FIRST_PIXEL: Final = 32
 SHIELDED: Final = slice(16, 29)
 """The dummy elements D16 to D28, pixels under a light shield: they show the dark level."""
 
-ANSWER_BYTES: Final = 2 * ELEMENTS
+RESPONSE_BYTES: Final = 2 * ELEMENTS
 PITCH_UM: Final = 8.0
 BITS: Final = 12
 FULL_SCALE: Final = 2**BITS - 1
@@ -24,8 +24,8 @@ CLOCK_HZ: Final = 2_000_000
 """The master clock of the firmware as it is given out; SH and ICG count its periods."""
 
 READOUT_CLOCKS: Final = 4 * ELEMENTS
-LEAST_ICG: Final = READOUT_CLOCKS
-LEAST_EXPOSURE_US: Final = 10
+MIN_ICG_CLOCKS: Final = READOUT_CLOCKS
+MIN_EXPOSURE_US: Final = 10
 _MOST: Final = 2**32 - 1
 _FLUSH_CLOCKS: Final = 4 * 15_000  # the firmware empties the CCD at this pace before it reads
 _PULSES_BEFORE: Final = 4  # ICG pulses from the new periods to the reading, at most
@@ -55,16 +55,16 @@ class Request:
     clock_hz: int = CLOCK_HZ
 
     def __post_init__(self) -> None:
-        least_sh = -(-self.clock_hz * LEAST_EXPOSURE_US // 1_000_000)
-        if not least_sh <= self.sh_clocks <= _MOST:
+        min_sh = -(-self.clock_hz * MIN_EXPOSURE_US // 1_000_000)
+        if not min_sh <= self.sh_clocks <= _MOST:
             raise InvalidParameter(
-                f"SH period is {self.sh_clocks}; it must lie between {least_sh} and {_MOST} "
-                f"periods of {self.clock_hz} Hz: the CCD needs {LEAST_EXPOSURE_US} us",
+                f"SH period is {self.sh_clocks}; it must lie between {min_sh} and {_MOST} "
+                f"periods of {self.clock_hz} Hz: the CCD needs {MIN_EXPOSURE_US} us",
                 sh_clocks=self.sh_clocks,
             )
-        if not LEAST_ICG <= self.icg_clocks <= _MOST:
+        if not MIN_ICG_CLOCKS <= self.icg_clocks <= _MOST:
             raise InvalidParameter(
-                f"ICG period is {self.icg_clocks}; it must lie between {LEAST_ICG}, what reading "
+                f"ICG period is {self.icg_clocks}; it must lie between {MIN_ICG_CLOCKS}, what reading "
                 f"{ELEMENTS} elements takes, and {_MOST}",
                 icg_clocks=self.icg_clocks,
             )
@@ -92,18 +92,18 @@ class Request:
         return self._ns(self.sh_clocks)
 
     @property
-    def end_to_answer_ns(self) -> int:
+    def end_to_response_ns(self) -> int:
         """Time from the end of the last exposure to the answer's first bit: the readout [ns]."""
         return self._ns(READOUT_CLOCKS)
 
     @property
-    def middle_to_answer_ns(self) -> int:
+    def centre_to_response_ns(self) -> int:
         """Time from the middle of all exposures to the answer's first bit [ns]."""
         spread = (self.averages - 1) * self._ns(self.icg_clocks)
-        return self.end_to_answer_ns + (self.exposure_ns + spread) // 2
+        return self.end_to_response_ns + (self.exposure_ns + spread) // 2
 
     @property
-    def longest_wait_ns(self) -> int:
+    def max_wait_ns(self) -> int:
         """Time within which a board that works begins to answer [ns].
 
         The firmware empties the CCD, sets the new periods and lets some pass before it reads.
@@ -141,5 +141,5 @@ def request_for(exposure_us: float, averages: int = 1, clock_hz: int = CLOCK_HZ)
         InvalidParameter: the exposure is too short or too long.
     """
     sh_clocks = round(exposure_us * clock_hz / 1e6)
-    pulses = max(1, -(-LEAST_ICG // max(1, sh_clocks)))
+    pulses = max(1, -(-MIN_ICG_CLOCKS // max(1, sh_clocks)))
     return Request(sh_clocks, pulses * sh_clocks, averages, clock_hz=clock_hz)

@@ -9,11 +9,11 @@ from pydantic import ConfigDict, Field, StringConstraints
 from compute.errors import InvalidParameter
 from hardware.driver import PeakMethod
 from hardware.serial.settings import URL_PATTERN
-from hardware.simulated.bounds import check_bounds
-from hardware.tcd1304.light import OFFSET_COUNTS
+from hardware.simulated.field_bounds import check_field_bounds
+from hardware.tcd1304.dark_correction import OFFSET_COUNTS
 from hardware.tcd1304.protocol import (
-    ANSWER_BYTES,
     CLOCK_HZ,
+    RESPONSE_BYTES,
     Request,
     request_for,
 )
@@ -73,7 +73,7 @@ class Tcd1304Settings:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_field_bounds(self)
         for what in ("name", "port"):
             values = [getattr(board, what) for board in self.boards]
             twice = next((value for value in values if values.count(value) > 1), None)
@@ -95,12 +95,12 @@ class Tcd1304Settings:
     @property
     def transfer_s(self) -> float:
         """Time that an answer takes over the line [s]."""
-        return ANSWER_BYTES * _BITS_OF_BYTE / self.baud_rate
+        return RESPONSE_BYTES * _BITS_OF_BYTE / self.baud_rate
 
     @property
     def frame_rate_hz(self) -> float:
         """About how many lines a board sends per second, asked for one after the other."""
-        wait_s = self.request.longest_wait_ns * 1e-9
+        wait_s = self.request.max_wait_ns * 1e-9
         return 1.0 / (wait_s + self.transfer_s + self.gap_ms * 1e-3)
 
     @property

@@ -23,12 +23,12 @@ from hardware.tcd1304.protocol import (
     decode_request,
 )
 
-DARK: Final = 3100
+DARK_COUNTS: Final = 3100
 """The converter's count where it is dark."""
 
 
-def answer_counts(
-    light: NDArray[np.float64], dark: float = DARK, noise_counts: float = 0.0, seed: int = 0
+def response_counts(
+    light: NDArray[np.float64], dark: float = DARK_COUNTS, noise_counts: float = 0.0, seed: int = 0
 ) -> NDArray[np.uint16]:
     """Return what a board's converter reads of light in counts.
 
@@ -129,7 +129,7 @@ class SimulatedBoard:
                     continue
                 self.requests.append(request)
                 if self._realtime:
-                    time.sleep(request.middle_to_answer_ns * 1e-9)
+                    time.sleep(request.centre_to_response_ns * 1e-9)
                 answer = self.respond(request)
                 if answer is None:
                     return

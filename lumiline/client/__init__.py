@@ -4,8 +4,8 @@ from lumiline.client.async_client import AsyncClient
 from lumiline.client.client import Client
 from lumiline.client.errors import (
     ClientError,
-    NotReached,
     ServerProblem,
+    ServerUnreachable,
     StreamEnded,
     UnreadableMessage,
 )
@@ -14,8 +14,8 @@ __all__ = [
     "AsyncClient",
     "Client",
     "ClientError",
-    "NotReached",
     "ServerProblem",
+    "ServerUnreachable",
     "StreamEnded",
     "UnreadableMessage",
 ]

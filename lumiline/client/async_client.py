@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 
 from lumiline.client.async_stream import AsyncStream
+from lumiline.client.beam_holds.async_methods import AsyncBeamHoldMethods
 from lumiline.client.devices.async_methods import AsyncDeviceMethods
-from lumiline.client.holds.async_methods import AsyncHoldMethods
 from lumiline.client.recordings.async_methods import AsyncRecordingMethods
 from lumiline.client.registrations.async_methods import AsyncRegistrationMethods
-from lumiline.client.stream_state import Content, Mode, StreamWish, begun
+from lumiline.client.stream_state import Content, Mode, StreamRequest, start_state
 from lumiline.client.tools.async_methods import AsyncToolMethods
 
 
@@ -15,12 +15,12 @@ class AsyncClient(
     AsyncDeviceMethods,
     AsyncToolMethods,
     AsyncRegistrationMethods,
-    AsyncHoldMethods,
+    AsyncBeamHoldMethods,
     AsyncRecordingMethods,
 ):
     """A connection to a server, with asyncio; a context manager that closes it.
 
-    ``ServerProblem`` is raised where the server refuses, with its reason, ``NotReached`` where it
+    ``ServerProblem`` is raised where the server refuses, with its reason, ``ServerUnreachable`` where it
     does not answer.
     """
 
@@ -48,5 +48,5 @@ class AsyncClient(
                 message that the program has, to go on after it.
             reconnect_s: how long a lost connection is tried again [s].
         """
-        wish = StreamWish(device_id, tuple(content), mode, rate_hz, bundle_ms)
-        return AsyncStream(begun(self._server, wish, resume, reconnect_s), self._timeout_s)
+        request = StreamRequest(device_id, tuple(content), mode, rate_hz, bundle_ms)
+        return AsyncStream(start_state(self._server, request, resume, reconnect_s), self._timeout_s)

@@ -7,8 +7,8 @@ from typing import Any, Self, TypeVar
 
 import httpx
 
-from lumiline.client.call import Call
-from lumiline.client.response import check, json_of, reaching, whole_file
+from lumiline.client.api_request import ApiRequest
+from lumiline.client.response import check, connection_errors, json_of, whole_file
 from lumiline.client.server import KeyBy, Server
 
 T = TypeVar("T")
@@ -68,10 +68,10 @@ class AsyncConnection:
 
         Raises:
             ServerProblem: it refused.
-            NotReached: it did not answer.
+            ServerUnreachable: it did not answer.
             UnreadableMessage: what it answered is no JSON.
         """
-        with reaching(f"{method} {path}"):
+        with connection_errors(f"{method} {path}"):
             answer = await self._http.request(
                 method,
                 path,
@@ -81,7 +81,7 @@ class AsyncConnection:
             )
         return json_of(answer, f"{method} {path}")
 
-    async def _one(self, call: Call[T], longer_s: float = 0.0) -> T:
+    async def _one(self, call: ApiRequest[T], longer_s: float = 0.0) -> T:
         answer = await self.request(
             call.method,
             call.path,
@@ -91,7 +91,7 @@ class AsyncConnection:
         )
         return call.read(answer)
 
-    async def _all(self, call: Call[T]) -> list[T]:
+    async def _all(self, call: ApiRequest[T]) -> list[T]:
         found: list[T] = []
         while True:
             query = call.page(len(found))
@@ -102,7 +102,7 @@ class AsyncConnection:
 
     async def _download(self, source: str, path: Path | str, what: str) -> Path:
         path = Path(path)
-        with reaching(what):
+        with connection_errors(what):
             async with self._http.stream("GET", source) as answer:
                 if not answer.is_success:
                     check(answer, await answer.aread())

@@ -47,7 +47,7 @@ class AsyncStream(StreamProgress):
 
         Raises:
             StopAsyncIteration: the stream was closed, or its device deleted.
-            StreamEnded, ServerProblem, NotReached, UnreadableMessage: see those.
+            StreamEnded, ServerProblem, ServerUnreachable, UnreadableMessage: see those.
         """
         if not await self._fill():
             raise StopAsyncIteration

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 
+from lumiline.client.beam_holds.methods import BeamHoldMethods
 from lumiline.client.devices.methods import DeviceMethods
-from lumiline.client.holds.methods import HoldMethods
 from lumiline.client.recordings.methods import RecordingMethods
 from lumiline.client.registrations.methods import RegistrationMethods
 from lumiline.client.stream import Stream
-from lumiline.client.stream_state import Content, Mode, StreamWish, begun
+from lumiline.client.stream_state import Content, Mode, StreamRequest, start_state
 from lumiline.client.tools.methods import ToolMethods
 
 
@@ -15,12 +15,12 @@ class Client(
     DeviceMethods,
     ToolMethods,
     RegistrationMethods,
-    HoldMethods,
+    BeamHoldMethods,
     RecordingMethods,
 ):
     """A connection to a server; a context manager that closes it.
 
-    ``ServerProblem`` is raised where the server refuses, with its reason, ``NotReached`` where it
+    ``ServerProblem`` is raised where the server refuses, with its reason, ``ServerUnreachable`` where it
     does not answer.
     """
 
@@ -48,5 +48,5 @@ class Client(
                 message that the program has, to go on after it.
             reconnect_s: how long a lost connection is tried again [s].
         """
-        wish = StreamWish(device_id, tuple(content), mode, rate_hz, bundle_ms)
-        return Stream(begun(self._server, wish, resume, reconnect_s), self._timeout_s)
+        request = StreamRequest(device_id, tuple(content), mode, rate_hz, bundle_ms)
+        return Stream(start_state(self._server, request, resume, reconnect_s), self._timeout_s)

@@ -7,8 +7,8 @@ from typing import Any, Self, TypeVar
 
 import httpx
 
-from lumiline.client.call import Call
-from lumiline.client.response import check, json_of, reaching, whole_file
+from lumiline.client.api_request import ApiRequest
+from lumiline.client.response import check, connection_errors, json_of, whole_file
 from lumiline.client.server import KeyBy, Server
 
 T = TypeVar("T")
@@ -68,10 +68,10 @@ class Connection:
 
         Raises:
             ServerProblem: it refused.
-            NotReached: it did not answer.
+            ServerUnreachable: it did not answer.
             UnreadableMessage: what it answered is no JSON.
         """
-        with reaching(f"{method} {path}"):
+        with connection_errors(f"{method} {path}"):
             answer = self._http.request(
                 method,
                 path,
@@ -81,7 +81,7 @@ class Connection:
             )
         return json_of(answer, f"{method} {path}")
 
-    def _one(self, call: Call[T], longer_s: float = 0.0) -> T:
+    def _one(self, call: ApiRequest[T], longer_s: float = 0.0) -> T:
         answer = self.request(
             call.method,
             call.path,
@@ -91,7 +91,7 @@ class Connection:
         )
         return call.read(answer)
 
-    def _all(self, call: Call[T]) -> list[T]:
+    def _all(self, call: ApiRequest[T]) -> list[T]:
         found: list[T] = []
         while True:
             query = call.page(len(found))
@@ -102,7 +102,7 @@ class Connection:
 
     def _download(self, source: str, path: Path | str, what: str) -> Path:
         path = Path(path)
-        with reaching(what), self._http.stream("GET", source) as answer:
+        with connection_errors(what), self._http.stream("GET", source) as answer:
             if not answer.is_success:
                 check(answer, answer.read())
             with whole_file(path) as file:

@@ -8,7 +8,7 @@ class ClientError(Exception):
     """Base of every error of the client."""
 
 
-class NotReached(ClientError):
+class ServerUnreachable(ClientError):
     """The server did not answer, or the connection to it was lost."""
 
 
@@ -61,7 +61,7 @@ class ServerProblem(ClientError):
         self.retry_after_s = retry_after_s
 
 
-def problem_of(status: int, body: bytes, retry_after: str | None = None) -> ServerProblem:
+def server_problem(status: int, body: bytes, retry_after: str | None = None) -> ServerProblem:
     """Return the problem that an answer tells of, whatever is in it."""
     try:
         document = json.loads(body)

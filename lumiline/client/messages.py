@@ -11,7 +11,7 @@ Matrix = tuple[Vector, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class BeamHold:
+class BeamHoldSample:
     """Whether a beam is held: only ``held`` false lets it go on. ``reason`` says why it is."""
 
     hold: str
@@ -20,12 +20,12 @@ class BeamHold:
     reason: str | None
     since_ns: int
     shift_mm: Vector | None = None
-    turn_rad: Vector | None = None
-    chance: float | None = None
+    rotation_rad: Vector | None = None
+    probability: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class HoldChange:
+class BeamHoldEvent:
     """A beam is held now, or is not any more, or for another cause; sent at once."""
 
     n: int
@@ -38,8 +38,8 @@ class HoldChange:
     exposure_ns: int | None
     sequence: int | None
     shift_mm: Vector | None = None
-    turn_rad: Vector | None = None
-    chance: float | None = None
+    rotation_rad: Vector | None = None
+    probability: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class Hello:
     reason: str | None
     link: str | None
     calibration: str | None
-    holds: tuple[BeamHold, ...] | None = None
+    holds: tuple[BeamHoldSample, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ class Track:
     acceleration_mm_s2: Vector | None
     peaks: tuple[int | None, ...]
     nis: float | None
-    degrees: int
+    dof: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,18 +182,18 @@ class Frame:
     peaks: tuple[Peak, ...] | None = None
     tracks: tuple[Track, ...] | None = None
     tools: tuple[ToolPose, ...] | None = None
-    holds: tuple[BeamHold, ...] | None = None
+    holds: tuple[BeamHoldSample, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Other:
+class UnknownMessage:
     """A message of a kind that this client does not know; newer servers may send such."""
 
     type: str
     members: Mapping[str, Any] = field(default_factory=dict)
 
 
-Message = Hello | Frame | Status | HoldChange | Missed | Other
+Message = Hello | Frame | Status | BeamHoldEvent | Missed | UnknownMessage
 
 T = TypeVar("T")
 
@@ -201,7 +201,7 @@ _KINDS: Final[dict[str, type[Any]]] = {
     "hello": Hello,
     "frame": Frame,
     "status": Status,
-    "hold": HoldChange,
+    "hold": BeamHoldEvent,
     "missed": Missed,
 }
 _PARTS: Final[dict[str, type[Any]]] = {
@@ -209,7 +209,7 @@ _PARTS: Final[dict[str, type[Any]]] = {
     "peaks": Peak,
     "tracks": Track,
     "tools": ToolPose,
-    "holds": BeamHold,
+    "holds": BeamHoldSample,
 }
 _MEMBERS: Final[dict[type[Any], tuple[tuple[str, bool], ...]]] = {
     kind: tuple((one.name, one.default is MISSING) for one in fields(kind))
@@ -233,17 +233,21 @@ def messages_of(given: object) -> tuple[Message, ...]:
         return tuple(one for frame in bundled for one in messages_of(frame))
     kind = _KINDS.get(given["type"])
     if kind is None:
-        return (Other(given["type"], {key: one for key, one in given.items() if key != "type"}),)
+        return (
+            UnknownMessage(
+                given["type"], {key: one for key, one in given.items() if key != "type"}
+            ),
+        )
     if kind in (Frame, Hello):
         given = dict(given)
         for name, part in _PARTS.items():
             if given.get(name) is not None:
-                given[name] = tuple(_made(part, one) for one in given[name])
-    found: Message = _made(kind, given)
+                given[name] = tuple(_decode(part, one) for one in given[name])
+    found: Message = _decode(kind, given)
     return (found,)
 
 
-def _made(kind: type[T], given: object) -> T:
+def _decode(kind: type[T], given: object) -> T:
     """Return a message from its members; those that are not known are left aside."""
     if not isinstance(given, dict):
         raise UnreadableMessage(f"a {kind.__name__} of the stream is {str(given)[:100]}")

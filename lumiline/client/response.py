@@ -7,14 +7,14 @@ from typing import IO, Any
 
 import httpx
 
-from lumiline.client.errors import NotReached, UnreadableMessage, problem_of
+from lumiline.client.errors import ServerUnreachable, UnreadableMessage, server_problem
 
 
 def check(response: httpx.Response, body: bytes) -> None:
     """Raise ServerProblem where the server refused."""
     if not response.is_success:
         retry_after = response.headers.get("Retry-After")
-        raise problem_of(response.status_code, body, retry_after)
+        raise server_problem(response.status_code, body, retry_after)
 
 
 def json_of(response: httpx.Response, what: str) -> Any:
@@ -38,12 +38,12 @@ def json_of(response: httpx.Response, what: str) -> Any:
 
 
 @contextmanager
-def reaching(what: str) -> Iterator[None]:
-    """Raise NotReached where the connection fails."""
+def connection_errors(what: str) -> Iterator[None]:
+    """Raise ServerUnreachable where the connection fails."""
     try:
         yield
     except httpx.TransportError as error:
-        raise NotReached(f"{what}: {error or type(error).__name__}") from error
+        raise ServerUnreachable(f"{what}: {error or type(error).__name__}") from error
 
 
 @contextmanager

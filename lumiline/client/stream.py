@@ -49,7 +49,7 @@ class Stream(StreamProgress):
 
         Raises:
             StopIteration: the stream was closed, or its device deleted.
-            StreamEnded, ServerProblem, NotReached, UnreadableMessage: see those.
+            StreamEnded, ServerProblem, ServerUnreachable, UnreadableMessage: see those.
         """
         if not self._fill():
             raise StopIteration

@@ -15,19 +15,19 @@ from websockets.exceptions import (
 )
 
 from lumiline.client.errors import (
-    NotReached,
+    ServerUnreachable,
     StreamEnded,
     UnreadableMessage,
-    problem_of,
+    server_problem,
 )
 from lumiline.client.messages import (
+    BeamHoldEvent,
     Frame,
     Hello,
-    HoldChange,
     Message,
     Missed,
-    Other,
     Status,
+    UnknownMessage,
     messages_of,
 )
 from lumiline.client.server import Server
@@ -36,14 +36,14 @@ Content = Literal["points", "peaks", "tracks", "tools", "holds", "status"]
 Mode = Literal["live", "lossless"]
 
 POLICY_CLOSE: Final = 1008
-_WAITS_S: Final = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
-_MAY_PASS: Final = frozenset({429, 500, 502, 503, 504})
-MOST_BYTES: Final = 2**26
+_BACKOFF_S: Final = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+_RETRYABLE_STATUS: Final = frozenset({429, 500, 502, 503, 504})
+MAX_BYTES: Final = 2**26
 """Largest message that is taken: a bundle of 512 frames with all content is below a tenth."""
 
 
 @dataclass(frozen=True)
-class StreamWish:
+class StreamRequest:
     """What a stream is to send.
 
     Args:
@@ -96,7 +96,7 @@ class StreamState:
     """
 
     server: Server
-    wish: StreamWish
+    request: StreamRequest
     reconnect_s: float = 30.0
     stream: str | None = None
     last: int | None = None
@@ -109,7 +109,7 @@ class StreamState:
 
     def taken(self, message: Message) -> Message:
         """Return a message that the program takes now, and count it."""
-        if isinstance(message, Frame | Status | HoldChange):
+        if isinstance(message, Frame | Status | BeamHoldEvent):
             self.had = message.n
         elif isinstance(message, Missed):
             self.had = message.first + message.messages - 1
@@ -118,7 +118,7 @@ class StreamState:
     @property
     def url(self) -> str:
         """Address of the next connection."""
-        return f"{self.server.stream_url}?{self.wish.query(self.stream, self.last)}"
+        return f"{self.server.stream_url}?{self.request.query(self.stream, self.last)}"
 
     @property
     def options(self) -> dict[str, Any]:
@@ -127,7 +127,7 @@ class StreamState:
             "additional_headers": self.server.stream_headers,
             "subprotocols": self.server.stream_subprotocols,
             "compression": None,
-            "max_size": MOST_BYTES,
+            "max_size": MAX_BYTES,
             "close_timeout": 2.0,
         }
 
@@ -136,8 +136,8 @@ class StreamState:
         found = []
         for message in messages_of(_decoded(payload)):
             if isinstance(message, Hello):
-                self._greeted(message)
-            elif isinstance(message, Frame | Status | HoldChange):
+                self._handle_hello(message)
+            elif isinstance(message, Frame | Status | BeamHoldEvent):
                 # After a lost connection the server may repeat; a program gets everything once.
                 if self.last is not None and message.n <= self.last:
                     continue
@@ -146,12 +146,12 @@ class StreamState:
                     self.deleted = message.state == "deleted"
             elif isinstance(message, Missed):
                 self.last = message.first + message.messages - 1
-            elif isinstance(message, Other):
+            elif isinstance(message, UnknownMessage):
                 self.last = _number(message.members, self.last)
             found.append(message)
         return found
 
-    def _greeted(self, hello: Hello) -> None:
+    def _handle_hello(self, hello: Hello) -> None:
         if self._lost_at_s is not None:
             self.reconnections += 1
         self._lost_at_s, self._tries = None, 0
@@ -169,7 +169,7 @@ class StreamState:
         Raises:
             StreamEnded: the key was revoked or has expired.
             ServerProblem: the server refused, and would again.
-            NotReached: it was tried for long enough.
+            ServerUnreachable: it was tried for long enough.
         """
         if self.deleted:
             return None
@@ -177,18 +177,18 @@ class StreamState:
         if closed is not None and closed.code == POLICY_CLOSE:
             raise StreamEnded(closed.code, closed.reason) from error
         told = _refused(error)
-        if told is not None and (told.status not in _MAY_PASS or self._first):
+        if told is not None and (told.status not in _RETRYABLE_STATUS or self._first):
             raise told from error
-        begun = now_s if self._lost_at_s is None else self._lost_at_s
-        first, self._lost_at_s = self._first, begun
-        if first or now_s - begun >= self.reconnect_s:
-            raise NotReached(
+        start_state = now_s if self._lost_at_s is None else self._lost_at_s
+        first, self._lost_at_s = self._first, start_state
+        if first or now_s - start_state >= self.reconnect_s:
+            raise ServerUnreachable(
                 f"the stream of {self.server.url} "
                 f"{'could not be opened' if first else 'was lost'}: {error or type(error).__name__}"
             ) from error
-        wait = _WAITS_S[min(self._tries, len(_WAITS_S) - 1)]
+        wait = _BACKOFF_S[min(self._tries, len(_BACKOFF_S) - 1)]
         self._tries += 1
-        return min(wait, max(begun + self.reconnect_s - now_s, 0.0))
+        return min(wait, max(start_state + self.reconnect_s - now_s, 0.0))
 
     @property
     def _first(self) -> bool:
@@ -204,7 +204,7 @@ def _refused(error: Exception) -> Any:
     if not isinstance(error, InvalidStatus):
         return None
     response = error.response
-    return problem_of(
+    return server_problem(
         response.status_code, bytes(response.body or b""), response.headers.get("Retry-After")
     )
 
@@ -224,8 +224,8 @@ def _decoded(payload: bytes | str) -> object:
     return found
 
 
-def begun(
-    server: Server, wish: StreamWish, resume: tuple[str, int] | None, reconnect_s: float
+def start_state(
+    server: Server, request: StreamRequest, resume: tuple[str, int] | None, reconnect_s: float
 ) -> StreamState:
     """Return the state of a stream before its first connection.
 
@@ -238,10 +238,10 @@ def begun(
     Raises:
         ValueError: only a lossless stream goes on where another ended.
     """
-    if resume is not None and wish.mode != "lossless":
+    if resume is not None and request.mode != "lossless":
         raise ValueError("only a lossless stream goes on where another ended")
     stream, last = resume or (None, None)
-    return StreamState(server, wish, reconnect_s, stream, last)
+    return StreamState(server, request, reconnect_s, stream, last)
 
 
 class StreamProgress:

@@ -10,8 +10,8 @@ import typer
 
 from service.cli import (
     administration_commands,
+    beam_hold_commands,
     calibration_commands,
-    hold_commands,
     laboratory_commands,
     recording_commands,
     server_commands,
@@ -51,7 +51,7 @@ for _commands in (
     laboratory_commands,
     administration_commands,
     tools_commands,
-    hold_commands,
+    beam_hold_commands,
 ):
     _commands.register(app)
 

@@ -5,32 +5,32 @@ from pathlib import Path
 
 import typer
 
+from service.cli.local_database import local_database
 from service.cli.output import console, progress
-from service.cli.own_database import own_database
 from service.database.backup import back_up
-from service.database.check import complaints
+from service.database.consistency import find_inconsistencies
 from service.database.copy_rows import count_rows
 from service.database.restore import restore
-from service.database.restored_keys import KeyChanges
+from service.database.restored_api_keys import KeyChanges
 
 
 def run_backup(data_dir: Path | None, file: Path) -> None:
     """Write a backup and say what it holds."""
-    with own_database(data_dir, "backup") as (database, _), progress(f"writing {file}"):
+    with local_database(data_dir, "backup") as (database, _), progress(f"writing {file}"):
         database.check()
         counts = back_up(database, file)
-    console.print(f"{file}: {_in_words(counts)}", highlight=False)
+    console.print(f"{file}: {_to_sentence(counts)}", highlight=False)
 
 
 def run_restore(data_dir: Path | None, file: Path, *, replace: bool) -> None:
     """Restore a backup and say what was done."""
-    with own_database(data_dir, "restore") as (database, settings), progress(f"reading {file}"):
+    with local_database(data_dir, "restore") as (database, settings), progress(f"reading {file}"):
         settings.folders.recordings.mkdir(parents=True, exist_ok=True)
         keep_in = settings.data_dir / "backups" if replace else None
         restored = restore(database, file, keep_in)
     if restored.kept is not None:
         console.print(f"what was there is in {restored.kept}", highlight=False)
-    console.print(f"restored: {_in_words(restored.counts)}", highlight=False)
+    console.print(f"restored: {_to_sentence(restored.counts)}", highlight=False)
     for line in _of_keys(restored.keys):
         console.print(line, highlight=False)
 
@@ -38,16 +38,16 @@ def run_restore(data_dir: Path | None, file: Path, *, replace: bool) -> None:
 def run_check(data_dir: Path | None) -> None:
     """Print what is wrong with the database; ends with 1 when anything is."""
     with (
-        own_database(data_dir, "check-database") as (database, _),
+        local_database(data_dir, "check-database") as (database, _),
         database.engine.connect() as connection,
     ):
-        found = complaints(connection)
+        found = find_inconsistencies(connection)
         counts = None if found else count_rows(connection)
     for line in found:
         typer.echo(line)
     if counts is None:
         raise typer.Exit(1)
-    console.print(f"sound: {_in_words(counts)}", highlight=False)
+    console.print(f"sound: {_to_sentence(counts)}", highlight=False)
 
 
 def _of_keys(keys: KeyChanges) -> Iterator[str]:
@@ -60,5 +60,5 @@ def _of_keys(keys: KeyChanges) -> Iterator[str]:
             yield f"keys {', '.join(found)}: {what}"
 
 
-def _in_words(counts: dict[str, int]) -> str:
+def _to_sentence(counts: dict[str, int]) -> str:
     return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count)

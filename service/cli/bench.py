@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.table import Table
 
 from service.cli.output import console, fail, print_json, progress
-from service.cli.spawn import running_service
+from service.cli.service_process import running_service
 
 BENCHMARKS = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
@@ -28,7 +28,7 @@ BENCHMARKS = {
     "simulation": "simulated frames of a profile's device on one core, beside ideal lenses",
 }
 
-BARE_SECONDS = 10.0
+BASELINE_SECONDS = 10.0
 
 
 def run(
@@ -57,34 +57,36 @@ def run(
 
         bench_navigation.run(1000.0, seconds, as_json=as_json)
     elif name == "hold":
-        from service.cli import bench_hold
+        from service.cli import bench_beam_hold
 
-        bench_hold.run(1000.0, seconds, as_json=as_json)
+        bench_beam_hold.run(1000.0, seconds, as_json=as_json)
     elif name == "signal":
         from benchmarks import signal
 
         signal.main([*(["--json"] if as_json else []), *(["--device", device] if device else [])])
     elif name == "points":
-        from benchmarks import points
+        from benchmarks import triangulation
 
-        points.main(["--json"] if as_json else [])
+        triangulation.main(["--json"] if as_json else [])
     elif name == "pose":
         from benchmarks import pose
 
         pose.main(["--json"] if as_json else [])
     elif name == "reconstruct":
-        from benchmarks import reconstruct
+        from benchmarks import mapped_reconstruction
 
         options = ["--json"] if as_json else []
-        reconstruct.main([*options, *(["--device", device] if device else [])])
+        mapped_reconstruction.main([*options, *(["--device", device] if device else [])])
     elif name == "calibration":
         from benchmarks import calibration
 
         calibration.main(["--json"] if as_json else [])
     elif name == "rays":
-        from benchmarks import rays
+        from benchmarks import ray_tracing
 
-        rays.main([*(["--json"] if as_json else []), *(["--device", device] if device else [])])
+        ray_tracing.main(
+            [*(["--json"] if as_json else []), *(["--device", device] if device else [])]
+        )
     elif name == "decoder":
         from service.cli.bench_decoder import run as decoder
 
@@ -106,7 +108,7 @@ def run(
 
 
 def _live(seconds: float, *, as_json: bool) -> None:
-    from benchmarks.bare_stream import running_bare_stream
+    from benchmarks.baseline_stream import running_baseline_stream
     from benchmarks.live import measure
 
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
@@ -118,14 +120,14 @@ def _live(seconds: float, *, as_json: bool) -> None:
                 figures = measure(stream, seconds, done)
             stack.close()
             with (
-                progress("a bare websocket beside it", BARE_SECONDS, quiet=as_json) as done,
-                running_bare_stream() as url,
+                progress("a bare websocket beside it", BASELINE_SECONDS, quiet=as_json) as done,
+                running_baseline_stream() as url,
             ):
-                bare = measure(url, BARE_SECONDS, done)
+                bare = measure(url, BASELINE_SECONDS, done)
         except RuntimeError as error:
             raise fail(str(error)) from error
     if as_json:
-        print_json({"live": asdict(figures), "bare_websocket": asdict(bare)})
+        print_json({"live": asdict(figures), "baseline_websocket": asdict(bare)})
         return
     table = Table(title=BENCHMARKS["live"], title_justify="left")
     table.add_column("figure")

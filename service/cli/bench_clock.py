@@ -9,7 +9,7 @@ from service.cli.output import console, print_json
 
 def run(*, as_json: bool) -> None:
     """Simulate all cases and print."""
-    from hardware.clock_simulation import CASES, SETTLED_S, errors
+    from hardware.clock_sync_simulation import CASES, SETTLED_S, errors
 
     found = [errors(case) for case in CASES]
     if as_json:

@@ -16,12 +16,12 @@ CASES: Final = ((12, 8192), (16, 8192), (8, 8192), (12, 2048), (12, 512))
 
 def run(*, as_json: bool) -> None:
     """Measure and print."""
-    from hardware.serial.measure import decoding_rate, mutated, stages_us
+    from hardware.serial.decoder_benchmark import decode_mutated, decoding_rate, stages_us
 
     rates = [decoding_rate(bits, counts, SECONDS) for bits, counts in CASES]
     stages = stages_us()
     with progress("mutated messages", MUTATED, quiet=as_json) as done:
-        found = mutated(MUTATED, 1, done)
+        found = decode_mutated(MUTATED, 1, done)
     if as_json:
         print_json(
             {

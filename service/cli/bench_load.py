@@ -24,7 +24,7 @@ from service.cli.bench_service import (
     wait_for_frames,
 )
 from service.cli.output import console, progress
-from service.cli.spawn import service_process, simulated_device
+from service.cli.service_process import service_process, simulated_device
 
 TITLE: Final = (
     "4 sensors x 2048 pixels over the serial protocol, a recorder, 50 clients of which five stalled"
@@ -65,7 +65,7 @@ def run(rate_hz: float, seconds: float, *, as_json: bool) -> None:
 
 
 def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> dict[str, Any]:
-    from benchmarks.bare_echo import running_bare_echo
+    from benchmarks.baseline_echo import running_baseline_echo
 
     with contextlib.ExitStack() as stack:
         with progress("starting the service", quiet=quiet):
@@ -76,7 +76,7 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
             answer(client.post(f"/api/v1/devices/{DEVICE}/start"))
             wait_for_frames(client, 1)
             recording = answer(client.post(f"/api/v1/devices/{DEVICE}/recordings", json={}))
-            echo = stack.enter_context(running_bare_echo())
+            echo = stack.enter_context(running_baseline_echo())
             memory = stack.enter_context(_watched(service.pid))
             before = device_status(client)
             received = _received(service.url, echo, seconds, quiet=quiet)
@@ -97,7 +97,7 @@ _COUNTED: Final = ("frames", "frames_lost_device", "frames_dropped_ring", "frame
 
 def _received(url: str, echo: str, seconds: float, *, quiet: bool) -> dict[str, Any]:
     stream = f"{url.replace('http', 'ws', 1)}/api/v1/stream?device={DEVICE}"
-    command = [sys.executable, "-m", "benchmarks.load_clients", stream, echo]
+    command = [sys.executable, "-m", "benchmarks.stream_clients", stream, echo]
     with progress("streaming", seconds, quiet=quiet) as done:
         process = subprocess.Popen(  # noqa: S603 - our own module
             [*command, "--seconds", str(seconds)], stdout=subprocess.PIPE, text=True

@@ -20,7 +20,7 @@ from service.cli.bench_service import (
     wait_for_frames,
 )
 from service.cli.output import console, progress
-from service.cli.spawn import free_port, service_process, simulated_device
+from service.cli.service_process import free_port, service_process, simulated_device
 
 if TYPE_CHECKING:
     from benchmarks.navigation import Received
@@ -30,7 +30,7 @@ TITLE: Final = "a tool of four strobed markers, 4 sensors x 2048 pixels, to an O
 TOOL: Final = "pointer"
 MARKERS_MM: Final = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (20.0, 15.0, 40.0))
 TIP_MM: Final = (-150.0, 0.0, 0.0)
-BARE_SECONDS: Final = 10.0
+BASELINE_SECONDS: Final = 10.0
 
 
 def run(rate_hz: float, seconds: float, *, as_json: bool) -> None:
@@ -41,7 +41,7 @@ def run(rate_hz: float, seconds: float, *, as_json: bool) -> None:
 
 
 def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> dict[str, Any]:
-    from benchmarks.bare_transforms import running_bare_transforms
+    from benchmarks.baseline_transforms import running_baseline_transforms
     from benchmarks.navigation import summed, transforms
     from hardware.simulated.scenes import MovingTool, MovingTools
 
@@ -64,13 +64,13 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
             after = device_status(client)
         stack.close()
         with (
-            progress("a bare server beside it", BARE_SECONDS, quiet=quiet) as done,
-            running_bare_transforms() as url,
+            progress("a bare server beside it", BASELINE_SECONDS, quiet=quiet) as done,
+            running_baseline_transforms() as url,
         ):
             address = urlsplit(url)
             assert address.hostname is not None
             assert address.port is not None
-            bare = list(transforms(address.hostname, address.port, BARE_SECONDS, done))
+            bare = list(transforms(address.hostname, address.port, BASELINE_SECONDS, done))
     # The first may be of header version 1, before the server knows better: it has no number.
     name = f"{TOOL}ToTracker"
     own = [one for one in received if one.device == name and one.sequence >= 0]
@@ -82,7 +82,7 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> di
         "frames_lost": sum(
             after[name] - before[name] for name in ("frames_lost_device", "frames_dropped_ring")
         ),
-        "frames_not_followed": after["frames_not_followed"] - before["frames_not_followed"],
+        "frames_not_tracked": after["frames_not_tracked"] - before["frames_not_tracked"],
         "tip_error_mm": {
             "rms": float(np.sqrt(np.mean(np.square(errors)))),
             "p95": float(np.percentile(errors, 95.0)),
@@ -143,7 +143,7 @@ def _show(figures: dict[str, Any]) -> None:
     table.add_row("out of order", f"{ours['out_of_order']}", f"{bare['out_of_order']}")
     table.add_row("frames lost", f"{figures['frames_lost']}")
     table.add_row(
-        "frames without a pose, the computer being slow", f"{figures['frames_not_followed']}"
+        "frames without a pose, the computer being slow", f"{figures['frames_not_tracked']}"
     )
     for what in ("latency_ms", "jitter_ms"):
         for label, value in ours[what].items():

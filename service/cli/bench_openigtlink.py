@@ -16,11 +16,11 @@ from rich.table import Table
 
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.cli.output import console, fail, print_json, progress
-from service.live.pose_board import BoardEntry, PoseBoard
-from service.openigtlink.counters import Counters
-from service.openigtlink.host import Caller, Landmark, WireTool
-from service.openigtlink.server import OpenIGTLinkServer
-from service.openigtlink.settings import ServerSettings
+from service.pipeline.latest_poses import LatestPoses, PoseEntry
+from service.protocols.openigtlink.counters import Counters
+from service.protocols.openigtlink.host import Caller, Landmark, WireTool
+from service.protocols.openigtlink.server import OpenIGTLinkServer
+from service.protocols.openigtlink.settings import ServerSettings
 
 TITLE: Final = "ten tools at 200 Hz to pyigtl, while another client connects, stalls and leaves"
 TOOLS: Final = tuple(f"tool-{number}" for number in range(10))
@@ -70,13 +70,13 @@ def measure(seconds: float, *, quiet: bool) -> dict[str, Any]:
     """Return the figures of our server, and of a bare one beside it for a sixth of the time."""
     with progress(TITLE, seconds, quiet=quiet) as done:
         ours = asyncio.run(_ours(seconds, done))
-    bare_s = max(1.0, seconds / 6.0)
-    with progress("a bare server beside it", bare_s, quiet=quiet):
-        return ours | {"bare": _bare(bare_s)}
+    baseline_s = max(1.0, seconds / 6.0)
+    with progress("a bare server beside it", baseline_s, quiet=quiet):
+        return ours | {"baseline": _baseline(baseline_s)}
 
 
 async def _ours(seconds: float, done: Callable[[float], object]) -> dict[str, Any]:
-    board = PoseBoard()
+    board = LatestPoses()
     server = OpenIGTLinkServer(board, _Tools(), ServerSettings(port=0))
     await server.start()
     loop = asyncio.get_running_loop()
@@ -101,7 +101,7 @@ async def _ours(seconds: float, done: Callable[[float], object]) -> dict[str, An
     }
 
 
-def _feed(board: PoseBoard, seconds: float, done: Callable[[float], object]) -> None:
+def _feed(board: LatestPoses, seconds: float, done: Callable[[float], object]) -> None:
     """Put frames up from a thread of its own, as the live pipeline does; exposed just now."""
     begin = time.monotonic()
     for number in range(round(seconds * RATE_HZ)):
@@ -124,15 +124,15 @@ def _feed(board: PoseBoard, seconds: float, done: Callable[[float], object]) -> 
             )
             for tool in TOOLS
         }
-        board.put(BoardEntry(_DEVICE, number, now, poses, None, RATE_HZ))
+        board.put(PoseEntry(_DEVICE, number, now, poses, None, RATE_HZ))
         if number % 20 == 0:
             done(time.monotonic() - begin)
 
 
-def _bare(seconds: float) -> dict[str, Any]:
-    from benchmarks.own_process import running_peer
+def _baseline(seconds: float) -> dict[str, Any]:
+    from benchmarks.peer_process import running_peer
 
-    with running_peer("benchmarks.openigtlink_bare") as url:
+    with running_peer("benchmarks.baseline_openigtlink") as url:
         port = int(url.rstrip("/").rpartition(":")[2])
         with _client(port, "--alone") as process:
             time.sleep(seconds + _REST_S)

@@ -3,7 +3,7 @@
 from rich.table import Table
 
 from compute.errors import LumilineError
-from compute.tracking.blinking_codes import blink_codes
+from compute.tracking.blink_codes import blink_codes
 from service.cli.output import console, fail, print_json
 
 

@@ -4,11 +4,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+import numpy as np
 from rich.table import Table
 
-from compute.calibration.crossvalidation import fitted_errors
-from compute.calibration.full import assess
-from compute.calibration.labels.finding import LabelFinding
+from compute.calibration.assessment.cross_validation import control_errors
+from compute.calibration.calibrate_and_assess import calibrate_and_assess
+from compute.calibration.distortion_selection import refusals
+from compute.calibration.effective_readings import count_readings, effective_readings
+from compute.calibration.mislabels.finding import LabelFinding
 from compute.calibration.result import AxisErrors, Calibration, CrossValidation
 from compute.calibration.settings import CalibrationSettings, Distortion, LabelPolicy, Loss, Method
 from compute.camera.model import SensorGeometry
@@ -65,24 +68,29 @@ def run(
         sensors = [SensorGeometry(name, options.pixels, options.pitch_um) for name in table.sensors]
         given = table.points_mm, table.readings_px
         with progress("calibrating", 1.0) as done:
-            found = assess(
+            found = calibrate_and_assess(
                 *given, sensors, table.sigma_px, settings, lambda share, _stage: done(share)
             )
-        fitted = AxisErrors.of(fitted_errors(found, *given, table.sigma_px))
+        rows = _error_rows(found, table)
     except LumilineError as error:
         raise fail(error.detail) from error
     console.print(fit_table(found, f"{path}: {len(table.points_mm)} points, {settings.method}"))
     if found.distortion is not None:
-        console.print(f"distortion: {found.distortion.chosen} ({found.distortion.reason})")
+        console.print(
+            f"distortion: {found.distortion.chosen} ({found.distortion.reason})", highlight=False
+        )
+        for reason, names in refusals(found.distortion.candidates).items():
+            console.print(f"not judged: {', '.join(names)}: {reason}", highlight=False)
     for finding in found.labels:
-        console.print(f"[yellow]label:[/yellow] {label_in_words(finding)}", highlight=False)
+        console.print(f"[yellow]label:[/yellow] {label_message(finding)}", highlight=False)
     if found.labels and settings.labels == "report":
         console.print("look at them; --labels exclude or --labels repair takes them as they are")
-    if fitted.points:
-        rows = [("fitted", fitted, "")]
-        rows += [(_scheme(check), check.errors, "") for check in found.cross_validation
-                 if check.errors is not None]  # fmt: skip
-        console.print(error_table("control points, absolute errors in mm", rows))
+    if rows:
+        title = "control points, absolute errors in mm"
+        counts = [row.readings for row in rows]
+        console.print(error_table(title, [(row.label, row.errors, "") for row in rows], counts))
+        if len(set(counts)) > 1:
+            console.print("the rows are over different readings: some points were not predicted")
     else:
         console.print("fewer than three sensors saw each point: no points were reconstructed")
     for remark in found.diagnosis.remarks if found.diagnosis is not None else ():
@@ -91,6 +99,33 @@ def run(
         write_calibration(output, found)
     if report is not None:
         _report(path, table, found, report, figures)
+
+
+@dataclass(frozen=True)
+class _ErrorRow:
+    """A row of the table of errors, over the readings that the calibration used."""
+
+    label: str
+    errors: AxisErrors
+    readings: int
+
+
+def _error_rows(found: Calibration, table: ObservationTable) -> list[_ErrorRow]:
+    """Return the errors of the control points: fitted, and predicted; none without any point."""
+    readings = table.readings_px
+    differences, over = control_errors(found, table.points_mm, readings, table.sigma_px)
+    fitted = AxisErrors.of(differences)
+    if not fitted.points:
+        return []
+    rows = [_ErrorRow("fitted", fitted, over)]
+    used, _ = effective_readings(found, readings)
+    for check in found.cross_validation:
+        if check.errors is not None:
+            known = np.array(
+                [(np.nan,) * 3 if row is None else row for row in check.differences_mm]
+            )
+            rows.append(_ErrorRow(_scheme(check), check.errors, count_readings(used, known)))
+    return rows
 
 
 def _scheme(check: CrossValidation) -> str:
@@ -109,8 +144,8 @@ def write_calibration(path: Path, found: Calibration) -> None:
 def _report(
     source: Path, table: ObservationTable, found: Calibration, page: Path, figures: Path | None
 ) -> None:
-    from service.reports.content import ReportContent
-    from service.reports.write import write_report
+    from service.api.reports.content import ReportContent
+    from service.api.reports.export import write_report
 
     names = [str(number) for number in range(1, len(table.points_mm) + 1)]
     content = ReportContent(
@@ -142,13 +177,13 @@ def fit_table(found: Calibration, title: str) -> Table:
     return fits
 
 
-def label_in_words(finding: LabelFinding) -> str:
+def label_message(finding: LabelFinding) -> str:
     """Return what a finding says, in a sentence; points counted from 1."""
     where = "all sensors" if finding.sensor is None else f"sensor {finding.sensor}"
     points = [str(point) for point in finding.points]
     sure = f"probability {finding.probability:.3g}"
     if finding.kind == "wrong":
-        off = finding.off_px[0] if finding.off_px else None
+        off = finding.residual_px[0] if finding.residual_px else None
         by = "" if off is None else f", off by {off:.4g} px"
         return f"{where}: the reading of point {points[0]} is wrong{by} ({sure})"
     if finding.kind == "missing":

@@ -55,7 +55,7 @@ def wand(
     start: Annotated[
         Path, typer.Option(help="Nearly right cameras: a calibration as JSON, a design's or old.")
     ],
-    places: Annotated[
+    positions: Annotated[
         str, typer.Option(help=r"Where the markers are along the wand \[mm], as '0 300'.")
     ],
     sigma: Annotated[
@@ -66,7 +66,7 @@ def wand(
     """Calibrate from a wand waved through the volume: no known coordinates, one known length."""
     from service.cli.wand import run
 
-    run(readings, start, places, sigma, output)
+    run(readings, start, positions, sigma, output)
 
 
 def map_volume(
@@ -81,20 +81,21 @@ def map_volume(
     pitch: Annotated[
         float | None, typer.Option(help=r"Edge of a cell \[mm]; left out: from the points.")
     ] = None,
-    smoothness: Annotated[
+    penalty_weight: Annotated[
         float | None, typer.Option(help="Weight of the penalty; left out: by cross-validation.")
     ] = None,
     point_sigma: Annotated[
         float, typer.Option(min=0.0, help=r"Deviation of the points' coordinates \[mm].")
     ] = 0.0,
-    own_points: Annotated[
-        bool, typer.Option("--own-points", help="They are the calibration's own control points.")
+    calibration_points: Annotated[
+        bool,
+        typer.Option("--calibration-points", help="They are the calibration's own control points."),
     ] = False,
 ) -> None:
     """Map a volume: corrections of the readings where the calibrated cameras are wrong."""
     from service.cli.map_volume import MapOptions, run
 
-    options = MapOptions(method, pitch, smoothness, point_sigma, own_points)
+    options = MapOptions(method, pitch, penalty_weight, point_sigma, calibration_points)
     run(measurements, calibration, options, output)
 
 

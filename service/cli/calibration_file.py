@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from compute.calibration.result import Calibration
 from compute.errors import InvalidParameter
-from service.calibrations.run import content_hash
+from service.api.calibrations.calibration_content import content_hash
 
 DOCUMENT: Final = TypeAdapter(Calibration)
 

@@ -4,7 +4,7 @@ import typer
 from rich.table import Table
 
 from compute.errors import LumilineError
-from hardware.genicam.listing import CameraEntry, cameras
+from hardware.genicam.discovery import DiscoveredCamera, cameras
 from service.cli.output import console, fail, print_json
 
 
@@ -24,7 +24,7 @@ def run(*, as_json: bool) -> None:
         )
 
 
-def _table(found: list[CameraEntry]) -> Table:
+def _table(found: list[DiscoveredCamera]) -> Table:
     table = Table(title="GenICam cameras")
     for heading in ("camera", "address", "vendor", "model", "serial number", "protocol"):
         table.add_column(heading, overflow="fold")

@@ -11,16 +11,16 @@ from rich.table import Table
 
 from benchmarks.live import summarise
 from compute.calibration.result import AxisErrors
-from hardware.simulated.scenes import CalibrationFrame, RotatingBar
+from hardware.simulated.scenes import CalibrationTarget, RotatingBar
 from service.cli.demo_client import DemoClient
 from service.cli.demo_picture import save_picture
 from service.cli.output import console, error_table, fail, millimetres, progress
-from service.cli.spawn import running_service
-from validation.published import DLT, PUBLISHED
+from service.cli.service_process import running_service
+from validation.published_errors import DLT, PUBLISHED
 
 FRAME_SECONDS = 3.0
 BAR = RotatingBar()
-FRAME = CalibrationFrame()
+FRAME = CalibrationTarget()
 
 
 def run(output: Path, seconds: float) -> None:

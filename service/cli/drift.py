@@ -7,18 +7,18 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from compute.calibration.drift import DriftCheck, check_drift
+from compute.calibration.drift.calibration_update import update_calibration
+from compute.calibration.drift.drift_detection import DriftCheck, check_drift
+from compute.calibration.drift.stability_check import StationaryMarkers
 from compute.calibration.result import Calibration
-from compute.calibration.still_set import StillSet
-from compute.calibration.update import update_calibration
 from compute.errors import InvalidParameter, LumilineError
+from service.api.drift_checks.messages import in_words, verdict_of
 from service.cli.calibrate import write_calibration
 from service.cli.calibration_file import read_calibration
 from service.cli.observations_csv import ObservationTable, read_observations
 from service.cli.output import console, fail, print_json
-from service.drift_checks.words import in_words, verdict_of
 
-NOT_GOOD = 1
+EXIT_DRIFTED = 1
 """Exit code where the calibration does not hold, and no update was asked for."""
 
 
@@ -64,12 +64,12 @@ def run(
     if output is not None and updated is not None:
         write_calibration(output, updated)
     elif not check.good:
-        raise typer.Exit(NOT_GOOD)
+        raise typer.Exit(EXIT_DRIFTED)
 
 
 def _still_set(
     path: Path, earlier: Path | None, calibration: Calibration, position_sigma_mm: float
-) -> StillSet:
+) -> StationaryMarkers:
     """Return the markers of one file, or of two.
 
     Raises:
@@ -78,7 +78,7 @@ def _still_set(
     now = read_observations(path)
     readings, sigma = _in_order(path, now, calibration)
     if earlier is None:
-        return StillSet(readings, sigma, now.points_mm, position_sigma_mm)
+        return StationaryMarkers(readings, sigma, now.points_mm, position_sigma_mm)
     before = read_observations(earlier)
     if not np.array_equal(before.points_mm, now.points_mm):
         raise InvalidParameter(
@@ -86,7 +86,7 @@ def _still_set(
             "at other places; both must have the same markers in the same rows"
         )
     then, then_sigma = _in_order(earlier, before, calibration)
-    return StillSet(readings, sigma, earlier_px=then, earlier_sigma_px=then_sigma)
+    return StationaryMarkers(readings, sigma, earlier_px=then, earlier_sigma_px=then_sigma)
 
 
 def _in_order(

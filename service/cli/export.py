@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from compute.errors import InvalidParameter, LumilineError
-from service.cli.in_force_files import read_in_force
+from service.api.exports.formats import suffix_of, write_export
+from service.api.exports.from_stream import SUFFIXES, table_from_stream
+from service.api.exports.motion_table import MotionTable
+from service.api.exports.tool_file import read_tools
+from service.api.exports.tracking_file import read_device
+from service.cli.active_calibration_files import read_active_calibration
 from service.cli.output import console, fail, progress
-from service.exports.captured import SUFFIXES, captured_table
-from service.exports.device_file import read_device
-from service.exports.formats import suffix_of, write_export
-from service.exports.motion_table import MotionTable
-from service.exports.tool_file import read_tools
 
 
 @dataclass(frozen=True)
@@ -63,16 +63,16 @@ def _captured(source: Path, options: ExportOptions) -> MotionTable:
             raise InvalidParameter(
                 f"--{name} is for recordings; a captured stream has what was found when it was live"
             )
-    return captured_table(source)
+    return table_from_stream(source)
 
 
 def _recorded(source: Path, options: ExportOptions) -> MotionTable:
-    from hardware.recording_reader import RecordingReader
-    from service.exports.recorded import recorded_table
+    from hardware.recording.reader import RecordingReader
+    from service.api.exports.from_recording import table_from_recording
 
     device = None if options.device is None else read_device(options.device)
     of, tracking = (None, None) if device is None else (device.id, device.tracking)
     tools = () if options.tools is None else read_tools(options.tools, of)
-    given = read_in_force(options.calibration, options.table)
+    given = read_active_calibration(options.calibration, options.table)
     with RecordingReader(source) as reader, progress("exporting", reader.info.frames) as done:
-        return recorded_table(reader, tools, given, done, tracking)
+        return table_from_recording(reader, tools, given, done, tracking)

@@ -8,13 +8,13 @@ import typer
 from pydantic import TypeAdapter, ValidationError
 from rich.table import Table
 
+from service.api.security.schema import ApiKey, NewApiKey
+from service.application.initial_content import seed
+from service.cli.local_database import local_database
 from service.cli.output import console, fail, progress_console
-from service.cli.own_database import own_database
 from service.database.engine import Database
-from service.database.migrate import migrate
-from service.database.seed import seed
+from service.database.migration import migrate
 from service.security import store
-from service.security.schema import ApiKey, NewApiKey
 from service.security.scopes import SCOPES
 
 _MOST_SHOWN: Final = 10_000
@@ -31,7 +31,7 @@ def create(data_dir: Path | None, name: str, scopes: list[str], days: float | No
         request = NewApiKey.model_validate({"name": name, "scopes": wanted, "expires_at": until})
     except ValidationError as error:
         raise fail(f"the name: {error.errors()[0]['msg']}") from None
-    with own_database(data_dir, "keys create") as (database, settings):
+    with local_database(data_dir, "keys create") as (database, settings):
         settings.folders.recordings.mkdir(parents=True, exist_ok=True)
         migrate(database, fill=seed)
         with database.write() as session:
@@ -44,7 +44,7 @@ def create(data_dir: Path | None, name: str, scopes: list[str], days: float | No
 
 def show(data_dir: Path | None, *, as_json: bool) -> None:
     """Print the keys, newest first."""
-    with own_database(data_dir, "keys list") as (database, _):
+    with local_database(data_dir, "keys list") as (database, _):
         found = _all(database)
     if as_json:
         typer.echo(TypeAdapter(list[ApiKey]).dump_json(found, indent=2))
@@ -62,7 +62,7 @@ def show(data_dir: Path | None, *, as_json: bool) -> None:
 
 def revoke(data_dir: Path | None, key_id: str) -> None:
     """Revoke a key."""
-    with own_database(data_dir, "keys revoke") as (database, _), database.write() as session:
+    with local_database(data_dir, "keys revoke") as (database, _), database.write() as session:
         store.revoke_key(session, key_id)
     progress_console.print(f"key {key_id} is revoked", highlight=False)
 

@@ -45,7 +45,7 @@ def peaks(
     file: Annotated[
         Path, typer.Argument(help="CSV (one line of counts a row), .npy (L, P), or a recording.")
     ],
-    line: Annotated[int | None, typer.Option(min=0, help="Only this line, from 0.")] = None,
+    scan: Annotated[int | None, typer.Option(min=0, help="Only this line, from 0.")] = None,
     frame: Annotated[int | None, typer.Option(min=0, help="Of a recording, from 0.")] = None,
     sensor: Annotated[str | None, typer.Option(help="Of a recording: only this one.")] = None,
     method: Annotated[
@@ -86,7 +86,7 @@ def peaks(
     }
     run(
         file,
-        line=line,
+        scan=scan,
         frame=frame,
         sensor=sensor,
         method=method,

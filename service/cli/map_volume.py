@@ -27,9 +27,9 @@ class MapOptions:
 
     method: str
     pitch_mm: float | None
-    smoothness: float | None
+    penalty_weight: float | None
     point_sigma_mm: float
-    own_points: bool
+    calibration_points: bool
 
     def settings(self) -> MappingSettings:
         """Return them for the computation.
@@ -38,7 +38,7 @@ class MapOptions:
             InvalidParameter: one means nothing.
         """
         pitch: Vector3 | None = None if self.pitch_mm is None else (self.pitch_mm,) * 3
-        return MappingSettings(cast("MappingMethod", self.method), pitch, self.smoothness)
+        return MappingSettings(cast("MappingMethod", self.method), pitch, self.penalty_weight)
 
 
 def run(path: Path, calibration: Path, options: MapOptions, output: Path) -> None:
@@ -62,7 +62,7 @@ def run(path: Path, calibration: Path, options: MapOptions, output: Path) -> Non
             None if table.sigma_px is None else table.sigma_px[:, order],
             options.point_sigma_mm,
         )
-        covariance = None if options.own_points else np.array(parent.calibration.covariance)
+        covariance = None if options.calibration_points else np.array(parent.calibration.covariance)
         with progress("mapping", 1.0) as done:
             found = build_table(
                 parent.calibration.models,
@@ -82,15 +82,15 @@ def run(path: Path, calibration: Path, options: MapOptions, output: Path) -> Non
         for suspect in sensor.suspects:
             console.print(
                 f"[yellow]point {suspect.point + 1}:[/yellow] sensor {sensor.sensor} is off by "
-                f"{suspect.left_out_px:.3g} px, {suspect.sigmas:.1f} deviations",
+                f"{suspect.left_out_px:.3g} px, {suspect.normalised_error:.1f} deviations",
                 highlight=False,
             )
     console.print(f"written: {output}")
 
 
 def _write(found: MappingResult, device: str, output: Path) -> None:
-    from service.correction_tables.content import TableContent, check_table
-    from service.correction_tables.hdf5 import write_table
+    from service.api.correction_tables.hdf5_file import write_table
+    from service.api.correction_tables.table_content import TableContent, check_table
 
     check_table(found.table)
     content = TableContent(

@@ -4,7 +4,7 @@ import json
 
 import typer
 
-from service.app import create_app
+from service.application.app import create_app
 from service.cli.serve import load_settings
 
 

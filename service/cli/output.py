@@ -1,7 +1,7 @@
 """How commands print: tables for people on the terminal, JSON for machines."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from typing import Any
@@ -59,23 +59,31 @@ def fail(message: str) -> typer.Exit:
     return typer.Exit(2)
 
 
-def error_table(title: str, rows: Iterable[tuple[str, AxisErrors | None, str]]) -> Table:
+def error_table(
+    title: str,
+    rows: Iterable[tuple[str, AxisErrors | None, str]],
+    readings: Sequence[int] | None = None,
+) -> Table:
     """Return a table of mean and largest absolute errors by axis [mm].
 
     Args:
         title: the table's title.
         rows: label, errors, style; None for the errors prints dashes.
+        readings: how many readings each row is over; None: no such column.
     """
     table = Table(title=title, title_justify="left")
     table.add_column("")
     for heading in ("mean X", "Y", "Z", "max X", "Y", "Z"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for label, errors, style in rows:
+    if readings is not None:
+        table.add_column("readings", justify="right", no_wrap=True)
+    for number, (label, errors, style) in enumerate(rows):
+        over = [] if readings is None else [str(readings[number])]
         if errors is None:
-            table.add_row(label, *["-"] * 6, style=style)
+            table.add_row(label, *["-"] * 6, *over, style=style)
             continue
         values = (*errors.mean_absolute_mm, *errors.max_absolute_mm)
-        table.add_row(label, *(millimetres(value) for value in values), style=style)
+        table.add_row(label, *(millimetres(value) for value in values), *over, style=style)
     return table
 
 

@@ -9,14 +9,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from compute.errors import InvalidParameter, LumilineError
-from service.cli.line_files import LineFile, read_lines
+from service.api.line_scans.chain_steps import passive_chain
+from service.api.line_scans.mask_method import MaskMethod
+from service.api.line_scans.methods import WIDEST_SPREAD, FitMethod, Method, MethodName
+from service.api.line_scans.noise import NoiseConstants
+from service.api.line_scans.peak_search import find_peaks
+from service.api.line_scans.schema import LinePeak, LineScan, LineScans, PixelNoise
 from service.cli.output import console, fail
-from service.line_scans.chain_steps import passive_chain
-from service.line_scans.mask_method import MaskMethod
-from service.line_scans.methods import WIDEST_SPREAD, FitMethod, Method, MethodName
-from service.line_scans.noise import KnownNoise
-from service.line_scans.run import find_peaks
-from service.line_scans.schema import LinePeak, LineScan, LineScans, PixelNoise
+from service.cli.scan_files import ScanFile, read_scans
 
 if TYPE_CHECKING:
     from hardware.driver import DeviceDescription
@@ -27,7 +27,7 @@ METHOD: TypeAdapter[Method] = TypeAdapter(Method)
 def run(
     path: Path,
     *,
-    line: int | None,
+    scan: int | None,
     frame: int | None,
     sensor: str | None,
     method: str | None,
@@ -47,14 +47,14 @@ def run(
     if detail and not as_json:
         raise fail("--detail is for --json; give both, or --output for a picture")
     try:
-        read = read_lines(path, line=line, frame=frame, sensor=sensor)
+        read = read_scans(path, scan=scan, frame=frame, sensor=sensor)
         if settings is not None:
             chosen = _from_file(settings)
         elif read.device is not None and width_px is None and further_peaks is None:
             chosen = recorded_method(method, read.device, read.sensors)
         else:
             chosen = _named(method or "fit", width_px, further_peaks)
-        found = find_peaks(read.lines, chosen, _noise(noise, read.noise), detail=detail)
+        found = find_peaks(read.scans, chosen, _noise(noise, read.noise), detail=detail)
         if output is not None:
             _draw(read, chosen, found, output)
     except LumilineError as error:
@@ -63,13 +63,13 @@ def run(
         numbered = [
             scan.model_copy(
                 update={
-                    "line": read.first + scan.line,
-                    "sensor": read.sensors[scan.line] if read.sensors else None,
+                    "index": read.first + scan.index,
+                    "sensor": read.sensors[scan.index] if read.sensors else None,
                 }
             )
-            for scan in found.lines
+            for scan in found.scans
         ]
-        typer.echo(found.model_copy(update={"lines": numbered}).model_dump_json(indent=2))
+        typer.echo(found.model_copy(update={"scans": numbered}).model_dump_json(indent=2))
         return
     _print(found, read.names)
     if output is not None:
@@ -113,7 +113,7 @@ def recorded_method(
     Raises:
         InvalidParameter: the lines have no peaks, or what their shadows are like is not known.
     """
-    from service.live.peak_finding import FREE_SHAPE, peak_method
+    from service.pipeline.detection_stage import FREE_WIDTH_FIT, peak_method
 
     own = peak_method(device)
     if name is None and own is None:
@@ -129,11 +129,11 @@ def recorded_method(
         return _named(name)
     width = device.line_sigma_px
     if width is not None and own == "fit":
-        return FitMethod(width_px=width, width_spread=0.0)
+        return FitMethod(width_px=width, width_log_sigma=0.0)
     return FitMethod(
-        width_spread=WIDEST_SPREAD,
-        max_joint=FREE_SHAPE.max_joint,
-        further_peaks=FREE_SHAPE.further_peaks,
+        width_log_sigma=WIDEST_SPREAD,
+        max_joint_peaks=FREE_WIDTH_FIT.max_joint_peaks,
+        further_peaks=FREE_WIDTH_FIT.further_peaks,
     )
 
 
@@ -165,7 +165,7 @@ def _valid(values: dict[str, Any], name: str) -> Method:
 
 def _noise(
     given: dict[str, float | None], recorded: PixelNoise | None
-) -> PixelNoise | KnownNoise | None:
+) -> PixelNoise | NoiseConstants | None:
     """Return the noise that options tell, before what the recording does; None: neither does."""
     values = {name: value for name, value in given.items() if value is not None}
     if not values:
@@ -179,7 +179,7 @@ def _noise(
             full = PixelNoise.model_validate(
                 {"electrons_per_count": 1.0, "read_noise_electrons": 0.0, **values}
             )
-            return KnownNoise(**full.model_dump(include=set(values)))
+            return NoiseConstants(**full.model_dump(include=set(values)))
         return PixelNoise.model_validate(values)
     except ValidationError as error:
         text = _message(error, "noise")
@@ -195,21 +195,21 @@ def _message(error: Exception, where: str) -> str:
     return f"{where}: {'; '.join(parts)}"
 
 
-def _draw(read: LineFile, method: Method, found: LineScans, output: Path) -> None:
-    from service.line_scans.picture import draw_line
+def _draw(read: ScanFile, method: Method, found: LineScans, output: Path) -> None:
+    from service.api.line_scans.plot import draw_scan
 
     count = getattr(method, "average", None) or 1
-    detailed = find_peaks(read.lines[:count], method, found.noise, detail=True)
-    first = found.model_copy(update={"lines": detailed.lines})
+    detailed = find_peaks(read.scans[:count], method, found.noise, detail=True)
+    first = found.model_copy(update={"scans": detailed.scans})
     try:
-        output.write_bytes(draw_line(read.lines[0], first, method, read.names[0]))
+        output.write_bytes(draw_scan(read.scans[0], first, method, read.names[0]))
     except OSError as error:
         raise fail(f"{output} cannot be written: {error.strerror}") from error
 
 
 def _print(found: LineScans, names: tuple[str, ...]) -> None:
-    for scan in found.lines:
-        console.print(_heading(scan, names[scan.line]), highlight=False)
+    for scan in found.scans:
+        console.print(_heading(scan, names[scan.index]), highlight=False)
         if scan.peaks:
             console.print(_table(scan))
         console.print()
@@ -220,7 +220,7 @@ def _print(found: LineScans, names: tuple[str, ...]) -> None:
         f"scale {noise.full_scale_counts} counts",
         highlight=False,
     )
-    split = sum(scan.further_peaks or 0 for scan in found.lines)
+    split = sum(scan.further_peaks or 0 for scan in found.scans)
     if split:
         console.print(
             f"- further peaks, added because the pixels ask for them: {split}. A line that is not "

@@ -6,8 +6,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from compute.errors import LumilineError
-from compute.optics.profiles.loader import load_profile, profile_names
-from compute.planning.result import Plan
+from compute.optics.profiles.profile_loader import load_profile, profile_names
+from compute.planning.plan_result import Plan
 from service.cli.output import console, fail, millimetres, print_json, progress
 
 
@@ -31,7 +31,7 @@ def run(
     except LumilineError as error:
         raise fail(error.detail) from error
     if output is not None:
-        from service.planning.picture import draw_plan
+        from service.api.planning.plot import draw_plan
 
         try:
             output.write_bytes(draw_plan(found))
@@ -99,7 +99,7 @@ def _precision(found: Plan) -> Table:
     table = Table(title="standard deviations and errors, mm", title_justify="left")
     table.add_column("")
     table.add_column("axis")
-    for heading in ("middle", "best", "median", "worst"):
+    for heading in ("centre", "best", "median", "worst"):
         table.add_column(heading, justify="right", no_wrap=True)
     for label, summary in (
         ("noise, bound", found.noise),
@@ -108,7 +108,7 @@ def _precision(found: Plan) -> Table:
         ("pixels' fixed pattern", found.fixed_pattern),
         ("distortion, uncorrected", found.distortion),
     ):
-        columns = (summary.middle, summary.best, summary.median, summary.worst)
+        columns = (summary.centre, summary.best, summary.median, summary.worst)
         for axis, name in enumerate("XYZ"):
             cells = [_length(values, axis) for values in columns]
             table.add_row(label if axis == 0 else "", name, *cells, end_section=axis == 2)
@@ -127,7 +127,7 @@ def _sensors(found: Plan) -> Table:
         table.add_row(
             sensor.name,
             _share(share),
-            _thousands(sensor.line_electrons),
+            _thousands(sensor.scan_electrons),
             _thousands(sensor.peak_electrons),
             _share(sensor.saturated),
             _number(sensor.bound_px, digits=2),

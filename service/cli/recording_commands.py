@@ -27,7 +27,7 @@ def record(
     ] = None,
 ) -> None:
     """Record line scans of the simulated bar, or of a profile's device, to a file."""
-    from service.cli.offline import run_record
+    from service.cli.record_offline import run_record
 
     run_record(output, seconds, settings, device)
 
@@ -51,7 +51,7 @@ def replay(
     as_json: Annotated[bool, typer.Option("--json", help="Of --check, for machines.")] = False,
 ) -> None:
     """Reconstruct a recording: one JSON message a frame, as the stream sends them."""
-    from service.cli.replay import run_check, run_replay
+    from service.cli.replay_offline import run_check, run_replay
 
     if check:
         run_check(recording, batch, as_json=as_json)

@@ -8,9 +8,9 @@ from rich.table import Table
 
 from service.cli.output import console, error_table, fail, print_json, progress
 from validation.all_cases import ALL_CASES
-from validation.cases import CaseResult
-from validation.progress import Listener, listening
-from validation.tables import Cell, ResultTable, TablesCase, TablesResult
+from validation.progress import Listener, progress_listener
+from validation.result_tables import Cell, ResultTable, TablesCase, TablesResult
+from validation.tests_5_1_to_5_8 import CaseResult
 
 SETTLED_PX = 0.01
 
@@ -28,7 +28,7 @@ def run(name: str | None, *, as_json: bool, output: Path | None = None) -> None:
     results = []
     with progress("reproducing", float(len(chosen)), quiet=as_json) as done:
         for place, case in enumerate(chosen):
-            with listening(_from(place, done)):
+            with progress_listener(_from(place, done)):
                 results.append(case.run())
             done(place + 1.0)
     if as_json:

@@ -12,7 +12,7 @@ from service.settings import Settings
 
 _KNOWN: Final = tuple(Settings.model_fields)
 
-COLLECTED_AFTER: Final = (10_000, 50, 100)
+GC_THRESHOLDS: Final = (10_000, 50, 100)
 """Objects more than before, and how many collections of one generation, before the next."""
 
 
@@ -22,28 +22,28 @@ def run(**given: Any) -> None:
     Args:
         given: settings from the command line; None: not given.
     """
-    own_files()
+    set_private_umask()
     settings = load_settings(**given)
-    from service import graceful
-    from service.app import create_app
-    from service.cli.first_key import first_key
-    from service.cli.ports import check_ports
-    from service.cli.start_check import check_start
-    from service.logs.setup import logging_as
+    from service.application import shutdown
+    from service.application.app import create_app
+    from service.cli.bootstrap_key import create_bootstrap_key
+    from service.cli.port_check import check_ports
+    from service.cli.preflight import check_startup
+    from service.logs.setup import configured_logging
 
     check_ports(settings)
-    with logging_as(settings):
-        check_start(settings)
-        first_key(settings)
-        graceful.run_server(create_app(settings, started=settle_memory), server_options(settings))
+    with configured_logging(settings):
+        check_startup(settings)
+        create_bootstrap_key(settings)
+        shutdown.run_server(create_app(settings, started=freeze_gc), server_options(settings))
 
 
-def own_files() -> None:
+def set_private_umask() -> None:
     """Let files that this process makes be its user's alone, in the data directory above all."""
     os.umask(os.umask(0o077) | 0o077)
 
 
-def settle_memory() -> None:
+def freeze_gc() -> None:
     """Keep the garbage collector from holding the interpreter, and every thread, for long.
 
     All that was made at the start is taken out of its sight: a full collection of it takes 100 ms
@@ -53,7 +53,7 @@ def settle_memory() -> None:
     """
     gc.collect()
     gc.freeze()
-    gc.set_threshold(*COLLECTED_AFTER)
+    gc.set_threshold(*GC_THRESHOLDS)
 
 
 def server_options(settings: Settings) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def server_options(settings: Settings) -> dict[str, Any]:
         "ws_per_message_deflate": False,
         "timeout_graceful_shutdown": 5,
         "limit_concurrency": settings.connections,
-        "http": "service.bounded_http:BoundedHttp",
+        "http": "service.application.http_limits:LimitedHttpProtocol",
         # Of a proxy nothing is believed that no setting says is there: see docs/security.md.
         "proxy_headers": bool(settings.trusted_proxies),
         "forwarded_allow_ips": list(settings.trusted_proxies),

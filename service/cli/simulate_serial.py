@@ -10,7 +10,7 @@ from threading import Event
 from pydantic import TypeAdapter, ValidationError
 
 from compute.errors import LumilineError
-from hardware.serial.serving import serve_socket, serve_terminal
+from hardware.serial.emulator import serve_socket, serve_terminal
 from hardware.serial.simulated_device import SimulatedSerialDevice
 from hardware.simulated.settings import SimulationSettings
 from service.cli.output import console, fail

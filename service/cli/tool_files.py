@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
-from lumiline.client.documents import Tool
-from service.cli.connected import connected
+from lumiline.client.models import Tool
+from service.cli.client_session import client_session
 from service.cli.output import console, fail, print_json
 
 _OF_THE_SERVER: Final = ("tip", "origin", "created_at", "updated_at")
@@ -23,7 +23,7 @@ def create(
             raise fail(f"--id is for a file of one tool; {path} has {len(found)}")
         found[0]["id"] = tool_id
     made: list[Tool] = []
-    with connected(url, key) as client:
+    with client_session(url, key) as client:
         for one in found:
             if device is not None:
                 one["device"] = device
@@ -55,7 +55,7 @@ def capture(
     if (markers is None) == (strobe_markers is None):
         raise fail("give --markers or --strobe-markers: how many are lit together, or which slots")
     slots = None if strobe_markers is None else _numbers(strobe_markers)
-    with connected(url, key) as client:
+    with client_session(url, key) as client:
         if not as_json:
             console.print(f"Hold {tool_id} still in view of {device}.", highlight=False)
         made = client.capture_tool(

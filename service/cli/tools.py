@@ -11,8 +11,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from lumiline.client.documents import Matrix3, Pose, Tool
-from service.cli.connected import connected
+from lumiline.client.models import Matrix3, Pose, Tool
+from service.cli.client_session import client_session
 from service.cli.output import console, fail, print_json
 
 REFRESHES_PER_S: Final = 5.0
@@ -21,7 +21,7 @@ _STYLES: Final = {"OK": "green", "HIGH_ERROR": "yellow", "OUT_OF_VOLUME": "yello
 
 def show_all(url: str, key: str | None, device: str | None, *, as_json: bool) -> None:
     """Print the tools."""
-    with connected(url, key) as client:
+    with client_session(url, key) as client:
         found = client.tools(device)
     if as_json:
         print_json([tool.model_dump(mode="json") for tool in found])
@@ -39,7 +39,7 @@ def show_all(url: str, key: str | None, device: str | None, *, as_json: bool) ->
 
 def show_one(url: str, key: str | None, tool_id: str, frame: str | None, *, as_json: bool) -> None:
     """Print a tool's newest pose; exit code 1 where it is not OK."""
-    with connected(url, key) as client:
+    with client_session(url, key) as client:
         tool, pose = client.tool(tool_id), client.tool_pose(tool_id, frame)
     if as_json:
         documents = {"tool": tool.model_dump(mode="json"), "pose": pose.model_dump(mode="json")}
@@ -63,7 +63,7 @@ def measure(
     as_json: bool,
 ) -> None:
     """Print where a tool's tip is held still; a refusal ends the command with its reason."""
-    with connected(url, key) as client:
+    with client_session(url, key) as client:
         if not as_json:
             console.print(f"Hold the tip of {tool_id} still on the point.", highlight=False)
         found = client.measure_point(
@@ -79,7 +79,7 @@ def measure(
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_row(
         found.name or "-", found.frame, _vector(found.position_mm), _root(found.covariance_mm2),
-        f"{found.deviation_mm:.3f}", str(found.frames),
+        f"{found.sigma_mm:.3f}", str(found.frames),
     )  # fmt: skip
     console.print(table)
 
@@ -94,7 +94,7 @@ def watch(
 ) -> None:
     """Show the poses of all tools until the time is over."""
     end = None if seconds is None else now() + seconds
-    with connected(url, key) as client:
+    with client_session(url, key) as client:
         if device is not None:
             client.device(device)  # to be told that there is none, not that it has no tools
         tools = client.tools(device)

@@ -5,25 +5,25 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from compute.calibration.selfcalibration.result import SelfCalibration
-from compute.calibration.selfcalibration.run import self_calibrate
-from compute.calibration.selfcalibration.subjects import Recording, Wand
+from compute.calibration.self_calibration.result import SelfCalibration
+from compute.calibration.self_calibration.self_calibrate import self_calibrate
+from compute.calibration.self_calibration.targets import Recording, Wand
 from compute.errors import InvalidParameter, LumilineError
 from service.cli.calibrate import fit_table, write_calibration
 from service.cli.calibration_file import read_calibration
 from service.cli.observations_csv import read_wand
 from service.cli.output import console, fail, progress
 
-SHOWN = 20
+MAX_LISTED = 20
 """Most readings left out that are listed."""
 
 
-def run(path: Path, start: Path, places: str, sigma_mm: float, output: Path | None) -> None:
+def run(path: Path, start: Path, positions: str, sigma_mm: float, output: Path | None) -> None:
     """Calibrate from a wand; print the fit and what was left out, write it as JSON."""
     try:
-        subject = Wand(_places(places), sigma_mm)
+        target = Wand(_positions(positions), sigma_mm)
         near = read_calibration(start).calibration.models
-        table = read_wand(path, len(subject))
+        table = read_wand(path, len(target))
         names = tuple(model.name for model in near)
         if set(table.sensors) != set(names):
             raise InvalidParameter(
@@ -32,7 +32,7 @@ def run(path: Path, start: Path, places: str, sigma_mm: float, output: Path | No
             )
         order = [table.sensors.index(name) for name in names]
         recording = Recording(
-            subject,
+            target,
             table.readings_px[..., order],
             None if table.sigma_px is None else table.sigma_px[..., order],
         )
@@ -40,10 +40,10 @@ def run(path: Path, start: Path, places: str, sigma_mm: float, output: Path | No
             found = self_calibrate(near, [recording], progress=lambda share, _stage: done(share))
     except LumilineError as error:
         raise fail(error.detail) from error
-    fit = found.subjects[0]
+    fit = found.targets[0]
     console.print(fit_table(found.calibration, f"{path}: {fit.used} of {fit.poses} poses"))
     if fit.length_error_mm is not None:
-        span = float(np.ptp(np.array(subject.position_mm)))
+        span = float(np.ptp(np.array(target.position_mm)))
         console.print(
             f"the wand of {span:g} mm, marker by marker: {fit.length_error_mm:.3g} mm RMS off",
             highlight=False,
@@ -63,12 +63,12 @@ def _rejected(found: SelfCalibration) -> Table:
     table = Table(title=f"{len(found.rejected)} readings left out", title_justify="left")
     for heading in ("pose", "marker", "sensor", "deviations off"):
         table.add_column(heading)
-    for one in found.rejected[:SHOWN]:
-        table.add_row(str(one.pose), str(one.marker), one.sensor, f"{one.off_sigma:.1f}")
+    for one in found.rejected[:MAX_LISTED]:
+        table.add_row(str(one.pose), str(one.marker), one.sensor, f"{one.normalised_residual:.1f}")
     return table
 
 
-def _places(text: str) -> tuple[float, ...]:
+def _positions(text: str) -> tuple[float, ...]:
     """Return the markers' places.
 
     Raises:

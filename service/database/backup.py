@@ -9,11 +9,11 @@ from pathlib import Path
 
 from sqlalchemy import Connection
 
-from service.database.check import complaints, newest_revision, revision_of
+from service.database.consistency import find_inconsistencies, newest_revision, revision_of
 from service.database.copy_rows import Told, copy_rows, count_rows
 from service.database.engine import Database
-from service.database.migrate import migrate
-from service.errors import BackupUnusable, DatabaseDamaged
+from service.database.migration import migrate
+from service.problems.errors import BackupUnusable, DatabaseDamaged
 
 
 def back_up(database: Database, file: Path, told: Told | None = None) -> dict[str, int]:
@@ -39,7 +39,7 @@ def back_up(database: Database, file: Path, told: Told | None = None) -> dict[st
         else:
             _copy_content(database, made, told)
         with opened(made) as connection:
-            found = complaints(connection)
+            found = find_inconsistencies(connection)
             counts = count_rows(connection)
         if found:
             raise DatabaseDamaged(

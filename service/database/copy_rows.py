@@ -23,7 +23,7 @@ def copy_rows(source: Connection, target: Connection, told: Told | None = None) 
         if told is not None:
             told(table.name, counts[table.name])
     if target.dialect.name == "postgresql":
-        _go_on_counting(target)
+        _reset_sequences(target)
     return counts
 
 
@@ -47,7 +47,7 @@ def _copy_table(source: Connection, target: Connection, table: Table) -> int:
     return copied
 
 
-def _go_on_counting(target: Connection) -> None:
+def _reset_sequences(target: Connection) -> None:
     """Let PostgreSQL number new rows after those that came with their numbers."""
     for table in Base.metadata.sorted_tables:
         for column in table.primary_key.columns:

@@ -13,9 +13,9 @@ from sqlalchemy.exc import DBAPIError, IntegrityError, InterfaceError, Operation
 from sqlalchemy.exc import TimeoutError as NoFreeConnection
 from sqlalchemy.orm import Session
 
-from service.audit.changes import AuditedSession
-from service.database.timeouts import connect_impatiently, timeouts
-from service.errors import NotReady
+from service.api.audit.audited_session import AuditedSession
+from service.database.connection_options import connect_with_timeout, timeouts
+from service.problems.errors import NotReady
 
 _log = logging.getLogger(__name__)
 
@@ -27,7 +27,7 @@ _BUSY_TIMEOUT_MS = 5000
 class Database:
     """One database; ``read`` and ``write`` give sessions that are one transaction each."""
 
-    def __init__(self, url: str, *, impatient: bool = False) -> None:
+    def __init__(self, url: str, *, query_timeout: bool = False) -> None:
         """Make the engine; nothing is connected yet.
 
         Args:
@@ -42,12 +42,12 @@ class Database:
             parts,
             pool_pre_ping=not sqlite,
             pool_timeout=POOL_TIMEOUT_S,
-            connect_args=timeouts(parts, statements=impatient) if postgresql else {},
+            connect_args=timeouts(parts, statements=query_timeout) if postgresql else {},
         )
         if sqlite:
             _configure_sqlite(self.engine)
-        elif postgresql and impatient:
-            connect_impatiently(self.engine)
+        elif postgresql and query_timeout:
+            connect_with_timeout(self.engine)
         self._writer = self.engine.execution_options(lumiline_write=True)
 
     @contextmanager

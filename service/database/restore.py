@@ -15,16 +15,16 @@ from sqlalchemy import Connection, inspect
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from service.audit.changes import entry
+from service.api.audit.audited_session import entry
 from service.database.backup import back_up, opened
-from service.database.check import complaints, newest_revision, revision_of
+from service.database.consistency import find_inconsistencies, newest_revision, revision_of
 from service.database.copy_rows import Told, copy_rows, count_rows
 from service.database.engine import Database
-from service.database.in_use import used_by_nobody
-from service.database.migrate import alembic_config, lock_schema, migrate
+from service.database.migration import alembic_config, lock_schema, migrate
 from service.database.models import Base
-from service.database.restored_keys import NO_KEYS, KeyChanges, keep_revoked, known_keys
-from service.errors import BackupUnusable, DatabaseDamaged, DatabaseNotEmpty
+from service.database.restored_api_keys import NO_KEYS, KeyChanges, keep_revoked, read_api_keys
+from service.database.server_lock import exclusive_lock
+from service.problems.errors import BackupUnusable, DatabaseDamaged, DatabaseNotEmpty
 
 
 @dataclass(frozen=True)
@@ -63,15 +63,15 @@ def restore(
         DatabaseNotEmpty: the database holds something, and ``keep_in`` is None.
         DatabaseDamaged: what was restored does not agree with itself; nothing was changed.
     """
-    with _ready(file) as source, used_by_nobody(database):
+    with _ready(file) as source, exclusive_lock(database):
         kept = _keep(database, keep_in)
         engine = database.engine.execution_options(lumiline_write=True)
         with engine.begin() as target:
-            before = known_keys(target) if kept is not None else NO_KEYS
+            before = read_api_keys(target) if kept is not None else NO_KEYS
             _clear(target)
             command.upgrade(alembic_config(target), "head")
             counts = copy_rows(source, target, told)
-            found = complaints(target)
+            found = find_inconsistencies(target)
             if found or count_rows(target) != counts:
                 raise DatabaseDamaged(
                     f"what was restored does not agree with itself: {'; '.join(found[:5])}; "
@@ -108,15 +108,15 @@ def _ready(file: Path) -> Iterator[Connection]:
         finally:
             updated.close()
         with opened(copy, file) as connection:
-            found = _complaints(file, connection)
+            found = _inconsistencies(file, connection)
             if found:
                 raise BackupUnusable(f"{file} is damaged: {'; '.join(found[:5])}")
             yield connection
 
 
-def _complaints(file: Path, connection: Connection) -> list[str]:
+def _inconsistencies(file: Path, connection: Connection) -> list[str]:
     try:
-        return complaints(connection)
+        return find_inconsistencies(connection)
     except (SQLAlchemyError, sqlite3.Error, ValueError) as error:
         raise BackupUnusable(f"{file} is damaged: {error}") from error
 

@@ -10,11 +10,11 @@ REFUSED: Final[ContextVar[bool]] = ContextVar("lumiline_log_refused", default=Fa
 """Whether the handshake of this task's websocket was answered with a problem document."""
 
 
-def in_request(request_id: str) -> None:
+def set_request_id(request_id: str) -> None:
     """Have what this task, and what it starts, logs marked with a request's id."""
     REQUEST.set(request_id)
 
 
-def in_device(device_id: str) -> None:
+def set_device_id(device_id: str) -> None:
     """Have what this thread logs marked with a device's id."""
     DEVICE.set(device_id)

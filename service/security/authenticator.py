@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from service.database.engine import Database
 from service.database.models import ApiKeyRow
-from service.errors import NotReady, TooManyAttempts, Unauthenticated
+from service.problems.errors import NotReady, TooManyAttempts, Unauthenticated
 from service.security import store
-from service.security.attempts import FailedAttempts
-from service.security.key_text import PREFIX, digest, id_of
+from service.security.key_cache import KeyCache
+from service.security.key_format import PREFIX, digest, key_id_of
+from service.security.login_throttle import LoginThrottle
 from service.security.principal import Principal
-from service.security.remembered import RememberedKeys
 from service.settings import Settings
 
 if TYPE_CHECKING:
@@ -28,8 +28,8 @@ class Authenticator:
 
     def __init__(self, database: Database, settings: Settings) -> None:
         self._database = database
-        self.attempts = FailedAttempts(settings.failed_logins_per_minute)
-        self.remembered = RememberedKeys()
+        self.attempts = LoginThrottle(settings.failed_logins_per_minute)
+        self.remembered = KeyCache()
         """So that devices can be stopped while the database does not answer."""
         self._tokens = _oidc_tokens(settings)
 
@@ -73,7 +73,7 @@ class Authenticator:
         return None
 
     def _of_key(self, credential: str) -> Principal:
-        identity = id_of(credential)
+        identity = key_id_of(credential)
         if identity is None:
             raise Unauthenticated(
                 "the key has not the form of one: lumi_, 12 letters and digits, _, and 43 more; "

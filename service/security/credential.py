@@ -6,14 +6,14 @@ from urllib.parse import parse_qsl
 
 from starlette.datastructures import Headers
 
-from service.errors import CredentialInQuery, QueryTooLong, Unauthenticated
+from service.problems.errors import CredentialInQuery, QueryTooLong, Unauthenticated
 from service.security.redaction import decoded, redact
 
 SUBPROTOCOL: Final = "lumiline.v1"
 BEARER_SUBPROTOCOL: Final = "lumiline.bearer."
 """Browsers cannot set headers of a websocket, but they can offer subprotocols."""
 
-MOST_QUERY_BYTES: Final = 4096
+MAX_QUERY_BYTES: Final = 4096
 """No operation's query is nearly as long."""
 
 _NAMES: Final = frozenset(
@@ -26,14 +26,14 @@ def check_query(query: bytes) -> None:
     """Check that a query is short enough to be read, and has no key in it.
 
     Raises:
-        QueryTooLong: it has more than ``MOST_QUERY_BYTES``.
+        QueryTooLong: it has more than ``MAX_QUERY_BYTES``.
         CredentialInQuery: it has a key or token; the message does not repeat it.
     """
-    if len(query) > MOST_QUERY_BYTES:
+    if len(query) > MAX_QUERY_BYTES:
         raise QueryTooLong(
-            f"the address has a query of {len(query)} bytes; it may have {MOST_QUERY_BYTES}",
+            f"the address has a query of {len(query)} bytes; it may have {MAX_QUERY_BYTES}",
             bytes=len(query),
-            most_bytes=MOST_QUERY_BYTES,
+            max_bytes=MAX_QUERY_BYTES,
         )
     pairs = parse_qsl(query.decode("latin-1"), keep_blank_values=True)
     words = decoded("\n".join(word for pair in pairs for word in pair))

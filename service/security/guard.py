@@ -18,16 +18,22 @@ from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from compute.errors import LumilineError
-from service.errors import MissingScope, TooManyAttempts, Unauthenticated
-from service.logs.record import request_record
-from service.problem_handlers import problem_response, refuse_websocket
-from service.problems import problem_type_of
-from service.security.access import ACCESS, CHANGING, PUBLIC, check_complete, operation_of
-from service.security.attempt import record_attempt, record_more
+from service.logs.request_record import request_record
+from service.problems.catalogue import problem_type_of
+from service.problems.errors import MissingScope, TooManyAttempts, Unauthenticated
+from service.problems.handlers import problem_response, refuse_websocket
+from service.security.audit_entry import record_act, record_repeats
 from service.security.credential import check_query, credential_of
-from service.security.local import why_not_local
+from service.security.local_access import why_not_local
+from service.security.operation_scopes import (
+    OPERATION_SCOPES,
+    PUBLIC,
+    WRITE_SCOPES,
+    check_complete,
+    operation_of,
+)
 from service.security.principal import LOCAL, Act, Principal, current_act
-from service.security.refusals import Refusals
+from service.security.refusal_aggregation import RefusalAggregator
 from service.settings import Settings
 
 if TYPE_CHECKING:
@@ -55,7 +61,7 @@ class Guard:
         self._app = app
         self._settings = settings
         self._routes: tuple[tuple[str, str, _Matches], ...] | None = None
-        self._refusals: Refusals | None = None
+        self._refusals: RefusalAggregator | None = None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or refuse it."""
@@ -73,7 +79,7 @@ class Guard:
         act = Act(LOCAL, operation, record.id, address)
         try:
             check_query(scope["query_string"])
-            if ACCESS[operation] == PUBLIC:
+            if OPERATION_SCOPES[operation] == PUBLIC:
                 await self._app(scope, receive, send)
                 return
             act.principal = await self._principal(scope, headers, address)
@@ -116,7 +122,7 @@ class Guard:
         return await run_sync(authenticator.principal, credential, address)
 
     async def _check_scope(self, scope: Scope, act: Act) -> None:
-        needed = ACCESS[act.operation]
+        needed = OPERATION_SCOPES[act.operation]
         if needed in act.principal.scopes:
             return
         has = ", ".join(sorted(act.principal.scopes)) or "none"
@@ -125,12 +131,12 @@ class Guard:
             scope=needed,
         )
         if _is_recorded(scope, act.operation) and self._refusals_of(scope).is_first(act):
-            await record_attempt(scope, act, "refused", error.detail)
+            await record_act(scope, act, "refused", error.detail)
         raise error
 
-    def _refusals_of(self, scope: Scope) -> Refusals:
+    def _refusals_of(self, scope: Scope) -> RefusalAggregator:
         if self._refusals is None:
-            self._refusals = Refusals(partial(record_more, scope["app"].state.database))
+            self._refusals = RefusalAggregator(partial(record_repeats, scope["app"].state.database))
         return self._refusals
 
     def _until_closing(self, receive: Receive) -> Receive:
@@ -148,7 +154,7 @@ class Guard:
 
 def _is_recorded(scope: Scope, operation: str) -> bool:
     changes = scope["type"] == "http" and scope["method"] not in _SAFE
-    return changes and ACCESS[operation] in CHANGING
+    return changes and OPERATION_SCOPES[operation] in WRITE_SCOPES
 
 
 class _Recorded:
@@ -168,13 +174,13 @@ class _Recorded:
         if message["type"] == "http.response.start":
             status = message["status"]
             if status < 300 and not self._act.recorded:
-                await record_attempt(self._scope, self._act, "done", None)
+                await record_act(self._scope, self._act, "done", None)
             elif status == 409:
                 self._start = message  # until it is known why
                 return
         elif self._start is not None and message["type"] == "http.response.body":
             start, self._start = self._start, None
-            await record_attempt(self._scope, self._act, "refused", _detail(message["body"]))
+            await record_act(self._scope, self._act, "refused", _detail(message["body"]))
             await self._send(start)
         await self._send(message)
 

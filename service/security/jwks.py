@@ -15,7 +15,7 @@ from typing import Any, Final
 import httpx
 import jwt
 
-from service.errors import NotReady
+from service.problems.errors import NotReady
 
 _log = logging.getLogger(__name__)
 
@@ -25,9 +25,9 @@ _WAIT_S: Final = 5.0
 """How long the request that needs the keys first waits for them."""
 _MOST_BYTES: Final = 256 * 1024
 _MOST_KEYS: Final = 64
-KEPT_S: Final = 3600.0
+CACHE_LIFETIME_S: Final = 3600.0
 """Keys are fetched anew after this long."""
-AGAIN_S: Final = 30.0
+RETRY_INTERVAL_S: Final = 30.0
 """No two fetches are nearer than this, whatever key ids tokens name."""
 
 Fetch = Callable[[str], bytes]
@@ -103,8 +103,8 @@ class Jwks:
         """Begin to fetch where that is due; return what is set at its end, None if it is not."""
         with self._lock:
             now = self._clock()
-            stale = self._fetched_at is None or now - self._fetched_at > KEPT_S
-            may = self._tried_at is None or now - self._tried_at >= AGAIN_S
+            stale = self._fetched_at is None or now - self._fetched_at > CACHE_LIFETIME_S
+            may = self._tried_at is None or now - self._tried_at >= RETRY_INTERVAL_S
             if self._fetching or not may or not (stale or kid not in self._keys):
                 return None
             self._tried_at = now

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import jwt
 
-from service.errors import Unauthenticated
+from service.problems.errors import Unauthenticated
 from service.security.jwks import Jwks
 from service.security.principal import Principal
 from service.security.scopes import known_scopes

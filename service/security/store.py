@@ -8,11 +8,11 @@ from sqlalchemy import func, or_, select, update
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
+from service.api.security.schema import ApiKey, KeyState, NewApiKey
 from service.database.models import ApiKeyRow
-from service.errors import UnknownKey
-from service.security.key_text import NewKey, make_key
+from service.problems.errors import UnknownKey
+from service.security.key_format import NewKey, make_key
 from service.security.principal import Principal, current_act
-from service.security.schema import ApiKey, KeyState, NewApiKey
 from service.security.scopes import known_scopes
 
 USED_EVERY: Final = timedelta(hours=1)

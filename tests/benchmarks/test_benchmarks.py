@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from benchmarks import agreement, points, reconstruct, signal
-from benchmarks.bare_stream import running_bare_stream
+from benchmarks import cpu_cuda_agreement, mapped_reconstruction, signal, triangulation
+from benchmarks.baseline_stream import running_baseline_stream
 from benchmarks.live import measure, summarise
-from benchmarks.reconstruct_peers import numba_method
-from benchmarks.signal_lines import measured_lines
+from benchmarks.mapped_reconstruction_peers import numba_method
+from benchmarks.synthetic_scans import measured_lines
 from compute.mapping.table import Degree
 from compute.reconstruction.solver import PointSolver
 
 
 def test_points_methods_solve_the_same_problem() -> None:
-    rows = points.run(seconds=0.0)
-    assert {row["points"] for row in rows} == set(points.SIZES)
+    rows = triangulation.run(seconds=0.0)
+    assert {row["points"] for row in rows} == set(triangulation.SIZES)
     errors = {(row["points"], row["method"]): float(row["rms_error_mm"]) for row in rows}
     for size in (1, 16):
         # All of the peer's points are ours: the same minimum.
@@ -52,10 +52,10 @@ def test_signal_latency_times_a_whole_frame() -> None:
 
 
 def test_agreement_knows_a_difference(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(agreement, "LINES", 2000)
-    monkeypatch.setattr(agreement, "BLOCK", 1000)
-    agreement.write(tmp_path / "peaks.npz", "cpu")
-    same = agreement.compare(tmp_path / "peaks.npz", "cpu")
+    monkeypatch.setattr(cpu_cuda_agreement, "LINES", 2000)
+    monkeypatch.setattr(cpu_cuda_agreement, "BLOCK", 1000)
+    cpu_cuda_agreement.write(tmp_path / "peaks.npz", "cpu")
+    same = cpu_cuda_agreement.compare(tmp_path / "peaks.npz", "cpu")
     for figures in same.values():
         assert figures["lines"] == 2000
         assert figures["peaks"] > 1000
@@ -64,7 +64,7 @@ def test_agreement_knows_a_difference(tmp_path, monkeypatch) -> None:
     stored["fit_position"][5] += 1e-3 * stored["fit_sigma"][5]
     stored["centroid_flags"][3] ^= 1
     np.savez(tmp_path / "other.npz", **stored)
-    other = agreement.compare(tmp_path / "other.npz", "cpu")
+    other = cpu_cuda_agreement.compare(tmp_path / "other.npz", "cpu")
     assert other["fit"]["largest_sigmas"] == pytest.approx(1e-3, rel=0.01)
     assert other["centroid"]["lines_that_differ"] == 1.0
 
@@ -81,19 +81,19 @@ def test_live_figures() -> None:
 
 
 def test_the_bare_websocket_is_a_stream_like_ours() -> None:
-    with running_bare_stream() as url:
+    with running_baseline_stream() as url:
         figures = measure(url, 0.5)
     assert figures.lost == 0
     assert figures.frames > 10
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", [1, 3])
 def test_reconstruct_methods_solve_the_same_problem(degree: Degree) -> None:
-    task = reconstruct.task_of(degree)
-    readings = reconstruct.readings_of(task, 300)
+    task = mapped_reconstruction.task_of(degree)
+    readings = mapped_reconstruction.readings_of(task, 300)
     solver = PointSolver(task.cameras, None, task.corrections, "cpu")
-    ours = solver.solve(readings, np.full(4, reconstruct.SIGMA_PX))
+    ours = solver.solve(readings, np.full(4, mapped_reconstruction.SIGMA_PX))
     assert (ours.flags == 0).all()
     if degree == 3:  # numba compiles for seconds, whatever the degree
         own = numba_method(task)
@@ -104,7 +104,7 @@ def test_reconstruct_methods_solve_the_same_problem(degree: Degree) -> None:
         assert 4 <= setups.mean() <= 10
     # Weights without the correction's slope: the same within a tenth of the deviation.
     deviation = np.sqrt(np.trace(ours.covariance_mm2, axis1=1, axis2=2))
-    peers = reconstruct.cpu_peers(task)
+    peers = mapped_reconstruction.cpu_peers(task)
     assert len(peers) == (2 if degree == 1 else 1)
     for _, solve in peers:
         off = np.abs(solve(readings)[0] - ours.position_mm).max(axis=1)
@@ -112,5 +112,5 @@ def test_reconstruct_methods_solve_the_same_problem(degree: Degree) -> None:
 
 
 def test_reconstruct_counts_what_a_point_takes() -> None:
-    assert reconstruct.flops_of_equations(3) == 1950
-    assert reconstruct.flops_of_equations(1) == 630
+    assert mapped_reconstruction.flops_of_equations(3) == 1950
+    assert mapped_reconstruction.flops_of_equations(1) == 630

@@ -6,10 +6,10 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from benchmarks.bare_transforms import running_bare_transforms
+from benchmarks.baseline_transforms import running_baseline_transforms
 from benchmarks.navigation import Received, _crc, _question, _taken, summed, transforms
-from service.openigtlink.decoder import Decoder
-from service.openigtlink.message import Message, write_message
+from service.protocols.openigtlink.decoder import Decoder
+from service.protocols.openigtlink.message import Message, write_message
 
 
 def transform(time_ns: int, version: int, number: int) -> bytes:
@@ -63,7 +63,7 @@ def test_figures() -> None:
 
 
 def test_the_bare_server_sends_transforms_like_ours() -> None:
-    with running_bare_transforms() as url:
+    with running_baseline_transforms() as url:
         address = urlsplit(url)
         assert address.hostname is not None
         assert address.port is not None

@@ -5,7 +5,7 @@ import pytest
 from benchmarks import pose
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_all_methods_end_at_the_same_minimum() -> None:
     rows = pose.run(seconds=0.0)
     fits = [row for row in rows if "mean_chi2" in row]

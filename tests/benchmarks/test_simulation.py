@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks import simulation
-from compute.optics.profiles.build import profile_optics
-from compute.optics.profiles.loader import load_profile
+from compute.optics.profiles.profile_loader import load_profile
+from compute.optics.profiles.profile_optics import profile_optics
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_detectors(scene):
     assert counts.dtype == np.uint16
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_every_method_is_measured():
     rows = simulation.run(seconds=0.0)
     assert len(rows) == 8

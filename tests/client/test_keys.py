@@ -9,7 +9,7 @@ import pytest
 from lumiline.client import AsyncClient, Client, ServerProblem, StreamEnded
 from lumiline.client.server import KeyBy
 from service.cli.keys import create
-from tests.serving import serving
+from tests.running_server import serving
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def guarded(folder: Path) -> Iterator[str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LUMILINE_AUTHENTICATION", "required")
-        patch.setattr("service.stream.CHECKED_EVERY_S", 0.05)
+        patch.setattr("service.protocols.stream.router.ACCESS_CHECK_INTERVAL_S", 0.05)
         with serving(folder) as url:
             yield url
 

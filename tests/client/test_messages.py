@@ -12,22 +12,22 @@ from hypothesis import strategies as st
 
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.tool_pose import ToolPose as ServerPose
-from lumiline.client.errors import UnreadableMessage, problem_of
+from lumiline.client.errors import UnreadableMessage, server_problem
 from lumiline.client.messages import (
     Frame,
     Missed,
-    Other,
     Peak,
     Point,
     Status,
     ToolPose,
     Track,
+    UnknownMessage,
     messages_of,
 )
 from lumiline.client.server import Server
-from lumiline.client.stream_state import StreamState, StreamWish
-from service.live.messages import bundle, encode, missed_message, status_message
-from service.live.motion_messages import pose_message
+from lumiline.client.stream_state import StreamRequest, StreamState
+from service.protocols.stream.encoding import bundle, encode, missed_message, status_message
+from service.protocols.stream.tracking_messages import pose_message
 
 HEAD: dict[str, Any] = {
     "type": "frame", "device": "sim", "sequence": 7, "exposure_ns": 1, "device_ns": 2,
@@ -45,7 +45,7 @@ vectors = st.lists(numbers, min_size=3, max_size=3)
 
 
 def state() -> StreamState:
-    return StreamState(Server("http://host"), StreamWish("sim", mode="lossless"))
+    return StreamState(Server("http://host"), StreamRequest("sim", mode="lossless"))
 
 
 @given(vectors, st.none() | numbers, st.sampled_from(["msgpack", "json"]))
@@ -78,7 +78,7 @@ def test_a_track_and_a_point_have_the_members_that_the_guide_names() -> None:
         "id": 3, "marker": 1, "state": "coasting", "flags": ["merged"], "position_mm": [1, 2, 3],
         "covariance_mm2": [[1, 0, 0]] * 3, "velocity_mm_s": [0, 0, 0],
         "velocity_covariance_mm2_s2": [[1, 0, 0]] * 3, "acceleration_mm_s2": None,
-        "peaks": [0, None, 2], "nis": None, "degrees": 0,
+        "peaks": [0, None, 2], "nis": None, "dof": 0,
     }  # fmt: skip
     (frame,) = messages_of({**HEAD, "tracks": [track], "points": []})
     assert isinstance(frame, Frame)
@@ -108,7 +108,7 @@ def test_newer_members_and_kinds_do_no_harm() -> None:
     (frame,) = messages_of({**HEAD, "colour": "red"})
     assert isinstance(frame, Frame)
     (other,) = messages_of({"type": "weather", "n": 9, "rain": True})
-    assert other == Other("weather", {"n": 9, "rain": True})
+    assert other == UnknownMessage("weather", {"n": 9, "rain": True})
 
 
 @pytest.mark.parametrize(
@@ -162,10 +162,10 @@ def test_a_program_gets_every_message_once_and_says_where_it_is() -> None:
     ],
 )
 def test_whatever_refuses_is_a_problem(body: bytes, code: str, detail: str) -> None:
-    problem = problem_of(502, body, "7")
+    problem = server_problem(502, body, "7")
     assert (problem.status, problem.code, problem.detail) == (502, code, detail)
     assert problem.retry_after_s == 7.0
-    assert problem_of(502, body, "Wed, 21 Oct").retry_after_s is None
+    assert server_problem(502, body, "Wed, 21 Oct").retry_after_s is None
 
 
 def test_point_and_peak_are_what_the_guide_says() -> None:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from compute.camera.stack import CameraStack
-from hardware.simulated.bar import sensor_bar
-from lumiline.client import AsyncClient, Client, NotReached, ServerProblem, UnreadableMessage
-from lumiline.client import documents as d
+from hardware.simulated.simulated_rig import simulated_rig
+from lumiline.client import AsyncClient, Client, ServerProblem, ServerUnreachable, UnreadableMessage
+from lumiline.client import models as d
 from lumiline.client.server import Server
 
 MARKERS = [(0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (40.0, 30.0, 50.0)]
@@ -67,7 +67,7 @@ def test_a_refusal_has_its_code_and_its_reason(ask: Ask) -> None:
 
 
 def test_points_from_readings(ask: Ask) -> None:
-    models = [sensor.model for sensor in sensor_bar()]
+    models = [sensor.model for sensor in simulated_rig()]
     place = np.array([[30.0, -20.0, 1500.0]])
     readings = CameraStack.of(models).project(place)[0]
     given = {
@@ -82,9 +82,9 @@ def test_points_from_readings(ask: Ask) -> None:
 
 
 def test_a_list_of_many_pages_is_read_whole(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lumiline.client.call.PAGE", 2)
+    monkeypatch.setattr("lumiline.client.api_request.PAGE", 2)
     for _ in range(5):
-        ask("reconstruct", "sim", {"a": {sensor_bar()[0].model.name: 1000.0}})
+        ask("reconstruct", "sim", {"a": {simulated_rig()[0].model.name: 1000.0}})
     found = ask("reconstructions", "sim")
     assert len(found) >= 5
     assert len({one.id for one in found}) == len(found)
@@ -221,7 +221,7 @@ def test_what_is_no_lumiline_document_is_told(ask: Ask) -> None:
 
 
 def test_a_server_that_is_not_there() -> None:
-    with Client("http://127.0.0.1:9", timeout_s=5.0) as client, pytest.raises(NotReached):
+    with Client("http://127.0.0.1:9", timeout_s=5.0) as client, pytest.raises(ServerUnreachable):
         client.devices()
 
 

@@ -9,7 +9,7 @@ import httpx
 import pytest
 from websockets.exceptions import ConnectionClosedError
 
-from lumiline.client import AsyncClient, Client, NotReached, ServerProblem
+from lumiline.client import AsyncClient, Client, ServerProblem, ServerUnreachable
 from lumiline.client.messages import Frame, Hello, Message, Status
 
 Collect = Callable[..., list[Message]]
@@ -128,7 +128,7 @@ def test_without_reconnection_a_lost_connection_is_an_error(server: str) -> None
         next(stream)
         assert stream._socket is not None
         stream._socket.socket.shutdown(2)
-        with pytest.raises(NotReached, match="was lost") as caught:
+        with pytest.raises(ServerUnreachable, match="was lost") as caught:
             list(stream)
     assert isinstance(caught.value.__cause__, ConnectionClosedError)
 
@@ -143,7 +143,7 @@ def test_what_the_server_refuses_is_its_problem(collect: Collect) -> None:
 
 
 def test_a_server_that_is_not_there_is_told_at_once() -> None:
-    with pytest.raises(NotReached, match="could not be opened"):
+    with pytest.raises(ServerUnreachable, match="could not be opened"):
         Client("http://127.0.0.1:9").stream("sim").__enter__()
 
 

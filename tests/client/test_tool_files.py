@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lumiline.client import AsyncClient, Client, ServerProblem
-from lumiline.client.documents import Tool
+from lumiline.client.models import Tool
 from service.cli import app
 from service.cli.tool_files import _in_order
 

@@ -4,7 +4,7 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from lumiline.client.documents import Pose
+from lumiline.client.models import Pose
 from service.cli import app
 from service.cli.tools import _poses
 

@@ -12,8 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from lumiline.client import AsyncClient, Client
-from lumiline.client.documents import MeasuredPoint
 from lumiline.client.messages import Frame, ToolPose
+from lumiline.client.models import MeasuredPoint
 from service.cli import app
 
 MARKERS = [[0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0], [20.0, 15.0, 40.0]]
@@ -32,7 +32,7 @@ def tool(server: str) -> Iterator[str]:
         "tracking": {
             "tracks": "with-tools",
             "tool_acceleration_mm_s2": 10.0,
-            "tool_turn_acceleration_rad_s2": 0.1,
+            "tool_angular_acceleration_rad_s2": 0.1,
         },
     }
     before = httpx.get(f"{url}/devices/sim").json()
@@ -162,7 +162,7 @@ def test_a_point_by_the_command_line(server: str, tool: str) -> None:
 # A machine that is busy loses frames, and takes its time.
 ASKED: dict[str, Any] = {
     "frame": "tracker", "name": "nasion", "timeout_s": 60.0, "seconds": 0.1,
-    "most_deviation_mm": 2.0, "most_drift_mm": 2.0,
+    "max_sigma_mm": 2.0, "max_drift_mm": 2.0,
 }  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """Names of flags."""
 
 from compute.flags import flag_names
-from compute.reconstruction.estimate import PointFlag
+from compute.reconstruction.point_batch import PointFlag
 from compute.signal.peaks import PeakFlag
 
 

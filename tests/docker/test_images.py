@@ -59,7 +59,7 @@ def test_compose_gives_the_service_to_this_machine_only_and_little_else():
     for name in service["environment"]:
         assert name.removeprefix("LUMILINE_").lower() in Settings.model_fields
     # Longer than the server takes at most.
-    from service.graceful import STOP_WITHIN_S
+    from service.application.shutdown import STOP_WITHIN_S
 
     assert float(service["stop_grace_period"].removesuffix("s")) > STOP_WITHIN_S
     unit = (ROOT / "deploy" / "lumiline.service").read_text()

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter, InvalidRecording
-from hardware.frame import LineFrame
-from hardware.recording import RecordingWriter
-from hardware.recording_layout import CHUNK_FRAMES
-from hardware.recording_reader import RecordingReader
+from hardware.line_frame import LineFrame
+from hardware.recording.layout import CHUNK_FRAMES
+from hardware.recording.reader import RecordingReader
+from hardware.recording.writer import RecordingWriter
 from hardware.replay import ReplayDriver
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings

@@ -11,11 +11,11 @@ from sqlalchemy import create_engine, text
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import DBAPIError, OperationalError
 
-from service.app import create_app
+from service.application.app import create_app
+from service.application.bootstrap import prepare
 from service.database.engine import Database
 from service.settings import Settings
-from service.start import prepare
-from tests.service.recorded_live import RecordedLive, TestClient
+from tests.service.fake_pipeline import FakePipeline, TestClient
 
 POSTGRES = os.environ.get(
     "LUMILINE_TEST_POSTGRES", "postgresql+psycopg://postgres@127.0.0.1:5432/test"
@@ -126,13 +126,13 @@ def settings(database_url: str, tmp_path: Path) -> Settings:
 
 
 @pytest.fixture
-def live() -> RecordedLive:
+def live() -> FakePipeline:
     """The live side's recorder."""
-    return RecordedLive()
+    return FakePipeline()
 
 
 @pytest.fixture
-def client(settings: Settings, live: RecordedLive) -> Iterator[TestClient]:
+def client(settings: Settings, live: FakePipeline) -> Iterator[TestClient]:
     """A client of the running application; exceptions become responses, as for real clients."""
     with TestClient(create_app(settings, live), raise_server_exceptions=False) as running:
         yield running
@@ -148,7 +148,7 @@ def sqlite_settings(tmp_path: Path, new_sqlite: Path) -> Settings:
 
 
 @pytest.fixture
-def sqlite_client(sqlite_settings: Settings, live: RecordedLive) -> Iterator[TestClient]:
+def sqlite_client(sqlite_settings: Settings, live: FakePipeline) -> Iterator[TestClient]:
     """A client of the application over SQLite."""
     with TestClient(create_app(sqlite_settings, live), raise_server_exceptions=False) as running:
         yield running

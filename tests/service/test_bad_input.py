@@ -13,22 +13,22 @@ import numpy as np
 import pytest
 from sqlalchemy import select
 
-from service.app import create_app
-from service.calibrations.examples import NEW_CALIBRATIONS
-from service.calibrations.run import calibration_content, content_hash
-from service.correction_tables.content import MEDIA_TYPE
-from service.correction_tables.hdf5 import write_table
+from service.api.calibrations.calibration_content import calibration_content, content_hash
+from service.api.calibrations.examples import NEW_CALIBRATIONS
+from service.api.correction_tables.hdf5_file import write_table
+from service.api.correction_tables.table_content import MEDIA_TYPE
+from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
+from service.api.reconstructions.examples import NEW_RECONSTRUCTIONS
+from service.api.runs.examples import NEW_MAPPING_RUNS, NEW_SELF_CALIBRATION_RUNS, NEW_UPDATE_RUNS
+from service.application.app import create_app
+from service.application.initial_content import nominal_calibration
 from service.database.models import Base
-from service.database.seed import nominal_calibration
-from service.drift_checks.examples import NEW_DRIFT_CHECKS
-from service.problems import PROBLEM_TYPES
-from service.reconstructions.examples import NEW_RECONSTRUCTIONS
-from service.runs.examples import NEW_MAPPING_RUNS, NEW_SELF_CALIBRATION_RUNS, NEW_UPDATE_RUNS
+from service.problems.catalogue import PROBLEM_TYPES
 from service.settings import Settings
-from tests.service.correction_tables import test_hdf5 as hdf5_files
-from tests.service.correction_tables.tables import content
-from tests.service.own_profiles import text_as
-from tests.service.recorded_live import RecordedLive, TestClient
+from tests.service.api.correction_tables import test_hdf5_file as hdf5_files
+from tests.service.api.correction_tables.tables import content
+from tests.service.fake_pipeline import FakePipeline, TestClient
+from tests.service.renamed_profiles import renamed_profile
 
 TABLE = Path(__file__).parents[2] / "docs" / "bad-input.md"
 BODY_LIMIT_BYTES = 65536
@@ -515,7 +515,7 @@ def post_wand(**changes: Any) -> Sent:
 def _() -> Sent:
     sent = post_wand()
     [recording] = sent.body["recordings"]
-    recording["subject"]["position_mm"] = [0.0]
+    recording["target"]["position_mm"] = [0.0]
     recording["poses"] = [{name: pair[:1] for name, pair in pose.items()}
                           for pose in recording["poses"]]  # fmt: skip
     return sent
@@ -613,10 +613,10 @@ def bad_input_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         body_limit_bytes=BODY_LIMIT_BYTES,
         table_limit_bytes=TABLE_LIMIT_BYTES,
     )
-    app = create_app(settings, RecordedLive())
+    app = create_app(settings, FakePipeline())
     settings.folders.profiles.mkdir()
     (settings.folders.profiles / "broken.toml").write_text(
-        text_as("broken").replace('pitch = "14 um"', 'pitch = "14"'), "utf-8"
+        renamed_profile("broken").replace('pitch = "14 um"', 'pitch = "14"'), "utf-8"
     )
     with TestClient(app, raise_server_exceptions=False) as client:
         for sent in (

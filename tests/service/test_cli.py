@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from service.app import create_app
+from service.application.app import create_app
 from service.cli import app
 from service.settings import Settings
 from service.version import package_version
@@ -31,9 +31,9 @@ def test_openapi_prints_the_served_document():
 def test_serve_hands_the_settings_to_uvicorn(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     calls: list[Any] = []
     monkeypatch.setattr(
-        "service.graceful.run_server", lambda app, given: calls.append((app, given))
+        "service.application.shutdown.run_server", lambda app, given: calls.append((app, given))
     )
-    monkeypatch.setattr("service.cli.ports.check_ports", lambda _: None)
+    monkeypatch.setattr("service.cli.port_check.check_ports", lambda _: None)
     monkeypatch.setenv("LUMILINE_PORT", "1234")
     result = run(
         "serve", "--data-dir", str(tmp_path), "--compute-device", "cpu", "--host", "0.0.0.0"
@@ -48,7 +48,9 @@ def test_serve_hands_the_settings_to_uvicorn(monkeypatch: pytest.MonkeyPatch, tm
 
 
 def test_a_wrong_setting_is_named(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("service.graceful.run_server", lambda *_, **__: pytest.fail("must not run"))
+    monkeypatch.setattr(
+        "service.application.shutdown.run_server", lambda *_, **__: pytest.fail("must not run")
+    )
     result = run("serve", "--port", "70000")
     assert result.exit_code == 2
     assert "setting port" in result.output
@@ -67,7 +69,9 @@ def test_a_wrong_setting_is_named(monkeypatch: pytest.MonkeyPatch):
 def test_a_wrong_setting_does_not_print_the_password(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str, command: str
 ):
-    monkeypatch.setattr("service.graceful.run_server", lambda *_, **__: pytest.fail("must not run"))
+    monkeypatch.setattr(
+        "service.application.shutdown.run_server", lambda *_, **__: pytest.fail("must not run")
+    )
     (tmp_path / "lumiline.toml").write_text(text)
     monkeypatch.setenv("LUMILINE_CONFIG", str(tmp_path / "lumiline.toml"))
     result = run(command)

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from hardware.simulated.frame_shape import frame_shape_mm
-from service.calibrations import store
-from service.calibrations.examples import simulated_points
+from hardware.simulated.calibration_target import calibration_target_points_mm
+from service.api.calibrations import store
+from service.api.calibrations.examples import simulated_points
+from service.api.devices.store import get_device
 from service.database.models import CalibrationRow, DeviceRow
-from service.devices.store import get_device
-from service.errors import CalibrationRetired
-from service.live.in_force import InForce
+from service.pipeline.active_calibration import ActiveCalibration
+from service.problems.errors import CalibrationRetired
 
 THREADS = 8
 A_WHILE_S = 0.3
@@ -27,7 +27,7 @@ def at_once(requests: list[Any]) -> list[Any]:
 
 
 def test_activations_make_one_chain_that_ends_where_the_live_side_is(client: Any, live: Any):
-    points = simulated_points(2.0 * frame_shape_mm()[::2])
+    points = simulated_points(2.0 * calibration_target_points_mm()[::2])
     for name in ("a", "b"):
         body = {"id": name, "device": "sim", "points": points}
         assert client.post("/api/v1/calibrations", json=body).status_code == 201
@@ -82,7 +82,7 @@ def test_one_of_many_gets_the_id(client: Any):
 
 
 def test_a_calibration_retired_at_the_same_moment_is_not_active(client: Any):
-    points = simulated_points(2.0 * frame_shape_mm()[::2])
+    points = simulated_points(2.0 * calibration_target_points_mm()[::2])
     for number in range(4):
         name = f"c{number}"
         client.post("/api/v1/calibrations", json={"id": name, "device": "sim", "points": points})
@@ -100,14 +100,14 @@ def test_a_calibration_retired_at_the_same_moment_is_not_active(client: Any):
 def test_a_second_activation_waits_until_the_first_is_live(
     client: Any, live: Any, monkeypatch: pytest.MonkeyPatch
 ):
-    points = simulated_points(2.0 * frame_shape_mm()[::2])
+    points = simulated_points(2.0 * calibration_target_points_mm()[::2])
     for name in ("a", "b"):
         body = {"id": name, "device": "sim", "points": points}
         client.post("/api/v1/calibrations", json=body)
     entered, go = Event(), Event()
     record = live.set_calibration
 
-    def slow_for_a(device_id: str, found: InForce) -> None:
+    def slow_for_a(device_id: str, found: ActiveCalibration) -> None:
         if found.calibration_id == "a":
             entered.set()
             assert go.wait(10)
@@ -127,7 +127,7 @@ def test_a_second_activation_waits_until_the_first_is_live(
 
 
 def test_activating_sees_a_retirement_that_came_first(client: Any):
-    points = simulated_points(2.0 * frame_shape_mm()[::2])
+    points = simulated_points(2.0 * calibration_target_points_mm()[::2])
     client.post("/api/v1/calibrations", json={"id": "a", "device": "sim", "points": points})
     database = client.app.state.database
 

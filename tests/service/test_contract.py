@@ -16,14 +16,14 @@ from hardware.errors import DeviceNotConnected
 from hardware.genicam.driver import GenicamDriver
 from hardware.serial.driver import SerialDriver
 from hardware.tcd1304.driver import Tcd1304Driver
-from service.app import create_app
-from service.security.schema import NewApiKey
+from service.api.security.schema import NewApiKey
+from service.application.app import create_app
 from service.security.scopes import SCOPES
 from service.security.store import add_key
 from service.settings import Settings
-from tests.service.recorded_live import RecordedLive, TestClient
+from tests.service.fake_pipeline import FakePipeline, TestClient
 
-pytestmark = pytest.mark.thorough
+pytestmark = pytest.mark.slow
 
 SEED = 20031
 # The same in every run, beside the cases made of every value: more find little more.
@@ -56,9 +56,9 @@ RULES_BEYOND_THE_SCHEMA = {
     "capture-tool",
     "change-tool",
     "create-registration",
-    "create-hold",
-    "change-hold",
-    "set-hold-reference",
+    "create-beam-hold",
+    "change-beam-hold",
+    "set-beam-hold-reference",
 }
 
 
@@ -130,7 +130,7 @@ LIKE_OTHERS = {
     "get-plan-picture": (contract(["2xx", "404", "409"], every_value=False), "get-plan"),
     "change-device": (contract(["2xx", "404", "409", "422"], every_value=False), "create-device"),
 }
-OWN = {"draw-peaks": {"line"}, "change-device": {"device_id"}}
+OWN = {"draw-peaks": {"scan"}, "change-device": {"device_id"}}
 """What they take beside, of which some values are drawn only."""
 # Calibrations with all settings, and reports, take about a second each.
 LONG = contract(["2xx", "404", "409", "422"], every_value=False)
@@ -152,7 +152,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         authentication="required",
         failed_logins_per_minute=10_000,
     )
-    relay.app = create_app(settings, RecordedLive())
+    relay.app = create_app(settings, FakePipeline())
     with TestClient(relay.app), pytest.MonkeyPatch.context() as patch:
         # Generated ports and cameras are not looked for: seconds for each, and on real networks.
         for driver in (SerialDriver, Tcd1304Driver, GenicamDriver):

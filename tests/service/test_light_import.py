@@ -24,7 +24,7 @@ def loaded_by(code: str) -> set[str]:
     "code",
     [
         "import service",
-        "import service.app",
+        "import service.application.app",
         "from service.cli.openapi import run; run()",
         "import service.cli.serve",
     ],
@@ -39,8 +39,8 @@ def test_a_worker_process_loads_neither_the_server_nor_the_database():
     # What runs, reports and uploads call in their processes; all of the package of tasks.
     loaded = loaded_by(
         "import importlib, pkgutil\n"
-        "import service.correction_tables.upload, service.reports.apart, service.runs.worker\n"
-        "from service.runs import tasks\n"
+        "import service.api.correction_tables.upload_process, service.api.reports.render_process, service.jobs.worker\n"
+        "import service.api.runs.tasks as tasks\n"
         "names = [found.name for found in pkgutil.iter_modules(tasks.__path__)]\n"
         "assert 'calibration' in names\n"
         "for name in names: importlib.import_module(f'{tasks.__name__}.{name}')"

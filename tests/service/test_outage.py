@@ -14,12 +14,12 @@ from anyio.to_thread import current_default_thread_limiter
 from sqlalchemy.exc import InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as NoFreeConnection
 
-from service.app import create_app
+from service.application.app import create_app
 from service.database import engine as engine_module
 from service.database.engine import Database
-from service.errors import NotReady
+from service.problems.errors import NotReady
 from service.settings import Settings
-from tests.service.recorded_live import RecordedLive, TestClient
+from tests.service.fake_pipeline import FakePipeline, TestClient
 
 SECRET = "hunter2"
 
@@ -81,7 +81,7 @@ def test_the_log_says_what_the_database_said(cut_off: Any, caplog: pytest.LogCap
     assert SECRET not in caplog.text
 
 
-def test_a_running_device_is_stopped(cut_off: Any, live: RecordedLive):
+def test_a_running_device_is_stopped(cut_off: Any, live: FakePipeline):
     assert live.status("sim").state == "running"
     answer = cut_off.post("/api/v1/devices/sim/stop")
     assert (answer.status_code, answer.json()["status"]["state"]) == (200, "stopped")
@@ -94,7 +94,7 @@ def test_a_file_that_another_process_has_locked(
     sqlite_settings: Settings, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(engine_module, "_BUSY_TIMEOUT_MS", 20)
-    app = create_app(sqlite_settings, RecordedLive())
+    app = create_app(sqlite_settings, FakePipeline())
     with TestClient(app, raise_server_exceptions=False) as client:
         path = sqlite_settings.effective_database_url.removeprefix("sqlite:///")
         other = sqlite3.connect(path, isolation_level=None)

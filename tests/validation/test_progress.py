@@ -2,15 +2,15 @@
 
 import pytest
 
-from validation.progress import listening, tell
+from validation.progress import progress_listener, report_progress
 
 
 def test_only_who_listens_is_told() -> None:
     told: list[tuple[float, str]] = []
-    tell(0.1, "nobody listens")
-    with listening(lambda share, stage: told.append((share, stage))):
-        tell(0.5, "half")
-    tell(0.9, "no longer")
+    report_progress(0.1, "nobody listens")
+    with progress_listener(lambda share, stage: told.append((share, stage))):
+        report_progress(0.5, "half")
+    report_progress(0.9, "no longer")
     assert told == [(0.5, "half")]
 
 
@@ -18,6 +18,6 @@ def test_what_the_listener_raises_ends_the_case() -> None:
     def stop(_share: float, _stage: str) -> None:
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt), listening(stop):
-        tell(0.5, "half")
-    tell(0.6, "nobody listens any more")
+    with pytest.raises(KeyboardInterrupt), progress_listener(stop):
+        report_progress(0.5, "half")
+    report_progress(0.6, "nobody listens any more")

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from compute.pose.reading_model import ReadingModel
+from compute.pose.measurement_model import MeasurementModel
 from validation.all_cases import ALL_CASES
-from validation.partial_view import MOST_RATIO, UNOBSERVABLE, bound, look, pairings
-from validation.partial_view_scene import MARKERS_MM, MIDDLE_MM, SIGMA_PX, rig
-from validation.pointer_tip import Tips
-from validation.pointer_tip_scene import MARKERS_MM as POINTER_MM
-from validation.pointer_tip_scene import TIP_MM as POINTER_TIP_MM
-from validation.pointer_tip_scene import random_strokes
-from validation.strobed_tools import Scores, compare
-from validation.strobed_tools_scene import COURSES, FAST, REST, draw_run, since_change_s
+from validation.partial_view.case import MAX_RATIO, UNOBSERVABLE, bound, pairings, simulate_views
+from validation.partial_view.scene import CENTRE_MM, MARKERS_MM, SIGMA_PX, rig
+from validation.pointer_tip.case import Tips
+from validation.pointer_tip.scene import MARKERS_MM as POINTER_MM
+from validation.pointer_tip.scene import TIP_MM as POINTER_TIP_MM
+from validation.pointer_tip.scene import random_strokes
+from validation.strobed_tools.case import Scores, compare
+from validation.strobed_tools.scene import COURSES, FAST, REST, draw_run, since_change_s
 
 
 def test_the_cases_are_there() -> None:
@@ -21,13 +21,13 @@ def test_the_cases_are_there() -> None:
 
 @pytest.mark.parametrize("calibrated", [False, True])
 def test_partial_views_are_at_the_bound(calibrated: bool) -> None:
-    seen = look(pairings(), calibrated=calibrated, trials=150, seed=5)
+    seen = simulate_views(pairings(), calibrated=calibrated, trials=150, seed=5)
     assert seen.points == 0
     assert seen.statuses["OK"] >= 140
-    assert seen.ratio(slice(0, 3)) < MOST_RATIO
-    assert seen.ratio(slice(3, 6)) < MOST_RATIO
+    assert seen.ratio(slice(0, 3)) < MAX_RATIO
+    assert seen.ratio(slice(3, 6)) < MAX_RATIO
     # Means of 150 chi-squares of 6 and 3: three deviations.
-    pose, tip = seen.square.mean(axis=0)
+    pose, tip = seen.nees.mean(axis=0)
     assert pose == pytest.approx(6.0, abs=0.9)
     assert tip == pytest.approx(3.0, abs=0.65)
 
@@ -35,7 +35,7 @@ def test_partial_views_are_at_the_bound(calibrated: bool) -> None:
 @pytest.mark.parametrize("view", UNOBSERVABLE, ids=lambda view: view[0])
 def test_what_is_not_told_is_not_reported(view) -> None:
     _, masks, sigma = view
-    seen = look(masks, trials=12, sigma_px=sigma)
+    seen = simulate_views(masks, trials=12, sigma_px=sigma)
     assert seen.statuses["OK"] == 0
     assert len(seen.error) == 0
     assert all(reason != "None" for reason in seen.reasons.values())
@@ -45,11 +45,11 @@ def test_the_bound_is_that_of_the_slopes() -> None:
     cameras = rig()
     rotation = np.eye(3)
     whole = bound(
-        ReadingModel(cameras), rotation, MIDDLE_MM, np.ones((4, 4), dtype=np.bool_), SIGMA_PX
+        MeasurementModel(cameras), rotation, CENTRE_MM, np.ones((4, 4), dtype=np.bool_), SIGMA_PX
     )
     step = 1e-3
-    readings = cameras.project(MARKERS_MM + MIDDLE_MM)
-    moved = cameras.project(MARKERS_MM + MIDDLE_MM + np.array([0.0, step, 0.0]))
+    readings = cameras.project(MARKERS_MM + CENTRE_MM)
+    moved = cameras.project(MARKERS_MM + CENTRE_MM + np.array([0.0, step, 0.0]))
     slope = (moved - readings).ravel() / step
     # Information of a shift along Y alone: the Schur complement takes the rest away.
     assert np.linalg.inv(whole)[4, 4] == pytest.approx(slope @ slope / SIGMA_PX**2, rel=1e-4)
@@ -70,19 +70,19 @@ def test_tips_are_summed_up() -> None:
     tips = Tips(3, errors, np.broadcast_to(np.eye(3), (2, 3, 3)))
     assert tips.rms_mm == pytest.approx(np.sqrt(12.5))
     assert tips.stated_mm == pytest.approx(np.sqrt(3.0))
-    assert tips.square == pytest.approx(12.5)
-    assert tips.most_mm == pytest.approx(3.95)
+    assert tips.nees == pytest.approx(12.5)
+    assert tips.max_mm == pytest.approx(3.95)
 
 
 @pytest.mark.parametrize("course", [REST, FAST])
 def test_strobed_tools_are_known_at_200_exposures_a_second(course: str) -> None:
     cell = compare(course, 200.0, 4, runs=2, seconds=0.9)
-    single, regimes = cell.single, cell.regimes
+    single, imm = cell.single, cell.imm
     assert single.ok.mean() < 0.1
-    assert regimes.ok.mean() > 0.7
-    assert regimes.tip_mm < 0.7 * single.tip_mm
+    assert imm.ok.mean() > 0.7
+    assert imm.tip_mm < 0.7 * single.tip_mm
     # Two draws of a calibration, 200 poses that are alike: chi-square of 12 at one in a million.
-    assert regimes.mean_square < 24.0
+    assert imm.mean_square < 24.0
 
 
 def test_courses_are_what_they_are_called() -> None:

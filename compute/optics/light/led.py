@@ -6,14 +6,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.checks import check_not_negative, check_positive
 from compute.optics.light.emission import AngularEmission
-from compute.optics.light.geometry import (
+from compute.optics.light.photon_geometry import (
     check_exposure,
     photons,
     towards_lenses,
     unit_facing,
 )
+from compute.optics.parameter_checks import check_not_negative, check_positive
 
 Array = NDArray[np.float64]
 

@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
-from compute.optics.checks import check_not_negative, check_positive
 from compute.optics.light.emission import AngularEmission
-from compute.optics.light.geometry import (
+from compute.optics.light.photon_geometry import (
     check_exposure,
     directions,
     photons,
     towards_lenses,
     unit_facing,
 )
+from compute.optics.parameter_checks import check_not_negative, check_positive
 
 Array = NDArray[np.float64]
 
@@ -96,11 +96,11 @@ class RetroSheet:
             self, "coefficient_per_sr", "observation_half_angle_rad", "entrance_half_angle_rad"
         )
 
-    def observed(self, angle_rad: Array) -> Array:
+    def observation_factor(self, angle_rad: Array) -> Array:
         """Return what is left of R_A at observation angles, any shape."""
         return np.asarray(np.exp2(-((angle_rad / self.observation_half_angle_rad) ** 2)))
 
-    def entered(self, angle_rad: Array) -> Array:
+    def entrance_factor(self, angle_rad: Array) -> Array:
         """Return what is left of R_A at entrance angles, any shape; nothing from behind."""
         left = np.exp2(-((angle_rad / self.entrance_half_angle_rad) ** 2))
         return np.asarray(left * np.cos(angle_rad).clip(0.0))
@@ -151,9 +151,11 @@ class _Retroreflector:
         back, _ = directions(points_mm, np.array(self.illuminator.position_mm))
         # By the chord: an arc cosine would lose angles below 1e-8, and round those near them.
         chord = np.linalg.norm(towards - back[:, None, :], axis=-1)
-        observed = self.sheet.observed(2.0 * np.arcsin((0.5 * chord).clip(max=1.0)))
+        observation_factor = self.sheet.observation_factor(
+            2.0 * np.arcsin((0.5 * chord).clip(max=1.0))
+        )
         irradiance = self.illuminator.irradiance_w_per_m2(points_mm)
-        intensity = self.sheet.coefficient_per_sr * irradiance[:, None] * observed
+        intensity = self.sheet.coefficient_per_sr * irradiance[:, None] * observation_factor
         return photons(intensity * exposure_s, self.wavelength_nm)
 
 
@@ -175,8 +177,8 @@ class RetroDisc(_Retroreflector):
         cosine = (normal * back[:, None, :]).sum(axis=-1)
         # Seen from behind, a disc is as dark as lit from behind.
         front = (cosine > 0.0) & ((normal * towards).sum(axis=-1) > 0.0)
-        entered = self.sheet.entered(np.arccos(cosine.clip(-1.0, 1.0)))
-        return np.where(front, sent * entered * self._face_m2, 0.0)
+        entrance_factor = self.sheet.entrance_factor(np.arccos(cosine.clip(-1.0, 1.0)))
+        return np.where(front, sent * entrance_factor * self._face_m2, 0.0)
 
 
 @dataclass(frozen=True)
@@ -213,5 +215,7 @@ class RetroSphere(_Retroreflector):
         """
         node, weight = np.polynomial.legendre.leggauss(64)
         entrance = np.pi / 4.0 * (node + 1.0)
-        integral = np.pi / 4.0 * (weight * np.sin(entrance) * self.sheet.entered(entrance)).sum()
+        integral = (
+            np.pi / 4.0 * (weight * np.sin(entrance) * self.sheet.entrance_factor(entrance)).sum()
+        )
         return float(2.0 * self._face_m2 * integral)

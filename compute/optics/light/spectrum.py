@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.constants import c, h, k
 
 from compute.errors import InvalidParameter
-from compute.optics.checks import check_not_negative, check_positive
-from compute.optics.light.source import LightSource
+from compute.optics.light.light_source import LightSource
+from compute.optics.parameter_checks import check_not_negative, check_positive
 
 Array = NDArray[np.float64]
 

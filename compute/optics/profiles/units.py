@@ -49,7 +49,7 @@ class Unit:
     example: str
 
     @property
-    def wanted(self) -> str:
+    def expected(self) -> str:
         """What to write, for a message."""
         article = "an" if self.noun[0] in "aeiou" else "a"
         return f'{article} {self.noun} such as "{self.example}"'
@@ -78,7 +78,7 @@ _QUANTITY = re.compile(
 )
 
 
-class NoQuantity(ValueError):
+class InvalidQuantity(ValueError):
     """A value that is no quantity of the kind that its field needs; the text says why."""
 
 
@@ -96,29 +96,29 @@ def magnitude(value: object, unit: Unit) -> float:
     """Return a quantity, written as text with its unit, as a number in ``unit``.
 
     Raises:
-        NoQuantity: not text, no number, no unit, an unknown unit, one of another kind.
+        InvalidQuantity: not text, no number, no unit, an unknown unit, one of another kind.
     """
-    right = f"give {unit.wanted}"
+    right = f"give {unit.expected}"
     if isinstance(value, int | float) and not isinstance(value, bool):
-        raise NoQuantity(f"{value} has no unit; {right}")
+        raise InvalidQuantity(f"{value} has no unit; {right}")
     if not isinstance(value, str):
-        raise NoQuantity(f"{value!r} is no quantity; {right}")
+        raise InvalidQuantity(f"{value!r} is no quantity; {right}")
     match = _QUANTITY.fullmatch(value)
     if match is None:
-        raise NoQuantity(f'"{value}" is not a number and a unit; {right}')
+        raise InvalidQuantity(f'"{value}" is not a number and a unit; {right}')
     number, written = match.groups()
     if written is None:
-        raise NoQuantity(f'"{value}" has no unit; {right}')
+        raise InvalidQuantity(f'"{value}" has no unit; {right}')
     try:
         factor = _factor(written, unit.name)
     except UndefinedUnitError:
-        raise NoQuantity(f'"{value}": the unit {written} is not known; {right}') from None
+        raise InvalidQuantity(f'"{value}": the unit {written} is not known; {right}') from None
     if factor is None:
-        raise NoQuantity(f'"{value}" is no {unit.noun}; {right}')
+        raise InvalidQuantity(f'"{value}" is no {unit.noun}; {right}')
     try:
         return float(Fraction(number) * factor)
     except OverflowError:
-        raise NoQuantity(f'"{value}" is too large; {right}') from None
+        raise InvalidQuantity(f'"{value}" is too large; {right}') from None
 
 
 @cache
@@ -130,10 +130,10 @@ def _registry() -> UnitRegistry[Fraction]:
 
 
 @cache
-def _factor(written: str, wanted: str) -> Fraction | None:
+def _factor(written: str, expected: str) -> Fraction | None:
     """Return how many ``wanted`` units one written unit is; None where it is of another kind."""
     registry = _registry()
-    unit, target = registry.parse_units(written), registry.parse_units(wanted)
+    unit, target = registry.parse_units(written), registry.parse_units(expected)
     if unit.dimensionality != target.dimensionality:
         return None
     return Fraction(registry.convert(Fraction(1), unit, target))

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.tracing.packing import BACKWARD_SLACK_MM, Form
 from compute.optics.tracing.shapes import Array
+from compute.optics.tracing.surface_records import BACKWARD_SLACK_MM, Form
 
 Vectors = tuple[Array, Array, Array]
 """Components of N vectors, each of shape (N,)."""
@@ -62,14 +62,14 @@ def intersect(record: np.void, origin: Vectors, direction: Vectors) -> tuple[Arr
     return shift + t, (near[0] + t * dx, near[1] + t * dy, near[2] + t * dz)
 
 
-def normal(record: np.void, place: Vectors) -> Vectors:
+def normal(record: np.void, position: Vectors) -> Vectors:
     """Return the unit normals of a curved surface at places on it, towards +z at the vertex."""
-    x, y, z = place
+    x, y, z = position
     cx, cy, e = record["cx"], record["cy"], record["e"]
     if record["form"] == Form.QUADRIC:
         n = (-(cx * x), -(cy * y), 1.0 - e * z)
     else:
-        s, g = _turned(cy, y, z)
+        s, g = _rotate(cy, y, z)
         depth = (1.0 - e * g) / s
         n = (-(cx * x), -(depth * (cy * y)), depth * (1.0 - cy * z))
     scale = 1.0 / np.sqrt(dot(n, n))
@@ -98,7 +98,7 @@ def _quadric(record: np.void, origin: Vectors, direction: Vectors, least: Array)
     return np.where(valid(first), first, np.where(valid(second), second, np.nan))
 
 
-def _turned(cy: float, y: Array, z: Array) -> tuple[Array, Array]:
+def _rotate(cy: float, y: Array, z: Array) -> tuple[Array, Array]:
     """Return the distance from a toroid's axis in units of Ry, and its distance g from Ry [mm]."""
     p, q = 1.0 - cy * z, cy * y
     s = np.sqrt(p * p + q * q)
@@ -116,7 +116,7 @@ def _height(
     """
     cx, cy, e = record["cx"], record["cy"], record["e"]
     x, y, z = (o + t * d for o, d in zip(origin, direction, strict=True))
-    s, g = _turned(cy, y, z)
+    s, g = _rotate(cy, y, z)
     g_slope = ((1.0 - cy * z) * direction[2] - cy * y * direction[1]) / s
     square = 1.0 - e * cx * x * x
     w = np.sqrt(np.where(square > 0.0, square, 0.0))

@@ -1,13 +1,13 @@
 """Which peaks of the sensors belong to one marker, when several are seen at once."""
 
-from compute.reconstruction.correspondence.group import group_peaks
-from compute.reconstruction.correspondence.match import match_peaks
-from compute.reconstruction.correspondence.meeting import (
-    MeetingPoints,
-    Part,
-    meeting_points,
+from compute.reconstruction.correspondence.group_with_cameras import match_peaks
+from compute.reconstruction.correspondence.grouping import group_peaks
+from compute.reconstruction.correspondence.intersections import (
+    IntersectionPoints,
+    SearchPart,
+    intersection_points,
 )
-from compute.reconstruction.correspondence.outside import PredictedPoints
+from compute.reconstruction.correspondence.predicted_candidates import PredictedPoints
 from compute.reconstruction.correspondence.predictor import Predictor
 from compute.reconstruction.correspondence.result import Correspondence
 from compute.reconstruction.correspondence.settings import FALSE_REJECTION, MatchSettings
@@ -15,12 +15,12 @@ from compute.reconstruction.correspondence.settings import FALSE_REJECTION, Matc
 __all__ = [
     "FALSE_REJECTION",
     "Correspondence",
+    "IntersectionPoints",
     "MatchSettings",
-    "MeetingPoints",
-    "Part",
     "PredictedPoints",
     "Predictor",
+    "SearchPart",
     "group_peaks",
+    "intersection_points",
     "match_peaks",
-    "meeting_points",
 ]

@@ -8,20 +8,20 @@ from math import lgamma, log, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.reconstruction.correspondence.peaks import FramePeaks
 from compute.reconstruction.correspondence.settings import FALSE_REJECTION, MatchSettings
-from compute.reconstruction.estimate import PointBatch
-from compute.reconstruction.points import chi2_limit
+from compute.reconstruction.correspondence.sorted_peaks import SortedPeaks
+from compute.reconstruction.point_batch import PointBatch
+from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
 Choice = NDArray[np.intp]
 Solve = Callable[[Array, Array], PointBatch]
 
-BANDS = np.array([1.0, 3.0, 20.0])
+MISFIT_BANDS = np.array([1.0, 3.0, 20.0])
 """Misfits of up to these times what a marker may have tell how many are there by chance."""
-EXTENT_MM = 500.0
+MAX_EXTENT_MM = 500.0
 """How far a point may be undetermined at most: markers are not farther apart."""
-COMPARED_MM = 5.0
+PRIOR_EXTENT_MM = 5.0
 """Up to which a less determined point is taken as likelier. Markers that are evenly spread are
 dense in readings where these tell little, far away; but nothing is known of a volume so far out."""
 _HALF_COUNT = 0.5
@@ -37,9 +37,9 @@ class Candidates:
         position_mm: shape (C, 3) [mm].
         covariance_mm2: shape (C, 3, 3) [mm^2].
         chi2: of the readings, and of the predicted point where there is one, shape (C,).
-        degrees: of freedom of ``chi2``, shape (C,).
-        log_fit: log of the integral of the readings' likelihood over space, shape (C,) [mm^3].
-        log_compared: the same, but not larger for being less determined than ``COMPARED_MM``.
+        dof: of freedom of ``chi2``, shape (C,).
+        log_marginal: log of the integral of the readings' likelihood over space, shape (C,) [mm^3].
+        log_marginal_capped: the same, but not larger for being less determined than ``PRIOR_EXTENT_MM``.
         predicted: index of the predicted point that it would be, -1: none, shape (C,).
         log_density: log of that point's density at the position, shape (C,) [1/mm^3]; 0: none.
     """
@@ -48,9 +48,9 @@ class Candidates:
     position_mm: Array
     covariance_mm2: Array
     chi2: Array
-    degrees: NDArray[np.intp]
-    log_fit: Array
-    log_compared: Array
+    dof: NDArray[np.intp]
+    log_marginal: Array
+    log_marginal_capped: Array
     predicted: NDArray[np.intp]
     log_density: Array
 
@@ -65,14 +65,14 @@ class Candidates:
             self.position_mm[index],
             self.covariance_mm2[index],
             self.chi2[index],
-            self.degrees[index],
-            self.log_fit[index],
-            self.log_compared[index],
+            self.dof[index],
+            self.log_marginal[index],
+            self.log_marginal_capped[index],
             self.predicted[index],
             self.log_density[index],
         )
 
-    def joined(self, other: "Candidates") -> "Candidates":
+    def concatenate(self, other: "Candidates") -> "Candidates":
         """Return these and others."""
         if len(self) == 0:
             return other
@@ -81,9 +81,9 @@ class Candidates:
             np.concatenate([self.position_mm, other.position_mm]),
             np.concatenate([self.covariance_mm2, other.covariance_mm2]),
             np.concatenate([self.chi2, other.chi2]),
-            np.concatenate([self.degrees, other.degrees]),
-            np.concatenate([self.log_fit, other.log_fit]),
-            np.concatenate([self.log_compared, other.log_compared]),
+            np.concatenate([self.dof, other.dof]),
+            np.concatenate([self.log_marginal, other.log_marginal]),
+            np.concatenate([self.log_marginal_capped, other.log_marginal_capped]),
             np.concatenate([self.predicted, other.predicted]),
             np.concatenate([self.log_density, other.log_density]),
         )
@@ -100,53 +100,56 @@ class Candidates:
         tracked = self.log_density - settings.log_missed
         density = np.where(self.predicted < 0, log(settings.markers_per_mm3), tracked)
         score: Array = (
-            density + self.log_compared + seen * settings.log_seen + missed * settings.log_missed
+            density
+            + self.log_marginal_capped
+            + seen * settings.log_seen
+            + missed * settings.log_missed
         )
         return score
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
+class SolvedCombinations:
     """N combinations that were reconstructed.
 
     Args:
-        found: those that meet.
+        candidates: those that meet.
         row: which they are, shape (C,).
         chi2: of all, NaN where there is no point, shape (N,).
-        degrees: of freedom of all, shape (N,).
+        dof: of freedom of all, shape (N,).
     """
 
-    found: Candidates
+    candidates: Candidates
     row: NDArray[np.intp]
     chi2: Array
-    degrees: NDArray[np.intp]
+    dof: NDArray[np.intp]
 
 
-def solved(solve: Solve, peaks: FramePeaks, choice: Choice) -> Tried:
+def solve_combinations(solve: Solve, peaks: SortedPeaks, choice: Choice) -> SolvedCombinations:
     """Reconstruct combinations (N, S) of three or more peaks."""
     readings, sigma = peaks.readings(choice)
     points = solve(readings, sigma)
-    degrees = points.used.sum(axis=1) - 3
+    dof = points.used.sum(axis=1) - 3
     with np.errstate(invalid="ignore"):
-        good = np.flatnonzero(points.chi2 <= _limits(len(peaks))[np.maximum(degrees, 0)])
-    found = no_candidates(len(peaks))
+        good = np.flatnonzero(points.chi2 <= _limits(len(peaks))[np.maximum(dof, 0)])
+    candidates = empty_candidates(len(peaks))
     if len(good):
-        chi2, freedom, covariance = points.chi2[good], degrees[good], points.covariance_mm2[good]
+        chi2, n_dof, covariance = points.chi2[good], dof[good], points.covariance_mm2[good]
         log_sigma = np.log(np.where(points.used[good], sigma[good], 1.0)).sum(axis=1)
-        rest = -log_sigma - 0.5 * _LOG_TWO_PI * freedom - 0.5 * chi2
+        rest = -log_sigma - 0.5 * _LOG_TWO_PI * n_dof - 0.5 * chi2
         log_volume, compared = log_volumes(covariance)
-        found = Candidates(
+        candidates = Candidates(
             choice[good],
             points.position_mm[good],
             covariance,
             chi2,
-            freedom,
+            n_dof,
             log_volume + rest,
             compared + rest,
             np.full(len(good), -1),
             np.zeros(len(good)),
         )
-    return Tried(found, good, points.chi2, degrees)
+    return SolvedCombinations(candidates, good, points.chi2, dof)
 
 
 def log_volumes(covariance: Array) -> tuple[Array, Array]:
@@ -161,23 +164,23 @@ def log_volumes(covariance: Array) -> tuple[Array, Array]:
     determinant = np.maximum(determinant, 1e-30)
     one, other = (
         0.5 * np.log(determinant / (1.0 + x * (trace + x * (minors + x * determinant))))
-        for x in (EXTENT_MM**-2, COMPARED_MM**-2)
+        for x in (MAX_EXTENT_MM**-2, PRIOR_EXTENT_MM**-2)
     )
     return one, other
 
 
-def _limit(freedom: int) -> float:
-    return chi2_limit(freedom, FALSE_REJECTION)
+def _limit(n_dof: int) -> float:
+    return chi2_limit(n_dof, FALSE_REJECTION)
 
 
 @cache
 def _limits(sensors: int) -> Array:
     """Return the limits of chi2 by degrees of freedom; infinity is beyond all of them."""
-    return np.array([min(_limit(freedom), 1e300) for freedom in range(sensors - 2)])
+    return np.array([min(_limit(n_dof), 1e300) for n_dof in range(sensors - 2)])
 
 
 @cache
-def no_candidates(sensors: int) -> Candidates:
+def empty_candidates(sensors: int) -> Candidates:
     """Return none."""
     none = np.empty(0)
     whole = np.empty(0, dtype=np.intp)
@@ -194,7 +197,7 @@ def no_candidates(sensors: int) -> Candidates:
     )
 
 
-class Chance:
+class MisfitDensity:
     """How densely misfits of wrong combinations lie about zero, as counted in this frame.
 
     Wrong combinations' misfits are spread evenly over a range wider than the noise: how many lie
@@ -203,8 +206,8 @@ class Chance:
     """
 
     def __init__(self) -> None:
-        self._hits = np.zeros(len(BANDS))
-        self._width = np.zeros(len(BANDS))
+        self._hits = np.zeros(len(MISFIT_BANDS))
+        self._width = np.zeros(len(MISFIT_BANDS))
 
     def add(self, hits: Array, width: Array) -> None:
         """Add counts of misfits within each of the bands, and the bands' widths in deviations."""
@@ -220,26 +223,26 @@ class Chance:
         sure[-1] = max(self._hits[-1], 0.0) + _HALF_COUNT
         return float(np.log((sure / self._width).max()))
 
-    def count(self, chi2: Array, degrees: int, true: int) -> None:
+    def count(self, chi2: Array, dof: int, true: int) -> None:
         """Count the misfits of combinations of so many degrees of freedom, all that there are.
 
         Args:
             chi2: of all of them.
-            degrees: of freedom.
+            dof: of freedom.
             true: how many of them may be markers.
         """
-        limit = _limit(degrees)
+        limit = _limit(dof)
         # NaN, where there is no point, compares as false.
-        hits = np.array([np.count_nonzero(chi2 <= band**2 * limit) - true for band in BANDS])
+        hits = np.array([np.count_nonzero(chi2 <= band**2 * limit) - true for band in MISFIT_BANDS])
         # The share of a ball of so many dimensions, as the density along one of them.
         counted = np.maximum(hits, 0) + _HALF_COUNT
         share = counted / max(len(chi2), 1)
-        self.add(hits, counted * np.exp((_log_balls(degrees) - np.log(share)) / degrees))
+        self.add(hits, counted * np.exp((_log_ball_volumes(dof) - np.log(share)) / dof))
 
 
 @cache
-def _log_balls(degrees: int) -> Array:
+def _log_ball_volumes(dof: int) -> Array:
     """Return the log volumes of the bands as balls of so many dimensions, in deviations."""
-    log_ball = 0.5 * degrees * log(pi) - lgamma(0.5 * degrees + 1.0)
-    volumes: Array = log_ball + degrees * (0.5 * log(_limit(degrees)) + np.log(BANDS))
+    log_ball = 0.5 * dof * log(pi) - lgamma(0.5 * dof + 1.0)
+    volumes: Array = log_ball + dof * (0.5 * log(_limit(dof)) + np.log(MISFIT_BANDS))
     return volumes

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable
-from compute.reconstruction.points import check_corrections
+from compute.reconstruction.triangulation import check_corrections
 
 Array = NDArray[np.float64]
 
@@ -23,14 +23,14 @@ class Prediction:
 
     Args:
         readings_px: shape (N, S) [px]; NaN behind a lens.
-        slope_px_per_mm: d reading / d point, shape (N, S, 3).
+        jacobian_px_per_mm: d reading / d point, shape (N, S, 3).
         variance_px2: what the cameras' and the table's own uncertainty add, shape (S,): the
             largest of some of the points.
         in_view: whether the reading lies on the sensor's pixels, shape (N, S).
     """
 
     readings_px: Array
-    slope_px_per_mm: Array
+    jacobian_px_per_mm: Array
     variance_px2: Array
     in_view: NDArray[np.bool_]
 
@@ -72,12 +72,12 @@ class Predictor:
         """Return what the sensors read of points (N, 3) [mm]; NaN where a point is NaN."""
         cameras = self.cameras
         # A reading q is corrected to q + D (q - p0)^3, [5.12], which is inverted by iteration.
-        projected, slope = cameras.linearised(points_mm)
+        projected, slope = cameras.linearise(points_mm)
         readings = projected
         if cameras.cubic_per_px2.any():
             for _ in range(_CUBIC_STEPS):
-                readings = projected - (cameras.corrected(readings) - readings)
-            slope = slope / cameras.correction_slope(readings)[..., None]
+                readings = projected - (cameras.add_cubic_term(readings) - readings)
+            slope = slope / cameras.correction_derivative(readings)[..., None]
         variance = np.zeros(len(cameras))
         if self.corrections is not None:
             there = self.corrections.at(points_mm)
@@ -95,7 +95,7 @@ class Predictor:
     def _calibration_variance(self, points_mm: Array) -> Array:
         sample = points_mm[:: max(1, len(points_mm) // _SAMPLE)]
         jacobian = np.nan_to_num(self.cameras.parameter_jacobian(sample))
-        blocks = self.cameras.spread_covariance(np.asarray(self.parameter_covariance))
+        blocks = self.cameras.covariance_blocks(np.asarray(self.parameter_covariance))
         sensor = np.arange(len(self.cameras))
         own = blocks[sensor, :, sensor, :]
         variance: Array = np.einsum("nsp,spq,nsq->ns", jacobian, own, jacobian).max(axis=0)

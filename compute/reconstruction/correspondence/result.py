@@ -15,7 +15,7 @@ class Correspondence:
     Args:
         readings_px: shape (M, S), NaN where a sensor did not see the marker.
         sigma_px: their standard deviations, shape (M, S).
-        ambiguous: whether another grouping is likelier than the settings' ``wrong_rate``, or not
+        ambiguous: whether another grouping is likelier than the settings' ``max_error_rate``, or not
             all of them could be weighed; shape (M,).
         peaks: index of each sensor's peak, in the order given, -1: none; shape (M, S).
         predicted: index of the predicted point that it is, -1: none; shape (M,).

@@ -17,41 +17,41 @@ class MatchSettings:
     peaks leaves them in the balance, and what chance makes is measured in the frame itself.
 
     Args:
-        detection: chance that a sensor has a peak of a marker.
-        false_per_px: density of peaks that are no marker's [1/px].
+        detection_probability: chance that a sensor has a peak of a marker.
+        clutter_density_per_px: density of peaks that are no marker's [1/px].
         markers_per_mm3: density of markers [1/mm^3].
-        merged_px: standard deviation of the position of a peak that two markers share, as the
+        merged_sigma_px: standard deviation of the position of a peak that two markers share, as the
             reading of either [px].
-        wrong_rate: largest chance of being wrong with which a group counts as unambiguous.
-        most_points: combinations that are reconstructed for a frame, at most.
-        most_hypotheses: branches of the enumeration of sets of markers, for each cluster of peaks
+        max_error_rate: largest chance of being wrong with which a group counts as unambiguous.
+        max_points: combinations that are reconstructed for a frame, at most.
+        max_hypotheses: branches of the enumeration of sets of markers, for each cluster of peaks
             that are linked; beyond, doubt is bounded by linear programmes.
 
     Raises:
         InvalidParameter: a value out of its range.
     """
 
-    detection: float = 0.95
-    false_per_px: float = 2e-4
+    detection_probability: float = 0.95
+    clutter_density_per_px: float = 2e-4
     markers_per_mm3: float = 1e-7
-    merged_px: float = 2.0
-    wrong_rate: float = 1e-3
-    most_points: int = 200_000
-    most_hypotheses: int = 1_000
+    merged_sigma_px: float = 2.0
+    max_error_rate: float = 1e-3
+    max_points: int = 200_000
+    max_hypotheses: int = 1_000
 
     def __post_init__(self) -> None:
-        for name in ("detection", "wrong_rate"):
+        for name in ("detection_probability", "max_error_rate"):
             value = getattr(self, name)
             if not 0.0 < value < 1.0:
                 raise InvalidParameter(
                     f"{name} is {value}; it must lie between 0 and 1", **{name: value}
                 )
         for name in (
-            "false_per_px",
+            "clutter_density_per_px",
             "markers_per_mm3",
-            "merged_px",
-            "most_points",
-            "most_hypotheses",
+            "merged_sigma_px",
+            "max_points",
+            "max_hypotheses",
         ):
             value = getattr(self, name)
             if not 0.0 < value < float("inf"):
@@ -60,14 +60,14 @@ class MatchSettings:
     @property
     def log_seen(self) -> float:
         """What a marker's peak adds to its log likelihood, beside being no one's."""
-        return log(self.detection) - log(self.false_per_px)
+        return log(self.detection_probability) - log(self.clutter_density_per_px)
 
     @property
     def log_missed(self) -> float:
         """What a sensor without a peak of the marker adds."""
-        return log(1.0 - self.detection)
+        return log(1.0 - self.detection_probability)
 
     @property
     def window(self) -> float:
         """Log odds beyond which other sets of markers are not weighed."""
-        return 3.0 - log(self.wrong_rate)
+        return 3.0 - log(self.max_error_rate)

@@ -6,9 +6,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.reconstruction.estimate import PointBatch
-from compute.reconstruction.native.job import JOB
-from compute.warp_host import check_threads, helpers, host_memory
+from compute.reconstruction.native.kernel_arguments import JOB
+from compute.reconstruction.point_batch import PointBatch
+from compute.warp_host import check_threads, host_memory, worker_threads
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ DIRECT_POINTS: Final = 4096
 points: the copies' starts take longer than that."""
 POINTS_PER_LAUNCH: Final = 1 << 18
 """Most points in the buffers on CUDA; of more, one part after another is brought there."""
-THREADS_OF_A_BLOCK: Final = 64
+THREADS_PER_BLOCK: Final = 64
 POINT_BYTES: Final = 108
 """A point's position, covariance, chi2 and flags."""
 _MOVING: Final = 7
@@ -101,7 +101,7 @@ class CpuLaunch:
             ]
             self._prepare(part, moved, starts[part + 1] - starts[part])
         # Warp is not thread-safe, but all that a helper calls is the compiled kernel.
-        pending = [helpers().submit(launch.launch) for launch in self._launches[1:parts]]
+        pending = [worker_threads().submit(launch.launch) for launch in self._launches[1:parts]]
         self._launches[0].launch()
         for future in pending:
             future.result()
@@ -164,7 +164,7 @@ class CudaLaunch:
             end = min(first + POINTS_PER_LAUNCH, count)
             self.upload(readings[first:end], sigma[first:end])
             self.launch()
-            self._bring_back()
+            self._download()
             self._collect(self._staged_host, points, first, end)
         return points
 
@@ -185,7 +185,7 @@ class CudaLaunch:
         """Wait for the kernel, without its results; to time it alone."""
         self._wp.synchronize_stream(self._device)
 
-    def _bring_back(self) -> None:
+    def _download(self) -> None:
         for index, size in enumerate(self._sizes(self._uploaded)):
             if index >= 2:
                 self._wp.copy(self._staged[index], self._there[index], count=size)
@@ -227,7 +227,7 @@ class CudaLaunch:
             dim=1,
             inputs=[there.ptr],
             device=self._device,
-            block_dim=THREADS_OF_A_BLOCK,
+            block_dim=THREADS_PER_BLOCK,
             record_cmd=True,
         )
         # Kept: the launch has its address.

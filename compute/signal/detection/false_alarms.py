@@ -32,11 +32,11 @@ class FalseAlarms:
     and 0.5 for 3 px.
 
     Args:
-        expected_above: logarithm of the expected number above a height in standard deviations.
+        log_expected_above: logarithm of the expected number above a height in standard deviations.
         pixels: of a line.
     """
 
-    expected_above: CubicSpline
+    log_expected_above: CubicSpline
     pixels: int
 
     @classmethod
@@ -61,36 +61,36 @@ class FalseAlarms:
         above = reverse(height)[::-1] + tail
         return cls(CubicSpline(height, np.log(above)), pixels)
 
-    def expected(self, threshold_sigma: float, degrees: float = np.inf) -> float:
+    def expected(self, threshold_sigma: float, dof: float = np.inf) -> float:
         """Return the expected number of maxima of one line above a threshold.
 
         Args:
             threshold_sigma: threshold in (estimated) standard deviations of the answer.
-            degrees: degrees of freedom of the estimated variance; infinite: it is known.
+            dof: degrees of freedom of the estimated variance; infinite: it is known.
         """
-        if np.isinf(degrees):
-            return float(np.exp(self.expected_above(min(threshold_sigma, _HIGHEST))))
+        if np.isinf(dof):
+            return float(np.exp(self.log_expected_above(min(threshold_sigma, _HIGHEST))))
         # The ratio of estimated and true deviation by quadrature over what matters of it.
-        reach = 8.0 / np.sqrt(2.0 * degrees)
+        reach = 8.0 / np.sqrt(2.0 * dof)
         node, weight = np.polynomial.legendre.leggauss(_NODES)
         ratio = 1.0 + reach * node
         ratio, weight = ratio[ratio > 0.0], weight[ratio > 0.0]
-        chance = chi2.pdf(degrees * ratio**2, degrees) * 2.0 * degrees * ratio * reach * weight
-        numbers = np.exp(self.expected_above(np.minimum(threshold_sigma * ratio, _HIGHEST)))
-        return float((chance * numbers).sum() / chance.sum())
+        probability = chi2.pdf(dof * ratio**2, dof) * 2.0 * dof * ratio * reach * weight
+        numbers = np.exp(self.log_expected_above(np.minimum(threshold_sigma * ratio, _HIGHEST)))
+        return float((probability * numbers).sum() / probability.sum())
 
-    def threshold_sigma(self, per_line: float, degrees: float = np.inf) -> float:
+    def threshold_sigma(self, per_line: float, dof: float = np.inf) -> float:
         """Return the threshold that so many false alarms per line are expected above.
 
         Args:
             per_line: expected number of false alarms in an empty line.
-            degrees: as of ``expected``.
+            dof: as of ``expected``.
 
         Raises:
             InvalidParameter: a number that is not positive, or that no threshold from 0 to 12
                 deviations gives.
         """
-        low, high = (self.expected(t, degrees) for t in (_HIGHEST, 0.0))
+        low, high = (self.expected(t, dof) for t in (_HIGHEST, 0.0))
         if not low < per_line < high:
             raise InvalidParameter(
                 f"false_alarms_per_line is {per_line}; on lines of {self.pixels} pixels it must "
@@ -99,7 +99,7 @@ class FalseAlarms:
             )
         goal = np.log(per_line)
         return float(
-            brentq(lambda t: np.log(self.expected(t, degrees)) - goal, 0.0, _HIGHEST, xtol=1e-9)
+            brentq(lambda t: np.log(self.expected(t, dof)) - goal, 0.0, _HIGHEST, xtol=1e-9)
         )
 
 
@@ -108,7 +108,7 @@ def _density(rows: Array, place: int, height: Array) -> Array:
     own = rows[place]
     norm = float(np.sqrt(own @ own))
     z = height / norm
-    chance = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) / norm
+    probability = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) / norm
     sides = [row for row in (place - 1, place + 1) if 0 <= row < len(rows)]
     cosines, limits = [], []
     for row in sides:
@@ -118,13 +118,13 @@ def _density(rows: Array, place: int, height: Array) -> Array:
         cosines.append(cosine)
         limits.append((height / size - cosine * z) / np.sqrt(1.0 - cosine**2))
     if len(sides) == 1:
-        return np.asarray(chance * ndtr(limits[0]))
+        return np.asarray(probability * ndtr(limits[0]))
     before, after = rows[place - 1], rows[place + 1]
     across = float(before @ after) / float(np.sqrt((before @ before) * (after @ after)))
     rest = (across - cosines[0] * cosines[1]) / float(
         np.sqrt((1.0 - cosines[0] ** 2) * (1.0 - cosines[1] ** 2))
     )
-    return np.asarray(chance * _both_below(limits[0], limits[1], rest))
+    return np.asarray(probability * _both_below(limits[0], limits[1], rest))
 
 
 def _both_below(h: Array, k: Array, rho: float) -> Array:

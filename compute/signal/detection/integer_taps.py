@@ -10,7 +10,7 @@ MAX_ABSOLUTE_SUM = 32768
 """Largest sum of |taps|: times 65535, the largest pixel, it stays below 2^31."""
 
 
-def without_background(shape: Array, *, slope: bool) -> Array:
+def remove_background(shape: Array, *, slope: bool) -> Array:
     """Return a shape less its own mean (and slope): what background it cannot be told from.
 
     The result is the matched filter of the shape in white noise over a background that is
@@ -44,25 +44,25 @@ def round_taps(real: Array, *, slope: bool) -> Taps:
         taps = np.rint(real).astype(np.int64)
         taps[half + 1 :] = taps[:half][::-1]
         pairs = int(taps.sum()) // 2
-        _take_off(taps[:half], real[:half], pairs)
+        _subtract_excess(taps[:half], real[:half], pairs)
         taps[half + 1 :] = taps[:half][::-1]
         taps[half] -= taps.sum()
         return taps
     taps = np.rint(real).astype(np.int64)
-    _take_off(taps, real, int(taps.sum()))
+    _subtract_excess(taps, real, int(taps.sum()))
     if slope:
-        _level(taps)
+        _zero_first_moment(taps)
     return taps
 
 
-def _take_off(taps: Taps, real: Array, excess: int) -> None:
+def _subtract_excess(taps: Taps, real: Array, excess: int) -> None:
     """Lower (or raise) taps by one, in all ``excess``, where rounding went the other way most."""
     step = 1 if excess > 0 else -1
     for _ in range(abs(excess)):
         taps[np.argmax(step * (taps - real))] -= step
 
 
-def _level(taps: Taps) -> None:
+def _zero_first_moment(taps: Taps) -> None:
     """Move ones between taps until the first moment is zero; the sum stays."""
     length = len(taps)
     moment = int((np.arange(length) * taps).sum())

@@ -12,8 +12,8 @@ from scipy.special import ndtr
 from compute.errors import InvalidParameter
 from compute.signal.detection.integer_taps import (
     MAX_ABSOLUTE_SUM,
+    remove_background,
     round_taps,
-    without_background,
 )
 
 Array = NDArray[np.float64]
@@ -211,7 +211,7 @@ def shape_filter(shape: ArrayLike, *, slope: bool = False) -> MatchedFilter:
             f"shape holds {least}; it must be finite and nowhere negative", shape=least
         )
     half = peak.size // 2
-    whole = without_background(peak, slope=slope)
+    whole = remove_background(peak, slope=slope)
     ends = [_cut(peak, slope), _cut(peak[::-1], slope)]
     norms = [float(np.sqrt((row**2).sum())) for row in (whole, *ends[0], *ends[1])]
     if min(norms) <= 1e-6 * float(peak.max()):
@@ -239,4 +239,4 @@ def shape_filter(shape: ArrayLike, *, slope: bool = False) -> MatchedFilter:
 def _cut(peak: Array, slope: bool) -> list[Array]:
     """Return the filters of a peak on the places 0, 1, ... from a line's first pixel."""
     half = peak.size // 2
-    return [without_background(peak[half - d :], slope=slope) for d in range(half)]
+    return [remove_background(peak[half - d :], slope=slope) for d in range(half)]

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.fit.fit_plan import pack_plan
-from compute.signal.fit.settings import FitSettings
-from compute.signal.fit.shape import LineShape
-from compute.signal.noise import LineNoise
+from compute.signal.fit.fit_settings import FitSettings
+from compute.signal.fit.kernel_parameters import pack_plan
+from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peak_finder import PeakFinder
 from compute.signal.peaks import PeakBatch
+from compute.signal.sensor_noise import SensorNoise
 from compute.warp_host import warp_device
 
 
@@ -39,8 +39,8 @@ class FitFinder(PeakFinder):
         lines: int,
         pixels: int,
         settings: FitSettings,
-        noise: LineNoise,
-        shape: LineShape | None = None,
+        noise: SensorNoise,
+        shape: LineSpreadFunction | None = None,
         device: str | None = None,
         threads: int | None = None,
     ) -> None:
@@ -48,19 +48,19 @@ class FitFinder(PeakFinder):
         import warp as wp
 
         from compute.signal.fit.fit_kernel import fit_peaks, fitted_line_record
-        from compute.signal.native.cuda_sizes import FIT_LINES_PER_WARP
-        from compute.signal.native.runner import LineRunner
+        from compute.signal.native.cuda_launch_sizes import FIT_LINES_PER_WARP
+        from compute.signal.native.kernel_runner import ScanKernelRunner
 
         search = settings.search
         record = fitted_line_record(search.max_peaks)
         self.settings = settings
         # Kept: the launches have its address.
         self._plan: Any = wp.array(
-            pack_plan(settings, LineShape.gaussian() if shape is None else shape),
+            pack_plan(settings, LineSpreadFunction.gaussian() if shape is None else shape),
             dtype=wp.uint64,
             device=warp_device(wp, device),
         )
-        runner = LineRunner(
+        runner = ScanKernelRunner(
             wp,
             fit_peaks,
             lines,

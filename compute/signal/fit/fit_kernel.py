@@ -9,10 +9,10 @@ import numpy as np
 import warp as wp
 
 from compute.signal.fit.fit_source import FIT_PEAKS
-from compute.signal.native.centroid import FIND_PEAKS
-from compute.signal.native.cuda_sizes import FIT_LAUNCH_BOUNDS
-from compute.signal.native.prelude import line_record
-from compute.signal.peaks import JOINT_PEAKS
+from compute.signal.native.centroid_source import FIND_PEAKS
+from compute.signal.native.cuda_launch_sizes import FIT_LAUNCH_BOUNDS
+from compute.signal.native.peak_record import line_record
+from compute.signal.peaks import MAX_JOINT_PEAKS
 
 # Its greeting and its compile times are nothing to a user of ours.
 wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
@@ -27,7 +27,7 @@ FITTED_RECORD: Final = np.dtype(
         ("width_px", "<f4"),
         ("flags", "<i4"),
         ("reduced_chi2", "<f4"),
-        ("covariance_px2", "<f4", (JOINT_PEAKS - 1,)),
+        ("covariance_px2", "<f4", (MAX_JOINT_PEAKS - 1,)),
     ]
 )
 """One fitted peak as the kernel writes it."""

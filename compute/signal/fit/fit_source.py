@@ -13,17 +13,21 @@ arguments are those of ``compute.signal.fit.fit_kernel``.
 
 from typing import Final
 
-from compute.signal.fit.fit_groups_source import GROUPS
-from compute.signal.fit.fit_joint_source import FIT_JOINTLY
-from compute.signal.fit.fit_single_source import FIT_ALONE
-from compute.signal.fit.settings import CONVERGED_SIGMA, MAX_ITERATIONS, MAX_WINDOW_PX
-from compute.signal.peaks import JOINT_PEAKS, PeakFlag
-from compute.signal.settings import LEVEL_UNIT
+from compute.signal.centroid_settings import LEVEL_UNIT
+from compute.signal.fit.candidate_groups_source import GROUPS
+from compute.signal.fit.fit_settings import (
+    CONVERGENCE_THRESHOLD_SIGMA,
+    MAX_ITERATIONS,
+    MAX_WINDOW_PX,
+)
+from compute.signal.fit.joint_fit_source import FIT_JOINTLY
+from compute.signal.fit.single_peak_fit_source import FIT_ALONE
+from compute.signal.peaks import MAX_JOINT_PEAKS, PeakFlag
 
 _CONSTANTS: Final = f"""
-    const int joint_peaks = {JOINT_PEAKS}, max_window = {MAX_WINDOW_PX};
+    const int joint_peaks = {MAX_JOINT_PEAKS}, max_window = {MAX_WINDOW_PX};
     const int max_iterations = {MAX_ITERATIONS};
-    const double converged2 = {CONVERGED_SIGMA**2!r};
+    const double converged2 = {CONVERGENCE_THRESHOLD_SIGMA**2!r};
     const int level_unit = {LEVEL_UNIT};
     const int saturated = {PeakFlag.SATURATED:d}, clipped = {PeakFlag.CLIPPED:d};
     const int merged = {PeakFlag.MERGED:d}, truncated = {PeakFlag.TRUNCATED:d};
@@ -42,9 +46,9 @@ _TYPES: Final = """
     };
     struct Plan {
         double width_px, log_width, prior, reach, shape_error2;
-        double least_start, most_start, least_log, most_log, width_unit, margin;
+        double min_start, max_start, min_log, max_log, width_unit, margin;
         double first, inverse_step, first_node, node_step, narrow4;
-        int max_joint, sloped, width_is_fitted, has_prior, sensors, nodes, pieces, limits;
+        int max_joint_peaks, sloped, width_is_fitted, has_prior, sensors, nodes, pieces, limits;
         int further_peaks;
     };
     const Plan& plan = *(const Plan*)plan_address;

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.fit.gather import FlatPeaks, fitted_peaks, unfitted_peaks
-from compute.signal.fit.group import form_groups
-from compute.signal.fit.model import Array, Layout, Windows, evaluate
-from compute.signal.fit.reference import check_lines, fitted_groups
-from compute.signal.fit.selection import Chosen
-from compute.signal.fit.settings import FitSettings
-from compute.signal.fit.shape import LineShape
-from compute.signal.noise import LineNoise
+from compute.signal.centroid_reference import find_peaks_reference
+from compute.signal.fit.candidate_groups import form_groups
+from compute.signal.fit.fit_reference import check_lines, fit_groups
+from compute.signal.fit.fit_settings import FitSettings
+from compute.signal.fit.line_spread_function import LineSpreadFunction
+from compute.signal.fit.model_order import SelectedFits
+from compute.signal.fit.peak_batches import FlatPeaks, collect_fitted_peaks, collect_unfitted_peaks
+from compute.signal.fit.window_model import Array, Layout, Windows, evaluate
 from compute.signal.peaks import PeakFlag
-from compute.signal.reference import find_peaks_reference
+from compute.signal.sensor_noise import SensorNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class GroupFit:
         position_px: of the peaks, in ascending order [px], shape (K,).
         sigma_px: their standard deviations [px], shape (K,).
         amplitude: light in a pixel about the line's middle [counts], shape (K,).
-        light_counts: light of each line [counts], shape (K,).
+        dark_corrected_counts: light of each line [counts], shape (K,).
         light_electrons: the same [electrons], shape (K,).
         width_px: the group's width: a Gaussian's deviation, or in the shape's own unit [px].
         width_sigma_px: its standard deviation [px]; zero where it is known.
@@ -40,7 +40,7 @@ class GroupFit:
         parameters: names of the covariance's rows.
         covariance: of all parameters: lights in counts, the width as its logarithm.
         chi2: misfit.
-        freedom: its degrees of freedom.
+        dof: its degrees of freedom.
     """
 
     first_px: int
@@ -52,7 +52,7 @@ class GroupFit:
     position_px: Array
     sigma_px: Array
     amplitude: Array
-    light_counts: Array
+    dark_corrected_counts: Array
     light_electrons: Array
     width_px: float
     width_sigma_px: float
@@ -61,7 +61,7 @@ class GroupFit:
     parameters: tuple[str, ...]
     covariance: Array
     chi2: float
-    freedom: int
+    dof: int
 
     @property
     def fitted(self) -> bool:
@@ -72,8 +72,8 @@ class GroupFit:
 def fit_line(
     values: NDArray[np.uint16],
     settings: FitSettings,
-    noise: LineNoise,
-    shape: LineShape | None = None,
+    noise: SensorNoise,
+    shape: LineSpreadFunction | None = None,
     sensor: int = 0,
 ) -> tuple[GroupFit, ...]:
     """Fit the peaks of one line as ``fit_lines`` does, and tell everything.
@@ -95,41 +95,43 @@ def fit_line(
     """
     lines = values[None]
     check_lines(lines)
-    shape = LineShape.gaussian() if shape is None else shape
+    shape = LineSpreadFunction.gaussian() if shape is None else shape
     # Line l belongs to sensor l: the wanted one stands last, after empty ones.
     own = sensor % len(noise)
     lines = np.concatenate([np.zeros((own, len(values)), np.uint16), lines])
     candidates = find_peaks_reference(lines, settings.search, noise)
     groups = form_groups(candidates, len(values), settings)
     found: list[GroupFit] = []
-    for number, fits in fitted_groups(lines, groups, candidates, settings, noise, shape):
+    for number, fits in fit_groups(lines, groups, candidates, settings, noise, shape):
         part = groups[number]
-        for chosen in fits:
-            peaks = fitted_peaks(chosen, number, part, candidates, len(values), settings, shape)
-            good = chosen[chosen.solution.good]
+        for selected in fits:
+            peaks = collect_fitted_peaks(
+                selected, number, part, candidates, len(values), settings, shape
+            )
+            good = selected[selected.solution.good]
             gain = noise.electrons_per_count[own]
             found += [
                 _fitted(good, row, peaks, float(gain), settings, shape)
                 for row in range(len(good.rows))
             ]
-            bad = chosen[~chosen.solution.good]
-            peaks = unfitted_peaks(chosen, number, part, candidates)
+            bad = selected[~selected.solution.good]
+            peaks = collect_unfitted_peaks(selected, number, part, candidates)
             found += [_unfitted(bad, row, peaks) for row in range(len(bad.rows))]
     return tuple(sorted(found, key=lambda group: float(group.position_px[0])))
 
 
 def _fitted(
-    chosen: Chosen,
+    selected: SelectedFits,
     row: int,
     peaks: FlatPeaks,
     gain: float,
     settings: FitSettings,
-    shape: LineShape,
+    shape: LineSpreadFunction,
 ) -> GroupFit:
-    layout, solution = chosen.layout, chosen.solution
+    layout, solution = selected.layout, selected.solution
     count = layout.peaks
     own = peaks[np.arange(row * count, (row + 1) * count)]
-    windows = chosen.windows[np.array([row])]
+    windows = selected.windows[np.array([row])]
     order = np.argsort(solution.parameters[row, layout.position], kind="stable")
     index = np.arange(layout.size)
     index[layout.light] = index[layout.light][order]
@@ -159,15 +161,15 @@ def _fitted(
         _names(layout),
         covariance,
         float(solution.chi2[row]),
-        int(solution.freedom[row]),
+        int(solution.dof[row]),
     )
 
 
-def _unfitted(chosen: Chosen, row: int, peaks: FlatPeaks) -> GroupFit:
-    layout = chosen.layout
+def _unfitted(selected: SelectedFits, row: int, peaks: FlatPeaks) -> GroupFit:
+    layout = selected.layout
     count = layout.peaks
     own = peaks[np.arange(row * count, (row + 1) * count)]
-    windows: Windows = chosen.windows[np.array([row])]
+    windows: Windows = selected.windows[np.array([row])]
     inside = slice(0, int(windows.last_px[0] - windows.first_px[0]) + 1)
     values = windows.values[0, inside]
     nothing, each = np.full(len(values), np.nan), np.full(count, np.nan)

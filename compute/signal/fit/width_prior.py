@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from compute.signal.fit.model import Array
-from compute.signal.fit.settings import NARROW_POWER, FitSettings
+from compute.signal.fit.fit_settings import NARROW_POWER, FitSettings
+from compute.signal.fit.window_model import Array
 
 
 class WidthPrior(NamedTuple):
@@ -14,24 +14,24 @@ class WidthPrior(NamedTuple):
     Args:
         score: slope of the prior's logarithm.
         information: its curvature, negative.
-        chi2: to the misfit: the square of the distance from ``width_px`` in ``width_spread``.
-        merit: twice the prior's logarithm, negative.
+        chi2: to the misfit: the square of the distance from ``width_px`` in ``width_log_sigma``.
+        deviance: twice the prior's logarithm, negative.
     """
 
     score: Array
     information: Array
     chi2: Array
-    merit: Array
+    deviance: Array
 
 
 def width_prior(log_width: Array, settings: FitSettings) -> WidthPrior:
     """Return what ``settings`` believes of widths of these logarithms, shape (N,)."""
     nothing = np.zeros_like(log_width)
-    if settings.width_spread == 0.0:
+    if settings.width_log_sigma == 0.0:
         return WidthPrior(nothing, nothing, nothing, nothing)
-    inverse = settings.width_spread**-2
+    inverse = settings.width_log_sigma**-2
     away = np.log(settings.width_px) - log_width
-    narrow = np.exp(NARROW_POWER * (np.log(settings.narrow_px) - log_width))
+    narrow = np.exp(NARROW_POWER * (np.log(settings.narrow_width_px) - log_width))
     chi2 = inverse * away**2
     return WidthPrior(
         inverse * away + NARROW_POWER * narrow,

@@ -1,6 +1,6 @@
 """The Warp kernels that find the peaks of line scans, on the CPU and on CUDA.
 
-Only ``compute.signal.finder`` imports this module, when a finder is made: it loads Warp.
+Only ``compute.signal.centroid_finder`` imports this module, when a finder is made: it loads Warp.
 """
 
 from functools import cache
@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import warp as wp
 
-from compute.signal.native.centroid import Length, find_peaks_source
-from compute.signal.native.cuda_sizes import LAUNCH_BOUNDS, LINES_PER_BATCH
+from compute.signal.native.centroid_source import Length, find_peaks_source
+from compute.signal.native.cuda_launch_sizes import LAUNCH_BOUNDS, LINES_PER_BATCH
 
 # Its greeting and its compile times are nothing to a user of ours.
 wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)

@@ -3,44 +3,49 @@
 from typing import Final
 
 from compute.reconstruction.native.algebra import ALGEBRA
-from compute.reconstruction.native.cameras import CAMERAS
-from compute.reconstruction.native.table import TABLE
+from compute.reconstruction.native.correction_table import TABLE
+from compute.reconstruction.native.projection import CAMERAS
 from compute.tracking.association import (
-    DOUBTED_SIGMA,
-    GIVEN_UP,
-    LOST,
-    MOST_TURNS,
-    RELINEARISED_MM,
-    SEEN,
+    ASSOCIATION_PROBABILITY_THRESHOLD,
+    LOST_SIGMA_FACTOR,
+    MAX_ITERATIONS,
+    PRUNED_WEIGHT_THRESHOLD,
+    RELINEARISATION_STEP_MM,
+    SUSPECT_RESIDUAL_SIGMA,
 )
-from compute.tracking.joint_hypotheses import LEAST_MERGED, NEGLIGIBLE, REACH, SHARE_VARIANCE
-from compute.tracking.native.filtering import FILTERING
-from compute.tracking.native.hypotheses import HYPOTHESES
-from compute.tracking.native.job import JOB_SOURCE
-from compute.tracking.states import LEAST_PROBABILITY
+from compute.tracking.imm_states import MIN_MODE_PROBABILITY
+from compute.tracking.joint_events import (
+    MIN_MERGE_PROBABILITY,
+    NEGLIGIBLE_WEIGHT_RATIO,
+    SHARE_FRACTION_VARIANCE,
+    SHARED_PEAK_REACH,
+)
+from compute.tracking.native.joint_events import HYPOTHESES
+from compute.tracking.native.kernel_arguments import JOB_SOURCE
+from compute.tracking.native.measurement_update import FILTERING
 
 _CONSTANTS: Final = f"""
-    const double share_spread = {SHARE_VARIANCE!r}, negligible = {NEGLIGIBLE!r};
-    const double least_merged = {LEAST_MERGED!r}, doubted = {DOUBTED_SIGMA!r};
-    const double relinearised = {RELINEARISED_MM!r}, given_up_limit = {GIVEN_UP!r};
-    const double lost = {LOST!r}, seen = {SEEN!r}, reach_of = {REACH!r};
-    const double least_probability = {LEAST_PROBABILITY!r};
-    const int most_turns = {MOST_TURNS};
+    const double share_spread = {SHARE_FRACTION_VARIANCE!r}, negligible = {NEGLIGIBLE_WEIGHT_RATIO!r};
+    const double min_merged = {MIN_MERGE_PROBABILITY!r}, doubted = {SUSPECT_RESIDUAL_SIGMA!r};
+    const double relinearised = {RELINEARISATION_STEP_MM!r}, given_up_limit = {PRUNED_WEIGHT_THRESHOLD!r};
+    const double lost = {LOST_SIGMA_FACTOR!r}, seen = {ASSOCIATION_PROBABILITY_THRESHOLD!r}, reach_of = {SHARED_PEAK_REACH!r};
+    const double min_probability = {MIN_MODE_PROBABILITY!r};
+    const int max_turns = {MAX_ITERATIONS};
 """
 
 _DECISIVE: Final = """
     const double log_gain = log(gain_of_peak);
-    const int most_all = 256;
+    const int max_all = 256;
     auto position = [&](int s, int k) -> double { return job.position[s * K + k]; };
     auto noise_of = [&](int s, int k) -> double { return job.noise[s * K + k]; };
     // Finds the peaks of one sensor that leave no choice: -1 where there is none.
     auto find_decisive = [&](int s, int* found) APART {
-        int last[most_all], gated[most_all];
-        bool own[most_all], sought[most_all];
+        int last[max_all], gated[max_all];
+        bool own[max_all], sought[max_all];
         for (int t = 0; t < T; ++t) {
             const double at = present(t)[s], v = expected_variance(t)[s];
             sought[t] = visible[t * S + s] && contested[t * S + s]
-                && v <= job.search_px * job.search_px;
+                && v <= job.max_prediction_sigma_px * job.max_prediction_sigma_px;
             gated[t] = 0;
             last[t] = -1;
             if (!sought[t]) continue;
@@ -89,7 +94,7 @@ _DECISIVE: Final = """
                 ++n;
             }
         if (n == 0) return false;
-        for (int turn = 0; turn < most_turns; ++turn) {
+        for (int turn = 0; turn < max_turns; ++turn) {
             left_out(t, used, n, noise, off, result);
             int worst = 0;
             for (int i = 0; i < n; ++i) {
@@ -109,7 +114,7 @@ _DECISIVE: Final = """
         for (int i = 0; i < n; ++i)
             if (result[i] > doubted) noise[i] += merge * merge / 12.0;
         double mean[8 * 9], covariance[8 * 81], with_bias[8 * 9 * S], log_likely[8], squared[8];
-        for (int turn = 0; turn < (first ? most_turns : 1); ++turn) {
+        for (int turn = 0; turn < (first ? max_turns : 1); ++turn) {
             double moved[3] = {0.0, 0.0, 0.0};
             for (int k = 0; k < M; ++k) {
                 double *m = mean + 9 * k, *p = covariance + 81 * k, *q = with_bias + 9 * S * k;
@@ -130,7 +135,7 @@ _DECISIVE: Final = """
                 const double step = moved[i] - place(t)[i];
                 far = far || !(step < relinearised && -step < relinearised);
             }
-            if (!far || turn + 1 == (first ? most_turns : 1)) break;
+            if (!far || turn + 1 == (first ? max_turns : 1)) break;
             for (int i = 0; i < 3; ++i) place(t)[i] = moved[i];
             predict(t);
         }
@@ -145,7 +150,7 @@ _DECISIVE: Final = """
         job.evidence[t] += top + log(share) + n * log_gain;
         for (int k = 0; k < M; ++k) {
             double& chance = job.probability[t * M + k];
-            chance = larger(chance * exp(log_likely[k] - top) / share, least_probability);
+            chance = larger(chance * exp(log_likely[k] - top) / share, min_probability);
             sum += chance;
         }
         for (int k = 0; k < M; ++k) {
@@ -164,8 +169,8 @@ _DECISIVE: Final = """
 _CONTESTED: Final = """
     // Takes one sensor's contested peaks; returns false where there is not room enough.
     auto take_sensor = [&](int s) APART -> bool {
-        int rows[most_all], by_begin[most_all], n = 0;
-        double at[most_all], v[most_all], begin[most_all], widest = 0.0;
+        int rows[max_all], by_begin[max_all], n = 0;
+        double at[max_all], v[max_all], begin[max_all], widest = 0.0;
         for (int t = 0; t < T; ++t)
             if (contested[t * S + s]) {
                 mix(t);
@@ -179,10 +184,10 @@ _CONTESTED: Final = """
                     by_begin[where] = by_begin[where - 1];
                 by_begin[where] = n - 1;
             }
-        int peaks[most_all], m = 0;
+        int peaks[max_all], m = 0;
         for (int k = 0; k < K; ++k)
             if (job.usable[s * K + k] && !taken[s * K + k]) {
-                if (m == most_all) return false;
+                if (m == max_all) return false;
                 peaks[m++] = k;
                 widest = larger(widest, sqrt(noise_of(s, k)));
             }
@@ -199,15 +204,15 @@ _CONTESTED: Final = """
                 high = larger(high, at[i] + half);
                 ++to;
             }
-            if (to - from > most_tracks) return false;
-            int members[most_tracks], size = to - from, count = 0, own[most_tracks];
+            if (to - from > max_tracks) return false;
+            int members[max_tracks], size = to - from, count = 0, own[max_tracks];
             for (int i = 0; i < size; ++i) {
                 int where = i;
                 for (; where > 0 && members[where - 1] > by_begin[from + i]; --where)
                     members[where] = members[where - 1];
                 members[where] = by_begin[from + i];
             }
-            double a[most_tracks], va[most_tracks], z[most_tracks], vz[most_tracks];
+            double a[max_tracks], va[max_tracks], z[max_tracks], vz[max_tracks];
             for (int i = 0; i < size; ++i) {
                 a[i] = at[members[i]];
                 va[i] = v[members[i]];
@@ -215,7 +220,7 @@ _CONTESTED: Final = """
             for (int i = 0; i < m; ++i) {
                 const double here = position(s, peaks[i]);
                 if (here < low - margin - between || here > high + margin + between) continue;
-                if (count == most_tracks) return false;
+                if (count == max_tracks) return false;
                 own[count] = peaks[i];
                 z[count] = here;
                 vz[count++] = noise_of(s, peaks[i]);
@@ -226,9 +231,9 @@ _CONTESTED: Final = """
             if (ways < 0) return false;
             for (int i = 0; i < size; ++i) {
                 const int t = rows[members[i]];
-                double weight[most_options], difference[most_options], noise[most_options];
-                int which[most_options], claims = 0;
-                bool shared[most_options];
+                double weight[max_options], difference[max_options], noise[max_options];
+                int which[max_options], claims = 0;
+                bool shared[max_options];
                 for (int o = 0; o < ways; ++o) {
                     const Option& way = options[o];
                     if ((way.one != i && way.two != i) || option_chance[o] == 0.0) continue;
@@ -285,13 +290,13 @@ _FRAME: Final = """
             look(t, s);
             narrow = narrow
                 && !(visible[t * S + s]
-                     && expected_variance(t)[s] > lost * job.search_px * (lost * job.search_px));
+                     && expected_variance(t)[s] > lost * job.max_prediction_sigma_px * (lost * job.max_prediction_sigma_px));
             job.choice[t * S + s] = -1;
         }
         for (int s = 0; s < S; ++s) contested[t * S + s] = narrow;
     }
     for (int i = 0; i < S * K; ++i) taken[i] = 0;
-    if (T > most_all || M > 8) {
+    if (T > max_all || M > 8) {
         job.failed = 1;
         return;
     }

@@ -5,17 +5,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.reconstruction.native.camera_record import fill_cameras
-from compute.reconstruction.native.job import row_length
+from compute.reconstruction.native.camera_arguments import fill_cameras
+from compute.reconstruction.native.kernel_arguments import row_length
 from compute.reconstruction.native.launch import address
-from compute.reconstruction.solver import term_room
-from compute.tracking.association import Associated, associate
-from compute.tracking.frame_peaks import FramePeaks
+from compute.reconstruction.solver import term_capacity
+from compute.tracking.association import AssociationResult, associate
+from compute.tracking.imm_states import ImmStates
+from compute.tracking.measurement_model import MeasurementModel
+from compute.tracking.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
-from compute.tracking.native.job import JOB, MOST_OPTIONS, PARTIAL_BYTES
-from compute.tracking.reading_model import ReadingModel
+from compute.tracking.native.kernel_arguments import JOB, MAX_OPTIONS, PARTIAL_BYTES
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.states import States
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class Associator:
     """
 
     def __init__(
-        self, model: ReadingModel, motion: MotionModels, settings: TrackerSettings
+        self, model: MeasurementModel, motion: MotionModels, settings: TrackerSettings
     ) -> None:
         # Here and not above: Warp takes a second to load.
         import warp as wp
@@ -53,49 +53,53 @@ class Associator:
         self._put("first", model.first_px)
         self._put("last", model.last_px)
         job = self._job
-        for name in ("detection", "false_per_px", "merge_px", "gate_sigma", "search_px"):
+        for name in (
+            "detection_probability",
+            "clutter_density_per_px",
+            "resolution_px",
+            "gate_sigma",
+            "max_prediction_sigma_px",
+        ):
             job[name] = getattr(settings, name)
         job["models"] = len(motion)
-        job["most_hypotheses"] = settings.most_hypotheses
-        grown = max(_GROWN * settings.most_hypotheses, MOST_OPTIONS + 1)
-        job["most_grown"] = grown
-        self._put(
-            "partials", np.empty((settings.most_hypotheses + grown) * PARTIAL_BYTES, np.uint8)
-        )
+        job["max_hypotheses"] = settings.max_hypotheses
+        grown = max(_GROWN * settings.max_hypotheses, MAX_OPTIONS + 1)
+        job["max_grown"] = grown
+        self._put("partials", np.empty((settings.max_hypotheses + grown) * PARTIAL_BYTES, np.uint8))
         self._grown = grown
         self._tracks = self._room = 0
         self._work: list[NDArray[Any]] = []
         self._launch = wp.launch(
-            association_kernel(len(cameras), term_room(cameras)),
+            association_kernel(len(cameras), term_capacity(cameras)),
             dim=1,
             inputs=[address(job)],
             device="cpu",
             record_cmd=True,
         )
 
-    def associate(self, states: States, bias: Array, peaks: FramePeaks) -> Associated:
+    def associate(self, states: ImmStates, bias: Array, peaks: Measurements) -> AssociationResult:
         """Return what ``compute.tracking.association.associate`` does of the same arguments."""
         count, sensors = len(states), len(self._model)
         room = peaks.position_px.shape[1]
         job = self._job
         if count > self._tracks or room > self._room:
             self._reserve(max(count, self._tracks), max(room, self._room))
-        after = States(
+        after = ImmStates(
             np.ascontiguousarray(states.mean).copy(),
             np.ascontiguousarray(states.covariance).copy(),
-            np.ascontiguousarray(states.with_bias).copy(),
+            np.ascontiguousarray(states.bias_cross_covariance).copy(),
             np.ascontiguousarray(states.probability).copy(),
         )
         choice = np.empty((count, sensors), np.int32)
         merged = np.zeros((count, sensors), np.bool_)
-        chance = np.zeros((count, sensors))
-        nis, evidence = np.zeros(count), np.zeros(count)
-        doubtful = np.zeros(count, np.bool_)
+        probability = np.zeros((count, sensors))
+        nis, log_likelihood_ratio = np.zeros(count), np.zeros(count)
+        hypotheses_pruned = np.zeros(count, np.bool_)
         in_view = np.empty(count, np.int32)
         given = (
             after.mean,
             after.covariance,
-            after.with_bias,
+            after.bias_cross_covariance,
             after.probability,
             np.ascontiguousarray(bias),
             np.ascontiguousarray(peaks.position_px),
@@ -103,10 +107,10 @@ class Associator:
             np.ascontiguousarray(peaks.usable),
             choice,
             merged,
-            chance,
+            probability,
             nis,
-            evidence,
-            doubtful,
+            log_likelihood_ratio,
+            hypotheses_pruned,
             in_view,
         )
         words = job.view(np.uint64)
@@ -115,7 +119,16 @@ class Associator:
         self._launch.launch()
         if job["failed"][0]:
             return associate(self._model, self._motion, self._settings, states, bias, peaks)
-        return Associated(after, choice, merged, chance, nis, evidence, doubtful, in_view)
+        return AssociationResult(
+            after,
+            choice,
+            merged,
+            probability,
+            nis,
+            log_likelihood_ratio,
+            hypotheses_pruned,
+            in_view,
+        )
 
     def _reserve(self, tracks: int, room: int) -> None:
         sensors = len(self._model)

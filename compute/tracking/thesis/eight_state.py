@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.tracking.motion_model import acceleration_step, velocity_step
+from compute.tracking.motion_model import ca_transition, cv_transition
 
 Array = NDArray[np.float64]
 
-STATES: Final = 8
+STATE_SIZE: Final = 8
 """X, Y, Z, their velocities, and the accelerations along X and Y."""
 
 _POSITION: Final = slice(0, 3)
@@ -30,18 +30,18 @@ class EightStateModel:
     directions: a target that accelerates along Z is followed late.
 
     Args:
-        white_acceleration: spectral density of the acceleration along Z [mm^2/s^3], above zero.
-        white_jerk: spectral density of the jerk along X and Y [mm^2/s^5], above zero.
+        acceleration_psd: spectral density of the acceleration along Z [mm^2/s^3], above zero.
+        jerk_psd: spectral density of the jerk along X and Y [mm^2/s^5], above zero.
 
     Raises:
         InvalidParameter: a value outside its range.
     """
 
-    white_acceleration: float = 1e4
-    white_jerk: float = 1e8
+    acceleration_psd: float = 1e4
+    jerk_psd: float = 1e8
 
     def __post_init__(self) -> None:
-        for name in ("white_acceleration", "white_jerk"):
+        for name in ("acceleration_psd", "jerk_psd"):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0.0):
                 raise InvalidParameter(
@@ -51,7 +51,7 @@ class EightStateModel:
     @staticmethod
     def transition(interval_s: float) -> Array:
         """Return F of [6.11], shape (8, 8)."""
-        matrix = np.eye(STATES)
+        matrix = np.eye(STATE_SIZE)
         matrix[_POSITION, _VELOCITY] = interval_s * np.eye(3)
         matrix[:2, _ACCELERATION] = interval_s**2 / 2.0 * np.eye(2)
         matrix[3:5, _ACCELERATION] = interval_s * np.eye(2)
@@ -59,9 +59,9 @@ class EightStateModel:
 
     def noise(self, interval_s: float) -> Array:
         """Return the covariance that an interval adds, shape (8, 8): white noise, integrated."""
-        by_jerk = acceleration_step(interval_s, self.white_jerk)[1]
-        by_acceleration = velocity_step(interval_s, self.white_acceleration)[1][:2, :2]
-        matrix = np.zeros((STATES, STATES))
+        by_jerk = ca_transition(interval_s, self.jerk_psd)[1]
+        by_acceleration = cv_transition(interval_s, self.acceleration_psd)[1][:2, :2]
+        matrix = np.zeros((STATE_SIZE, STATE_SIZE))
         for axis in range(2):
             own = [axis, 3 + axis, 6 + axis]
             matrix[np.ix_(own, own)] = by_jerk
@@ -97,7 +97,7 @@ class EightState:
             velocity_deviation: standard deviation of the unknown velocity about zero [mm/s].
             acceleration_deviation: that of the accelerations [mm/s^2].
         """
-        covariance = np.zeros((STATES, STATES))
+        covariance = np.zeros((STATE_SIZE, STATE_SIZE))
         covariance[_POSITION, _POSITION] = covariance_mm2
         covariance[_VELOCITY, _VELOCITY] = velocity_deviation**2 * np.eye(3)
         covariance[_ACCELERATION, _ACCELERATION] = acceleration_deviation**2 * np.eye(2)
@@ -136,7 +136,7 @@ class EightState:
         weighted = np.linalg.solve(spread, innovation)
         gain = np.linalg.solve(spread, self.covariance[_POSITION]).T
         # Joseph's form keeps the covariance positive.
-        kept = np.eye(STATES)
+        kept = np.eye(STATE_SIZE)
         kept[:, _POSITION] -= gain
         covariance = kept @ self.covariance @ kept.T + gain @ covariance_mm2 @ gain.T
         state = replace(self, mean=self.mean + gain @ innovation, covariance=covariance)

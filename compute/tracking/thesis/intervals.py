@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.tracking.thesis.window import QuadraticWindow
+from compute.tracking.thesis.quadratic_window import QuadraticWindow
 
 Array = NDArray[np.float64]
 
@@ -57,28 +57,28 @@ class IntervalSettings:
     """How intervals are made.
 
     Args:
-        most_velocity_px_s: v_max: a target's velocity lies within ``[-v_max, v_max]``; without a
+        max_velocity_px_s: v_max: a target's velocity lies within ``[-v_max, v_max]``; without a
             velocity yet, in its first scan, a target may be anywhere within.
         scans: velocities between so many successive scans at most are averaged. The text says
             "taken between each two scans", and not of how many; here as many as the window of
             section 6.1.3 has.
         form: which interval.
         velocity: what a target's velocity is.
-        least_half_width_px: an interval is not narrower: the text has no noise of the readings,
+        min_half_width_px: an interval is not narrower: the text has no noise of the readings,
             and a still target's deviation of velocity would leave it no room.
 
     Raises:
         InvalidParameter: a value outside its range.
     """
 
-    most_velocity_px_s: float
+    max_velocity_px_s: float
     scans: int = 6
     form: Form = "ahead"
     velocity: Velocity = "mean"
-    least_half_width_px: float = 1.0
+    min_half_width_px: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("most_velocity_px_s", "least_half_width_px"):
+        for name in ("max_velocity_px_s", "min_half_width_px"):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0.0):
                 raise InvalidParameter(
@@ -114,7 +114,7 @@ def velocity_estimate(
         interval_s: the sampling period [s].
         settings: of the intervals.
     """
-    most = settings.most_velocity_px_s
+    most = settings.max_velocity_px_s
     last = position_px[-settings.scans - 1 :]
     velocity = np.diff(last) / interval_s
     if not len(velocity):
@@ -147,6 +147,6 @@ def position_interval(
     spread = 2.0 * velocity.deviation_px_s * interval_s
     if settings.form == "ahead":
         ahead = position_px + velocity.mean_px_s * interval_s
-        return PositionInterval(ahead, max(spread, settings.least_half_width_px))
+        return PositionInterval(ahead, max(spread, settings.min_half_width_px))
     reach = abs(velocity.mean_px_s) * interval_s + spread
-    return PositionInterval(position_px, max(reach, settings.least_half_width_px))
+    return PositionInterval(position_px, max(reach, settings.min_half_width_px))

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.tracking.thesis.pair_follower import Decision, PairFollower
-from compute.tracking.thesis.window import THESIS_POINTS, QuadraticWindow
+from compute.tracking.thesis.pair_tracker import Decision, PairTracker
+from compute.tracking.thesis.quadratic_window import THESIS_POINTS, QuadraticWindow
 
 Array = NDArray[np.float64]
 
@@ -107,7 +107,7 @@ class PairTracking:
                 f"the first scan has the points {values[0].tolist()}; both targets must be seen in "
                 "it: leave out the scans before"
             )
-        follower = PairFollower(
+        follower = PairTracker(
             values[0], self.velocity_limit_px_s, QuadraticWindow(self.points), self.decision
         )
         shape = values.shape

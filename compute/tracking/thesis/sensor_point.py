@@ -1,4 +1,4 @@
-"""SensorPoint: where a track along a sensor is in one scan; SensorFollower: what makes tracks."""
+"""SensorPoint: where a track along a sensor is in one scan; SensorTracker: what makes tracks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class SensorPoint:
     shared: bool = False
 
 
-class SensorFollower(Protocol):
+class SensorTracker(Protocol):
     """Follows the targets of one sensor from scan to scan, and never looks ahead."""
 
     def step(

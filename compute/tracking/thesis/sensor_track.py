@@ -16,7 +16,7 @@ class TrackEnd(Enum):
     """It has not."""
     SHORT_LIFE = "short-life"
     """It was young and its target was not seen again: a false one, by section 6.2.2."""
-    TAKEN = "taken"
+    ABSORBED = "taken"
     """It was young and its target came to occupy the track of another."""
     LOST = "lost"
     """Its target was not seen for too long."""

@@ -5,19 +5,19 @@ from math import isfinite
 from typing import Final, Literal, get_args
 
 from compute.errors import InvalidParameter
-from compute.tracking.thesis.exchange import THRESHOLD
 from compute.tracking.thesis.intervals import Velocity
-from compute.tracking.thesis.pair_follower import Decision
-from compute.tracking.thesis.window import THESIS_POINTS, QuadraticWindow
+from compute.tracking.thesis.pair_tracker import Decision
+from compute.tracking.thesis.quadratic_window import THESIS_POINTS, QuadraticWindow
+from compute.tracking.thesis.track_swap import SWAP_THRESHOLD
 
 ThesisMethod = Literal["window", "probabilistic", "eight-state"]
 """Section 6.1.3, section 6.2.2, or [6.11]."""
 
 LIMIT_SHARE: Final = 0.5
 """The velocity limit where none is given, as a share of the greatest velocity."""
-LEAST_SENSORS: Final = 3
+MIN_SENSORS: Final = 3
 """Whose tracks make a point."""
-MOST_TARGETS: Final = 2
+MAX_TARGETS: Final = 2
 """That section 6.1.3 tells apart along a sensor."""
 
 
@@ -35,15 +35,15 @@ class ThesisSettings:
         window_points: "window": n of section 6.1.3, 3 or more.
         window_decision: "window": how a track is taken through a crossing; ``PairTracking``.
         velocity_limit_px_s: "window": delta of section 6.1.3; None: half of
-            ``most_velocity_px_s``. A crossing changes the velocity by up to twice the targets'.
-        most_velocity_px_s: "window" and "probabilistic": v_max of section 6.2.2. What lies
+            ``max_velocity_px_s``. A crossing changes the velocity by up to twice the targets'.
+        max_velocity_px_s: "window" and "probabilistic": v_max of section 6.2.2. What lies
             further from a track's last point than it allows is not the track's.
         interval_velocity: "probabilistic": a target's velocity; ``velocity_estimate``.
-        least_interval_px: "probabilistic": least half width of the interval of [6.7].
-        exchange_threshold: "probabilistic": of [6.9], between 0 and 1.
-        white_acceleration: spectral density of the acceleration of [6.1], [6.2] in space, and of
+        min_interval_px: "probabilistic": least half width of the interval of [6.7].
+        swap_threshold: "probabilistic": of [6.9], between 0 and 1.
+        acceleration_psd: spectral density of the acceleration of [6.1], [6.2] in space, and of
             that along Z in [6.11] [mm^2/s^3].
-        white_jerk: spectral density of the jerk along X and Y in [6.11] [mm^2/s^5].
+        jerk_psd: spectral density of the jerk along X and Y in [6.11] [mm^2/s^5].
         young_scans: scans that must have seen a track before it counts: "three successive scans".
         coast_scans: scans in a row that a track along a sensor outlives without a point.
         coast_s: how long a marker is predicted without being seen, then it ends [s].
@@ -54,16 +54,16 @@ class ThesisSettings:
     """
 
     method: ThesisMethod = "window"
-    markers: int = MOST_TARGETS
+    markers: int = MAX_TARGETS
     window_points: int = THESIS_POINTS
     window_decision: Decision = "velocity"
     velocity_limit_px_s: float | None = None
-    most_velocity_px_s: float = 2000.0
+    max_velocity_px_s: float = 2000.0
     interval_velocity: Velocity = "mean"
-    least_interval_px: float = 1.0
-    exchange_threshold: float = THRESHOLD
-    white_acceleration: float = 1e4
-    white_jerk: float = 1e8
+    min_interval_px: float = 1.0
+    swap_threshold: float = SWAP_THRESHOLD
+    acceleration_psd: float = 1e4
+    jerk_psd: float = 1e8
     young_scans: int = 3
     coast_scans: int = 6
     coast_s: float = 1.0
@@ -80,23 +80,23 @@ class ThesisSettings:
                 raise InvalidParameter(
                     f"{name} is {value!r}; it must be one of {', '.join(choices)}", **{name: value}
                 )
-        if self.markers not in range(1, MOST_TARGETS + 1):
+        if self.markers not in range(1, MAX_TARGETS + 1):
             raise InvalidParameter(
-                f"markers is {self.markers}; section 6.1.3 tells at most {MOST_TARGETS} targets "
+                f"markers is {self.markers}; section 6.1.3 tells at most {MAX_TARGETS} targets "
                 "along a sensor apart: it must be 1 or 2, or take probabilistic or eight-state",
                 markers=self.markers,
             )
         QuadraticWindow(self.window_points)
-        for name in ("most_velocity_px_s", "least_interval_px", "white_acceleration", "white_jerk",
+        for name in ("max_velocity_px_s", "min_interval_px", "acceleration_psd", "jerk_psd",
                      "coast_s", "velocity_limit_px_s"):  # fmt: skip
             value = getattr(self, name)
             if value is not None and not (isfinite(value) and value > 0.0):
                 raise InvalidParameter(
                     f"{name} is {value}; it must be above zero and finite", **{name: value}
                 )
-        if not 0.0 < self.exchange_threshold < 1.0:
+        if not 0.0 < self.swap_threshold < 1.0:
             raise InvalidParameter(
-                f"exchange_threshold is {self.exchange_threshold}; it must lie between 0 and 1"
+                f"swap_threshold is {self.swap_threshold}; it must lie between 0 and 1"
             )
         if not (isfinite(self.gate_sigma) and self.gate_sigma > 1.0):
             raise InvalidParameter(
@@ -113,4 +113,4 @@ class ThesisSettings:
         """The velocity limit delta [px/s]."""
         if self.velocity_limit_px_s is not None:
             return self.velocity_limit_px_s
-        return LIMIT_SHARE * self.most_velocity_px_s
+        return LIMIT_SHARE * self.max_velocity_px_s

@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
-from compute.tracking.frame_peaks import FramePeaks
+from compute.tracking.measurements import Measurements
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.thesis.lane import Lane
-from compute.tracking.thesis.point_lane import PointLane
-from compute.tracking.thesis.probabilistic_follower import ProbabilisticFollower
-from compute.tracking.thesis.reported import batch_of_reports
-from compute.tracking.thesis.sensor_lane import SensorLane
-from compute.tracking.thesis.settings import LEAST_SENSORS, ThesisSettings
-from compute.tracking.thesis.space_points import SpacePoints
-from compute.tracking.thesis.window_follower import WindowFollower
+from compute.tracking.thesis.point_reconstruction import SpacePoints
+from compute.tracking.thesis.point_tracker import PointTracker
+from compute.tracking.thesis.probabilistic_sensor_tracker import ProbabilisticSensorTracker
+from compute.tracking.thesis.sensor_track_fusion import SensorTrackFusion
+from compute.tracking.thesis.settings import MIN_SENSORS, ThesisSettings
+from compute.tracking.thesis.slot_tracker import SlotTracker
+from compute.tracking.thesis.track_report import reports_to_track_batch
+from compute.tracking.thesis.window_sensor_tracker import WindowSensorTracker
 from compute.tracking.track_batch import TrackBatch
 
 Array = NDArray[np.float64]
@@ -31,12 +31,12 @@ class ThesisTracker:
     """Follows markers by a method of the thesis, exposure by exposure, in place of ``Tracker``.
 
     - "window" and "probabilistic": tracks along each sensor, then points of equal tracks
-      (``SensorLane``). Velocity and acceleration are differences of the points (``Trail``); ``nis``
-      is NaN, since the method has no innovation, and ``degrees`` the number of sensors that saw
+      (``SensorTrackFusion``). Velocity and acceleration are differences of the points (``FiniteDifferenceKinematics``); ``nis``
+      is NaN, since the method has no innovation, and ``dof`` the number of sensors that saw
       the marker.
-    - "eight-state": tracks in space by [6.11] (``PointLane``). Acceleration along Z is 0: the model
+    - "eight-state": tracks in space by [6.11] (``PointTracker``). Acceleration along Z is 0: the model
       has none there, and its rows and columns in the covariance are NaN. ``nis`` is that of the
-      point, of three ``degrees``; NaN where a point was not predicted.
+      point, of three ``dof``; NaN where a point was not predicted.
 
     A marker is reported from its third point on, when velocity and acceleration are known (by
     "eight-state" from the first on, as tentative). Each strobe slot is followed by itself, so that
@@ -63,7 +63,7 @@ class ThesisTracker:
         corrections: CorrectionTable | None = None,
         pixels: tuple[int, ...] | None = None,
     ) -> None:
-        if len(cameras) < LEAST_SENSORS:
+        if len(cameras) < MIN_SENSORS:
             raise InvalidParameter(
                 f"there are {len(cameras)} sensors; the method {settings.method} makes points of "
                 "the tracks along three sensors or more (take readings, which follows on fewer)"
@@ -71,12 +71,12 @@ class ThesisTracker:
         self.settings = settings
         self._space = SpacePoints(cameras, parameter_covariance, corrections, pixels)
         self._numbers = count(1)
-        self._lanes: dict[int, tuple[Lane, int]] = {}
+        self._slot_trackers: dict[int, tuple[SlotTracker, int]] = {}
         self._time_ns: int | None = None
 
     def reset(self) -> None:
         """Forget all tracks; the next ones have new numbers."""
-        self._lanes, self._time_ns = {}, None
+        self._slot_trackers, self._time_ns = {}, None
 
     def step(
         self,
@@ -94,37 +94,41 @@ class ThesisTracker:
             )
         if marker is not None and marker < 0:
             raise InvalidParameter(f"marker is {marker}; it must be 0 or more, or None")
-        peaks = FramePeaks.of(position_px, sigma_px, peak_flags, len(self._space.model), _PEAKS)
+        peaks = Measurements.of(position_px, sigma_px, peak_flags, len(self._space.model), _PEAKS)
         self._time_ns = time_ns
         # A light that has been dark for so long begins anew: its scans are too far apart.
         limit_ns = 1e9 * self.settings.coast_s
-        self._lanes = {
-            slot: (lane, last_ns)
-            for slot, (lane, last_ns) in self._lanes.items()
+        self._slot_trackers = {
+            slot: (slot_tracker, last_ns)
+            for slot, (slot_tracker, last_ns) in self._slot_trackers.items()
             if time_ns - last_ns <= limit_ns
         }
         now = _ALL_LIT if marker is None else marker
-        lit = self._lanes[now][0] if now in self._lanes else self._lane(now)
-        self._lanes[now] = (lit, time_ns)
+        lit = (
+            self._slot_trackers[now][0]
+            if now in self._slot_trackers
+            else self._create_slot_tracker(now)
+        )
+        self._slot_trackers[now] = (lit, time_ns)
         reports = lit.step(time_ns, peaks)
-        for lane, _ in self._lanes.values():
-            if lane is not lit:
-                reports += lane.predicted(time_ns)
-        return batch_of_reports(reports, peaks)
+        for slot_tracker, _ in self._slot_trackers.values():
+            if slot_tracker is not lit:
+                reports += slot_tracker.predicted(time_ns)
+        return reports_to_track_batch(reports, peaks)
 
-    def _lane(self, marker: int) -> Lane:
+    def _create_slot_tracker(self, marker: int) -> SlotTracker:
         settings, space = self.settings, self._space
 
         def number() -> int:
             return next(self._numbers)
 
         if settings.method == "eight-state":
-            return PointLane(settings, space, marker, number)
+            return PointTracker(settings, space, marker, number)
         if settings.method == "probabilistic":
-            return SensorLane(
-                settings, space, marker, number, lambda: ProbabilisticFollower(settings)
+            return SensorTrackFusion(
+                settings, space, marker, number, lambda: ProbabilisticSensorTracker(settings)
             )
         targets = settings.markers if marker == _ALL_LIT else 1
-        return SensorLane(
-            settings, space, marker, number, lambda: WindowFollower(settings, targets)
+        return SensorTrackFusion(
+            settings, space, marker, number, lambda: WindowSensorTracker(settings, targets)
         )

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from compute.tracking.thesis.exchange import (
+from compute.tracking.thesis.intervals import PositionInterval
+from compute.tracking.thesis.track_swap import (
     Density,
     Transition,
-    exchange_probability,
+    swap_probability,
     transition,
 )
-from compute.tracking.thesis.intervals import PositionInterval
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class TrackPairs:
                 if not meet and not any(before):
                     continue
                 # Intervals that do not meet have less than two in a hundred.
-                p = exchange_probability(one, other, self._density) if meet else 0.0
+                p = swap_probability(one, other, self._density) if meet else 0.0
                 history[key] = (*before[-2:], p)
                 together = p >= self._threshold
                 side = self._side.get(key, self._last_side(*key))

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lumiline.client.async_connection import AsyncConnection
-from lumiline.client.registrations import calls
-from lumiline.client.registrations import documents as d
-from lumiline.client.tools.documents import MeasuredPoint
+from lumiline.client.registrations import models as d
+from lumiline.client.registrations import requests
+from lumiline.client.tools.models import MeasuredPoint
 
 
 class AsyncRegistrationMethods(AsyncConnection):
@@ -14,11 +14,11 @@ class AsyncRegistrationMethods(AsyncConnection):
 
     async def registrations(self, device_id: str | None = None) -> list[d.Registration]:
         """Registrations, of a device, newest first."""
-        return await self._all(calls.registrations(device_id))
+        return await self._all(requests.registrations(device_id))
 
     async def registration(self, registration_id: str) -> d.Registration:
         """One registration."""
-        return await self._one(calls.registration(registration_id))
+        return await self._one(requests.registration(registration_id))
 
     async def register(
         self,
@@ -39,7 +39,7 @@ class AsyncRegistrationMethods(AsyncConnection):
             members: others of the body of POST /api/v1/registrations.
         """
         return await self._one(
-            calls.register(registration_id, device_id, pairs, targets or {}, members)
+            requests.register(registration_id, device_id, pairs, targets or {}, members)
         )
 
     async def register_markers(
@@ -53,7 +53,7 @@ class AsyncRegistrationMethods(AsyncConnection):
             members: others of the body of POST /api/v1/registrations: ``measured_mm`` and
                 ``measured_sigma_mm``, or ``strobe_markers`` that are held still now.
         """
-        call = calls.register_markers(registration_id, device_id, members)
+        call = requests.register_markers(registration_id, device_id, members)
         return await self._one(call, float(members.get("seconds", 1.0)))
 
     async def register_surface(
@@ -77,16 +77,16 @@ class AsyncRegistrationMethods(AsyncConnection):
             triangles: numbers of three vertices each; None: the surface is given as points.
             members: others of the body of POST /api/v1/registrations.
         """
-        surface = calls.mesh(surface_mm, triangles)
-        call = calls.register_surface(
+        surface = requests.mesh(surface_mm, triangles)
+        call = requests.register_surface(
             registration_id, device_id, parent_id, points_mm, surface, members
         )
         return await self._one(call, 60.0)
 
     async def frames(self, device_id: str) -> d.Frames:
         """A device's frames, and whether they are connected now."""
-        return await self._one(calls.frames(device_id))
+        return await self._one(requests.frames(device_id))
 
     async def transform(self, device_id: str, frame: str, to: str = "tracker") -> d.FrameTransform:
         """The transform from one frame to another now, or why there is none."""
-        return await self._one(calls.transform(device_id, frame, to))
+        return await self._one(requests.transform(device_id, frame, to))

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lumiline.client.connection import Connection
-from lumiline.client.registrations import calls
-from lumiline.client.registrations import documents as d
-from lumiline.client.tools.documents import MeasuredPoint
+from lumiline.client.registrations import models as d
+from lumiline.client.registrations import requests
+from lumiline.client.tools.models import MeasuredPoint
 
 
 class RegistrationMethods(Connection):
@@ -14,11 +14,11 @@ class RegistrationMethods(Connection):
 
     def registrations(self, device_id: str | None = None) -> list[d.Registration]:
         """Registrations, of a device, newest first."""
-        return self._all(calls.registrations(device_id))
+        return self._all(requests.registrations(device_id))
 
     def registration(self, registration_id: str) -> d.Registration:
         """One registration."""
-        return self._one(calls.registration(registration_id))
+        return self._one(requests.registration(registration_id))
 
     def register(
         self,
@@ -38,7 +38,9 @@ class RegistrationMethods(Connection):
             targets: by name: places in the frame at which the error is asked for [mm].
             members: others of the body of POST /api/v1/registrations.
         """
-        return self._one(calls.register(registration_id, device_id, pairs, targets or {}, members))
+        return self._one(
+            requests.register(registration_id, device_id, pairs, targets or {}, members)
+        )
 
     def register_markers(
         self, registration_id: str, device_id: str, **members: Any
@@ -51,7 +53,7 @@ class RegistrationMethods(Connection):
             members: others of the body of POST /api/v1/registrations: ``measured_mm`` and
                 ``measured_sigma_mm``, or ``strobe_markers`` that are held still now.
         """
-        call = calls.register_markers(registration_id, device_id, members)
+        call = requests.register_markers(registration_id, device_id, members)
         return self._one(call, float(members.get("seconds", 1.0)))
 
     def register_surface(
@@ -75,16 +77,16 @@ class RegistrationMethods(Connection):
             triangles: numbers of three vertices each; None: the surface is given as points.
             members: others of the body of POST /api/v1/registrations.
         """
-        surface = calls.mesh(surface_mm, triangles)
-        call = calls.register_surface(
+        surface = requests.mesh(surface_mm, triangles)
+        call = requests.register_surface(
             registration_id, device_id, parent_id, points_mm, surface, members
         )
         return self._one(call, 60.0)
 
     def frames(self, device_id: str) -> d.Frames:
         """A device's frames, and whether they are connected now."""
-        return self._one(calls.frames(device_id))
+        return self._one(requests.frames(device_id))
 
     def transform(self, device_id: str, frame: str, to: str = "tracker") -> d.FrameTransform:
         """The transform from one frame to another now, or why there is none."""
-        return self._one(calls.transform(device_id, frame, to))
+        return self._one(requests.transform(device_id, frame, to))

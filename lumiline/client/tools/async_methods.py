@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
-from lumiline.client.answer import Vector3
 from lumiline.client.async_connection import AsyncConnection
-from lumiline.client.tools import calls
-from lumiline.client.tools import documents as d
+from lumiline.client.response_model import Vector3
+from lumiline.client.tools import models as d
+from lumiline.client.tools import requests
 
 
 class AsyncToolMethods(AsyncConnection):
@@ -14,17 +14,17 @@ class AsyncToolMethods(AsyncConnection):
 
     async def tools(self, device_id: str | None = None) -> list[d.Tool]:
         """Tools, of a device."""
-        return await self._all(calls.tools(device_id))
+        return await self._all(requests.tools(device_id))
 
     async def tool(self, tool_id: str) -> d.Tool:
         """One tool."""
-        return await self._one(calls.tool(tool_id))
+        return await self._one(requests.tool(tool_id))
 
     async def create_tool(
         self, tool_id: str, device_id: str, markers_mm: Sequence[Vector3], **members: Any
     ) -> d.Tool:
         """Make a tool of known geometry; ``members`` as in the body of POST /api/v1/tools."""
-        return await self._one(calls.create_tool(tool_id, device_id, markers_mm, members))
+        return await self._one(requests.create_tool(tool_id, device_id, markers_mm, members))
 
     async def capture_tool(
         self, tool_id: str, device_id: str, *, seconds: float = 1.0, **members: Any
@@ -38,28 +38,28 @@ class AsyncToolMethods(AsyncConnection):
             members: others of the body of POST /api/v1/tool-captures, such as ``markers``, how many
                 are lit together, or ``strobe_markers``, their slots.
         """
-        return await self._one(calls.capture_tool(tool_id, device_id, seconds, members), seconds)
+        return await self._one(requests.capture_tool(tool_id, device_id, seconds, members), seconds)
 
     async def delete_tool(self, tool_id: str) -> None:
         """Delete a tool."""
-        await self.request("DELETE", calls.tool(tool_id).path)
+        await self.request("DELETE", requests.tool(tool_id).path)
 
     async def tool_pose(self, tool_id: str, frame: str | None = None) -> d.Pose:
         """The newest pose of a tool, in its reference's frame or another."""
-        return await self._one(calls.tool_pose(tool_id, frame))
+        return await self._one(requests.tool_pose(tool_id, frame))
 
     async def calibrate_pivot(
         self, tool_id: str, seconds: float = 10.0, *, apply: bool = True
     ) -> d.ToolCalibration:
         """Find a tool's tip, from its poses of the next seconds about a fixed point."""
-        call = calls.calibrate_tool(tool_id, "pivot", seconds, apply=apply)
+        call = requests.calibrate_tool(tool_id, "pivot", seconds, apply=apply)
         return await self._one(call, seconds)
 
     async def calibrate_spin(
         self, tool_id: str, seconds: float = 10.0, *, apply: bool = True
     ) -> d.ToolCalibration:
         """Find a tool's axis, from its poses of the next seconds about it."""
-        call = calls.calibrate_tool(tool_id, "spin", seconds, apply=apply)
+        call = requests.calibrate_tool(tool_id, "spin", seconds, apply=apply)
         return await self._one(call, seconds)
 
     async def measure_point(
@@ -80,5 +80,5 @@ class AsyncToolMethods(AsyncConnection):
             timeout_s: how long is waited [s].
             members: others of the body of POST /api/v1/tools/ID/points.
         """
-        call = calls.measure_point(tool_id, frame, name, timeout_s, members)
+        call = requests.measure_point(tool_id, frame, name, timeout_s, members)
         return await self._one(call, timeout_s)

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import f as f_distribution
 
-from compute.calibration.crossvalidation import fitted_errors, leave_one_out
-from compute.calibration.run import calibrate
+from compute.calibration.assessment.cross_validation import fitted_errors, leave_one_out
+from compute.calibration.calibrate import calibrate
 from compute.camera.model import SensorModel
 from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
@@ -135,7 +135,7 @@ def test_no_lower_minimum_is_known(noise_px: float, count: int, extent: float) -
 
 def _search(start: SensorModel, points: Array, readings: Array) -> float:
     def residuals(step: Array) -> Array:
-        projected = CameraStack.of([start.moved(step)]).project(points)[:, 0]
+        projected = CameraStack.of([start.retract(step)]).project(points)[:, 0]
         return np.nan_to_num(projected - readings, nan=1e6)
 
     return 2.0 * float(least_squares(residuals, np.zeros(7), x_scale="jac").cost)

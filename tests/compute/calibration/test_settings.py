@@ -6,10 +6,10 @@ from typing import Any, get_args
 import pytest
 from pydantic import TypeAdapter
 
+from compute.calibration.calibrate import calibrate
 from compute.calibration.result import Calibration
-from compute.calibration.run import calibrate
 from compute.calibration.settings import CalibrationSettings
-from compute.calibration.terms import (
+from compute.calibration.single_sensor.distortion_terms import (
     AUTO_CANDIDATES,
     PRESETS,
     Preset,

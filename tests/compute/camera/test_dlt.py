@@ -158,7 +158,7 @@ def test_points_behind_the_lens_have_no_reading(model: SensorModel) -> None:
 def test_jacobians_are_the_derivatives(model: SensorModel) -> None:
     points = scene(model)
     stack = CameraStack.of([model])
-    _, slope = stack.linearised(points)
+    _, slope = stack.linearise(points)
     parameter_slope = stack.parameter_jacobian(points)
     for axis in range(3):
         step = np.zeros(3)
@@ -169,7 +169,7 @@ def test_jacobians_are_the_derivatives(model: SensorModel) -> None:
         change = np.zeros(7)
         change[index] = size
         numeric = (
-            readings(model.moved(change), points) - readings(model.moved(-change), points)
+            readings(model.retract(change), points) - readings(model.retract(-change), points)
         ) / (2 * size)
         assert_close(parameter_slope[:, 0, index], numeric)
 
@@ -178,9 +178,9 @@ def test_cubic_term_corrects_the_reading() -> None:
     model = SensorModel("s", 2048, 3000.0, 1000.0, (0.0, 0.0, 0.0), 0.0, 1000.0, 2e-9)
     stack = CameraStack.of([model])
     reading = np.array([[400.0]])
-    assert stack.corrected(reading)[0, 0] == pytest.approx(400.0 + 2e-9 * (-600.0) ** 3)
-    slope = (stack.corrected(reading + 0.5) - stack.corrected(reading - 0.5))[0, 0]
-    assert stack.correction_slope(reading)[0, 0] == pytest.approx(slope, rel=1e-6)
+    assert stack.add_cubic_term(reading)[0, 0] == pytest.approx(400.0 + 2e-9 * (-600.0) ** 3)
+    slope = (stack.add_cubic_term(reading + 0.5) - stack.add_cubic_term(reading - 0.5))[0, 0]
+    assert stack.correction_derivative(reading)[0, 0] == pytest.approx(slope, rel=1e-6)
 
 
 def assert_close(found: Array, expected: Array) -> None:

@@ -45,8 +45,8 @@ def test_a_stack_moves_as_its_cameras_do(seed: int) -> None:
     stack = CameraStack.of(models)
     rng = np.random.default_rng(seed)
     steps = rng.uniform(-1.0, 1.0, (4, stack.width)) * [50, 50, 0.3, 0.3, 0.3, 30, 30, 30, 0.1, 0.1]
-    alone = CameraStack.of([m.moved(step) for m, step in zip(models, steps, strict=True)])
-    moved = stack.moved(steps)
+    alone = CameraStack.of([m.retract(step) for m, step in zip(models, steps, strict=True)])
+    moved = stack.retract(steps)
     points = field_points(20)
     assert np.allclose(moved.project(points), alone.project(points), atol=1e-8)
     again = CameraStack.of(moved.models(models))
@@ -60,7 +60,7 @@ def test_slopes_by_the_parameters(seed: int) -> None:
     """The Jacobian is what small steps do, and comes with the readings."""
     models = distorted_rig(((1, 2), (3, 0), (0, 2)), seed % 1000)
     stack, points = CameraStack.of(models), field_points(10, seed % 997)
-    readings, slopes = stack.with_parameters(points)
+    readings, slopes = stack.project_with_parameter_jacobian(points)
     assert np.array_equal(readings, stack.project(points))
     rng = np.random.default_rng(seed)
     direction = rng.uniform(-1.0, 1.0, (4, stack.width)) * [
@@ -70,7 +70,7 @@ def test_slopes_by_the_parameters(seed: int) -> None:
         *[3] * 3,
         *[0.1] * 3,
     ]
-    ahead, behind = (stack.moved(h * direction).project(points) for h in (1e-4, -1e-4))
+    ahead, behind = (stack.retract(h * direction).project(points) for h in (1e-4, -1e-4))
     numeric = (ahead - behind) / 2e-4
     exact = np.einsum("nsp,sp->ns", slopes, direction)
     assert np.allclose(exact, numeric, rtol=1e-5, atol=1e-4)

@@ -36,7 +36,7 @@ def test_slopes_by_points_are_finite_differences() -> None:
     models = [rig()[0], _distorted(rig()[1]), _distorted(rig()[2], 2.0, 0.0)]
     stack = CameraStack.of(models)
     points = control_points()
-    reading, slope = stack.linearised(points)
+    reading, slope = stack.linearise(points)
     assert reading == pytest.approx(stack.project(points), abs=1e-9)
     for axis in range(3):
         step = np.eye(3)[axis] * 1e-3
@@ -53,21 +53,21 @@ def test_slopes_by_parameters_are_finite_differences(sensor: int, scale: float) 
     points = control_points(9)
     slopes = stack.parameter_jacobian(points)
     assert slopes.shape == (9, 3, PARAMETER_COUNT + 1 + 4)
-    assert (slopes[:, ~stack.owned] == 0.0).all()
+    assert (slopes[:, ~stack.parameter_mask] == 0.0).all()
     model = models[sensor]
     assert len(model.parameter_names) == model.parameter_count
     own = slopes[:, sensor][:, np.argsort(_column_order(stack, sensor))]
     for column in range(model.parameter_count):
         size = 1e-6 if column in (2, 3, 4) else 1e-4
         step = np.eye(model.parameter_count)[column] * size
-        up, down = (CameraStack.of([model.moved(sign * step)]) for sign in (1.0, -1.0))
+        up, down = (CameraStack.of([model.retract(sign * step)]) for sign in (1.0, -1.0))
         rise = (up.project(points) - down.project(points))[:, 0] / (2.0 * size)
         assert own[:, column] == pytest.approx(rise, rel=2e-5, abs=2e-5)
 
 
 def _column_order(stack: CameraStack, sensor: int) -> np.ndarray:
     """Sort keys that bring a sensor's own columns first, in its own order."""
-    places = stack.places[sensor]
+    places = stack.parameter_index[sensor]
     return np.where(places < 0, 10_000, places)
 
 
@@ -80,9 +80,9 @@ def test_a_covariance_is_spread_to_the_columns_of_its_parameters() -> None:
     count = sum(model.parameter_count for model in models)
     root = np.random.default_rng(3).normal(size=(count, count))
     covariance = root @ root.T
-    spread = stack.spread_covariance(covariance)
+    spread = stack.covariance_blocks(covariance)
     assert spread.shape == (3, stack.width, 3, stack.width)
-    assert (spread[~stack.owned] == 0.0).all()
+    assert (spread[~stack.parameter_mask] == 0.0).all()
     # The variance of readings is the same by each sensor's own parameters, one after the other.
     slopes = stack.parameter_jacobian(control_points(5))
     first = 0
@@ -99,7 +99,7 @@ def test_a_covariance_is_spread_to_the_columns_of_its_parameters() -> None:
 
 def test_a_step_moves_the_distortion() -> None:
     model = _distorted(rig()[0])
-    moved = model.moved(np.arange(model.parameter_count) * 0.01)
+    moved = model.retract(np.arange(model.parameter_count) * 0.01)
     assert moved.distortion is not None
     assert moved.distortion.offset_y_mm == pytest.approx(12.0 + 0.07)
     assert moved.distortion.coefficients == pytest.approx((0.03, 0.17, 0.103))

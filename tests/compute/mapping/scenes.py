@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.calibrate import calibrate
 from compute.calibration.result import Calibration
-from compute.calibration.run import calibrate
 from compute.camera.field_distortion import FieldDistortion
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack

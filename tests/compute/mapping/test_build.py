@@ -6,7 +6,7 @@ from compute.mapping.build import build_table
 from compute.mapping.measurements import MappingMeasurements
 from compute.mapping.result import MappingResult
 from compute.mapping.settings import MappingSettings
-from compute.reconstruction.points import reconstruct
+from compute.reconstruction.triangulation import reconstruct
 from tests.compute.mapping.scenes import (
     SIGMA,
     calibrated,
@@ -71,8 +71,8 @@ def test_variances_are_honest_where_noise_hides_the_misfit(monkeypatch):
     for seed in range(40, 45):
         control = measured(places(60, seed), seed, sigma=2.0)
         models, new = calibrated(control).models, places(200, seed + 20, share=0.9)
-        for squares, least_share in ((averaged, 1e-3), (likeliest, 1.0)):
-            monkeypatch.setattr("compute.mapping.averaged.LEAST_SHARE", least_share)
+        for squares, min_share in ((averaged, 1e-3), (likeliest, 1.0)):
+            monkeypatch.setattr("compute.mapping.model_averaging.MIN_SHARE", min_share)
             result = build_table(models, "", control)
             error, variance, inside = correction_errors(result, models, new)
             squares += [np.mean((error**2 / variance)[inside[:, s], s]) for s in range(3)]
@@ -98,7 +98,7 @@ def test_deviations_that_are_too_small_are_noticed_and_no_map_follows_the_noise(
         else:
             assert 9.0 < min(found) < max(found) < 25.0
         assert 0.3 < squares[-1] < 1.5
-        assert max(sensor.left_out_square for sensor in result.validation.sensors) < 1.6
+        assert max(sensor.normalised_squared_error for sensor in result.validation.sensors) < 1.6
     assert errors[1] < 1.2 * errors[0]
     assert errors[0] < 0.2 * np.sqrt((right**2).mean())
 
@@ -176,7 +176,7 @@ def test_validation_says_what_new_points_show(built, calibration):
         assert with_noise < 1.3 * sensor.left_out_rms_px
         assert sensor.left_out_rms_px < 3.0 * with_noise
         assert sensor.after_rms_px < sensor.left_out_rms_px < sensor.before_rms_px
-        assert 0.5 < sensor.left_out_square < 2.0
+        assert 0.5 < sensor.normalised_squared_error < 2.0
         assert sensor.noise_factor == 1.0
         assert sensor.sigma_px == pytest.approx(SIGMA)
         assert sensor.suspects == ()
@@ -191,10 +191,10 @@ def test_deviations_that_are_not_given_are_estimated(control, calibration):
 
 def test_uncertain_places_count_as_noise_of_the_readings(control, calibration):
     """0.1 mm moves a reading by 0.2 px: four times the noise."""
-    settings = MappingSettings(smoothness=1.0)
+    settings = MappingSettings(penalty_weight=1.0)
     uncertain = MappingMeasurements(control.points_mm, control.readings_px, control.sigma_px, 0.1)
     result = build_table(calibration.models, "", uncertain, settings=settings)
-    slope = CameraStack.of(calibration.models).linearised(control.points_mm)[1]
+    slope = CameraStack.of(calibration.models).linearise(control.points_mm)[1]
     expected = np.sqrt(SIGMA**2 + 0.01 * (slope**2).sum(axis=2).mean(axis=0))
     found = [sensor.sigma_px for sensor in result.validation.sensors]
     np.testing.assert_allclose(found, expected, rtol=1e-6)
@@ -217,16 +217,16 @@ def test_a_wrong_measurement_is_named(control, calibration):
 
 def test_smoother_maps_have_fewer_parameters(control, calibration):
     found = []
-    for smoothness in (1e-3, 1.0, 1e3):
+    for penalty_weight in (1e-3, 1.0, 1e3):
         result = build_table(
-            calibration.models, "", control, settings=MappingSettings(smoothness=smoothness)
+            calibration.models, "", control, settings=MappingSettings(penalty_weight=penalty_weight)
         )
         found.append(result.validation.sensors[0].effective_parameters)
     assert found[0] > found[1] > found[2]
 
 
 def test_the_same_measurements_give_the_same_table(control, calibration):
-    settings = MappingSettings(smoothness=0.1)
+    settings = MappingSettings(penalty_weight=0.1)
     built, again = (
         build_table(calibration.models, "", control, settings=settings) for _ in range(2)
     )
@@ -238,7 +238,7 @@ def test_outside_of_what_a_sensor_saw_nothing_is_vouched_for(control, calibratio
     readings = control.readings_px.copy()
     readings[control.points_mm[:, 0] > 50.0, 0] = np.nan
     half = MappingMeasurements(control.points_mm, readings, control.sigma_px)
-    result = build_table(calibration.models, "", half, settings=MappingSettings(smoothness=1.0))
+    result = build_table(calibration.models, "", half, settings=MappingSettings(penalty_weight=1.0))
     there = result.table.at(np.array([[150.0, 0.0, 1500.0], [-100.0, 0.0, 1500.0]]))
     assert there.inside.tolist() == [[False, True, True], [True, True, True]]
 

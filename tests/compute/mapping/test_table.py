@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import NdBSpline, RegularGridInterpolator
 
 from compute.errors import InvalidParameter, NonFiniteValue
-from compute.mapping.basis import basis
+from compute.mapping.b_spline_basis import b_spline_basis
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable, Degree
 
@@ -64,7 +64,7 @@ def test_degree_three_is_the_b_spline_of_scipy(seed: int) -> None:
         assert found.value_px[:, sensor] == pytest.approx(spline(where), abs=1e-12)
         for axis in range(3):
             order = [int(axis == other) for other in range(3)]
-            assert found.slope_px_per_mm[:, sensor, axis] == pytest.approx(
+            assert found.gradient_px_per_mm[:, sensor, axis] == pytest.approx(
                 spline(where, nu=order), abs=1e-12
             )
 
@@ -72,7 +72,7 @@ def test_degree_three_is_the_b_spline_of_scipy(seed: int) -> None:
 @pytest.mark.parametrize("degree", [1, 3])
 def test_slopes_are_finite_differences(degree: Degree) -> None:
     made, where = table(degree), points(1, 20)
-    slope = made.at(where).slope_px_per_mm
+    slope = made.at(where).gradient_px_per_mm
     for axis in range(3):
         step = np.eye(3)[axis] * 1e-4
         rise = (made.at(where + step).value_px - made.at(where - step).value_px) / 2e-4
@@ -81,7 +81,7 @@ def test_slopes_are_finite_differences(degree: Degree) -> None:
 
 @pytest.mark.parametrize("degree", [1, 3])
 def test_weights_add_up_to_one(degree: int) -> None:
-    weights, slopes = basis(np.linspace(0.0, 1.0, 11), degree)
+    weights, slopes = b_spline_basis(np.linspace(0.0, 1.0, 11), degree)
     assert weights.sum(axis=-1) == pytest.approx(1.0)
     assert slopes.sum(axis=-1) == pytest.approx(0.0, abs=1e-15)
     assert (weights >= 0.0).all()
@@ -95,9 +95,9 @@ def test_beyond_the_box_the_nearest_place_is_taken_and_marked(degree: Degree) ->
     found, expected = made.at(beyond), made.at(nearest)
     assert found.value_px == pytest.approx(expected.value_px)
     assert found.inside.tolist() == [[False] * 2, [True] * 2, [False] * 2]
-    assert (found.slope_px_per_mm[0, :, 0] == 0.0).all()
-    assert (found.slope_px_per_mm[0, :, 1] != 0.0).all()
-    assert (found.slope_px_per_mm[2] == 0.0).all()
+    assert (found.gradient_px_per_mm[0, :, 0] == 0.0).all()
+    assert (found.gradient_px_per_mm[0, :, 1] != 0.0).all()
+    assert (found.gradient_px_per_mm[2] == 0.0).all()
 
 
 def test_a_cell_without_measurements_is_not_inside() -> None:

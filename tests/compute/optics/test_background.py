@@ -13,7 +13,7 @@ from compute.optics.background import (
     PolynomialBackground,
     SumBackground,
     TabulatedBackground,
-    background_lines,
+    background_scans,
 )
 
 
@@ -46,17 +46,17 @@ def test_a_sum_is_the_sum(coefficients: list[float], level: float) -> None:
 
 
 def test_each_sensor_has_its_own_line() -> None:
-    lines = background_lines([ConstantBackground(1.0), BumpBackground(3.0, 1.0, 9.0)], 8)
+    lines = background_scans([ConstantBackground(1.0), BumpBackground(3.0, 1.0, 9.0)], 8)
     assert lines.shape == (2, 8)
     assert lines[0].tolist() == [1.0] * 8
     assert lines[1, 3] == 9.0
-    assert background_lines([], 8).shape == (0, 8)
+    assert background_scans([], 8).shape == (0, 8)
 
 
 def test_a_line_that_is_negative_somewhere_is_refused_with_the_place() -> None:
     falling = TabulatedBackground((0.0, 9.0), (8.0, -1.0))
     with pytest.raises(InvalidParameter, match="-1 electrons in pixel 9 of sensor 1"):
-        background_lines([ConstantBackground(0.0), falling], 10)
+        background_scans([ConstantBackground(0.0), falling], 10)
 
 
 @pytest.mark.parametrize(

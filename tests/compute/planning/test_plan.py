@@ -8,13 +8,13 @@ import pytest
 
 from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
-from compute.optics.profiles.loader import load_profile
-from compute.optics.profiles.parts import RetroMarkers
-from compute.optics.profiles.profile import DeviceProfile, PlateOptics, SensorProfile
-from compute.planning.coverage import Box, seen
-from compute.planning.device import planning_device
+from compute.optics.profiles.device_profile import DeviceProfile, PlateOptics, SensorProfile
+from compute.optics.profiles.profile_loader import load_profile
+from compute.optics.profiles.profile_sections import RetroMarkers
+from compute.planning.coverage import Box, is_visible
 from compute.planning.plan import plan
-from compute.planning.result import AxisSummary
+from compute.planning.plan_result import AxisSummary
+from compute.planning.planning_device import planning_device
 
 BAR = load_profile("bar")
 TOLD: list[float] = []
@@ -39,13 +39,13 @@ def test_the_bar() -> None:
     # A sensor far from the middle of a bar: depth is the worst axis, by the ratio of distance
     # to baseline, 1500 mm to 2 x 291 mm at most.
     for summary in (PLAN.noise, PLAN.centroid):
-        x, y, z = array(summary.middle)
+        x, y, z = array(summary.centre)
         assert 1500.0 / 582.0 < z / x < 10.0
         assert 1500.0 / 582.0 < z / y < 10.0
         assert (array(summary.best) <= array(summary.median)).all()
         assert (array(summary.median) <= array(summary.worst)).all()
     # No finder is better than the bound.
-    assert (array(PLAN.centroid.middle) > array(PLAN.noise.middle)).all()
+    assert (array(PLAN.centroid.centre) > array(PLAN.noise.centre)).all()
     for sensor in PLAN.sensors:
         assert sensor.bound_px is not None
         assert sensor.centroid_px is not None
@@ -58,8 +58,8 @@ def test_the_bar() -> None:
 def test_the_summary_is_of_the_points() -> None:
     sd = np.array([point.sd_mm for point in PLAN.points])
     assert PLAN.noise.worst == pytest.approx(tuple(sd.max(axis=0)))
-    [middle] = [point for point in PLAN.points if point.position_mm == BAR.volume.centre_mm]
-    assert PLAN.noise.middle == middle.sd_mm
+    [centre] = [point for point in PLAN.points if point.position_mm == BAR.volume.centre_mm]
+    assert PLAN.noise.centre == centre.sd_mm
     assert {point.sensors for point in PLAN.points} == {4}
 
 
@@ -82,7 +82,7 @@ def test_more_light_less_noise_and_one_marker_no_ghosts() -> None:
     alone = plan(bright, grid=3, markers=1)
     assert alone.ghosts == ()
     assert [one.markers for one in alone.rates] == [1]
-    ratio = array(PLAN.noise.middle) / array(alone.noise.middle)
+    ratio = array(PLAN.noise.centre) / array(alone.noise.centre)
     assert (ratio > 2.0).all()
     assert (ratio < 4.0).all()
 
@@ -102,7 +102,7 @@ def depth(profile: DeviceProfile, distance_mm: float) -> tuple[float, float]:
     found = plan(
         profile, grid=3, markers=1, volume=Box((0.0, 0.0, distance_mm), (600.0, 600.0, 600.0))
     )
-    return float(array(found.dilution.middle)[2]), float(array(found.noise.middle)[2])
+    return float(array(found.dilution.centre)[2]), float(array(found.noise.centre)[2])
 
 
 def exponent(x: list[float], y: list[float]) -> float:
@@ -185,13 +185,13 @@ def test_what_no_three_sensors_see_has_no_position() -> None:
     # What a sensor does not see is not in its medians.
     device = planning_device(BAR)
     points = np.array([point.position_mm for point in wide.points])
-    look = device.look(points)
+    look = device.image_points(points)
     electrons = look.light_sr * device.electrons_per_sr(points)
-    sees = seen(look.readings_px, device.pixels, look.light_sr)
-    assert not sees.all()
+    visible = is_visible(look.readings_px, device.pixels, look.light_sr)
+    assert not visible.all()
     for number, sensor in enumerate(wide.sensors):
-        median = np.median(electrons[sees[:, number], number])
-        assert sensor.line_electrons == pytest.approx(median)
+        median = np.median(electrons[visible[:, number], number])
+        assert sensor.scan_electrons == pytest.approx(median)
 
 
 def test_light_of_the_markers_makes_electrons() -> None:

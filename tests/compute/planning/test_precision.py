@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
-from compute.planning.precision import point_precision, precision_of_slopes
-from compute.reconstruction.estimate import PointFlag
-from compute.reconstruction.points import reconstruct
+from compute.planning.precision import point_precision, precision_from_jacobian
+from compute.reconstruction.point_batch import PointFlag
+from compute.reconstruction.triangulation import reconstruct
 from tests.compute.rig import camera, control_points, rig
 
 SIGMA = np.array([0.05, 0.1, 0.02, 0.4])
@@ -170,6 +170,6 @@ def test_wrong_points_are_refused() -> None:
 
 
 def test_a_sensor_without_a_slope_does_not_see() -> None:
-    slopes = CameraStack.of(rig(4)).linearised(control_points(1))[1]
+    slopes = CameraStack.of(rig(4)).linearise(control_points(1))[1]
     slopes[0, 2] = np.nan
-    assert precision_of_slopes(slopes, SIGMA).sensors.tolist() == [3]
+    assert precision_from_jacobian(slopes, SIGMA).sensors.tolist() == [3]

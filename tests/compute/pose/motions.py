@@ -25,7 +25,9 @@ def transforms(covariance: bool = True) -> st.SearchStrategy[Transform]:
     """Any rotation, a translation within a metre, a covariance of some mrad and tenths of a mm."""
 
     def make(turn: Array, shift: Array, chance: np.random.Generator) -> Transform:
-        return Transform.of_vector(turn, shift, pose_covariance(chance) if covariance else None)
+        return Transform.from_rotation_vector(
+            turn, shift, pose_covariance(chance) if covariance else None
+        )
 
     return st.builds(make, vectors(3.0), vectors(1000.0), seeds())
 

@@ -9,9 +9,9 @@ from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
 from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import ToolPose
-from compute.pose.tool_tracker import ToolTracker
-from compute.reconstruction.estimate import PointBatch
-from compute.reconstruction.points import reconstruct
+from compute.pose.tool_tracking.tool_tracker import ToolTracker
+from compute.reconstruction.point_batch import PointBatch
+from compute.reconstruction.triangulation import reconstruct
 from tests.compute.rig import PIXELS, rig
 
 Array = NDArray[np.float64]
@@ -53,18 +53,18 @@ class Body:
         rotation: R_world_tool.
         centroid_mm: of its markers.
         velocity_mm_s: of the centroid.
-        turn_rate_rad_s: about the world's axes.
+        angular_velocity_rad_s: about the world's axes.
     """
 
     tool: RigidBody
     rotation: Array
     centroid_mm: Array
     velocity_mm_s: Array = field(default_factory=lambda: np.zeros(3))
-    turn_rate_rad_s: Array = field(default_factory=lambda: np.zeros(3))
+    angular_velocity_rad_s: Array = field(default_factory=lambda: np.zeros(3))
 
     def move(self, step_s: float) -> None:
         """Move on."""
-        self.rotation = rotation_matrix(self.turn_rate_rad_s * step_s) @ self.rotation
+        self.rotation = rotation_matrix(self.angular_velocity_rad_s * step_s) @ self.rotation
         self.centroid_mm = self.centroid_mm + self.velocity_mm_s * step_s
 
     @property

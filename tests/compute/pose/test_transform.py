@@ -59,7 +59,7 @@ def test_slopes_are_those_of_differences(a: Transform, b: Transform, point: Arra
         turned = rotation_matrix(error[:3]) @ one.rotation
         return Transform(turned, one.translation_mm + error[3:], one.covariance)
 
-    def slopes(of: str) -> Array:
+    def jacobian(of: str) -> Array:
         columns = []
         for axis in range(6):
             moved = nudged(a, axis)
@@ -78,14 +78,14 @@ def test_slopes_are_those_of_differences(a: Transform, b: Transform, point: Arra
         ("product", (a @ exact).covariance),
         ("point", a.point_covariance(point)),
     ):
-        wanted = slopes(of) @ a.covariance @ slopes(of).T
+        wanted = jacobian(of) @ a.covariance @ jacobian(of).T
         assert found is not None
         assert np.allclose(found, wanted, rtol=1e-3, atol=1e-3 * np.abs(wanted).max())
 
 
 def test_the_second_of_a_product_is_turned_and_a_point_adds_its_own() -> None:
     chance = np.random.default_rng(3)
-    a = Transform.of_vector(np.array([0.3, 1.0, -2.0]), np.array([10.0, 20.0, 30.0]))
+    a = Transform.from_rotation_vector(np.array([0.3, 1.0, -2.0]), np.array([10.0, 20.0, 30.0]))
     b = Transform(np.eye(3), np.array([100.0, 0.0, 50.0]), pose_covariance(chance))
     found = (a @ b).covariance
     assert found is not None
@@ -124,6 +124,6 @@ def test_what_is_no_transform_is_refused() -> None:
 def test_a_pose_that_is_not_known_is_no_transform() -> None:
     lost = ToolPose("probe", PoseStatus.MISSING, "nothing was seen of it", 0, 17)
     with pytest.raises(InvalidParameter, match=r'"probe".*frame 17.*MISSING'):
-        Transform.of_pose(lost)
+        Transform.from_pose(lost)
     seen = ToolPose("probe", PoseStatus.OK, None, 0, 1, np.eye(3), np.ones(3), np.eye(6))
-    assert np.array_equal(Transform.of_pose(seen).translation_mm, np.ones(3))
+    assert np.array_equal(Transform.from_pose(seen).translation_mm, np.ones(3))

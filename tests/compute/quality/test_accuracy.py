@@ -72,7 +72,7 @@ def waved(count: int, seed: int, scale: float = 1.0) -> tuple[MarkerTrack, Marke
 
 
 def test_a_waved_bar_measures_its_length_and_the_errors_are_as_stated() -> None:
-    found = point_to_point(*waved(3000, 5), 200.0, longest_gap_s=0.011)
+    found = point_to_point(*waved(3000, 5), 200.0, max_gap_s=0.011)
     assert found.errors.count >= 2990
     assert found.errors.mean == pytest.approx(0.0, abs=0.02)
     # Interpolation halves the variance of one end: that is in the covariance, too.
@@ -104,14 +104,14 @@ def test_gaps_are_not_bridged() -> None:
     times = np.array([0.0, 0.01, 1.0, 1.01])
     still = track(times, np.zeros((4, 3)))
     other = track(np.array([0.005, 0.5, 1.005, 2.0]), np.full((4, 3), [100.0, 0.0, 0.0]))
-    found = point_to_point(still, other, 100.0, longest_gap_s=0.02)
+    found = point_to_point(still, other, 100.0, max_gap_s=0.02)
     assert found.errors.count == 2
 
 
 def test_exact_times_need_no_neighbour() -> None:
     times = np.array([0.0, 1.0, 5.0])
     one, other = track(times, np.zeros((3, 3))), track(times, np.full((3, 3), [0.0, 7.0, 0.0]))
-    assert point_to_point(one, other, 7.0, longest_gap_s=0.1).errors.count == 3
+    assert point_to_point(one, other, 7.0, max_gap_s=0.1).errors.count == 3
 
 
 @pytest.mark.parametrize("reference", [0.0, -1.0, np.nan, np.inf])

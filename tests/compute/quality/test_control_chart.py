@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter
-from compute.quality.control_chart import ControlChart, Signal, control_chart
+from compute.quality.control_chart import ControlChart, ControlChartAlarm, control_chart
 
 
-def first_signal(chart: ControlChart, kind: Signal | None = None) -> int | None:
-    for index, signal in enumerate(chart.signals):
-        if signal is not Signal.NONE and kind in (None, signal):
+def first_signal(chart: ControlChart, kind: ControlChartAlarm | None = None) -> int | None:
+    for index, signal in enumerate(chart.alarms):
+        if signal is not ControlChartAlarm.NONE and kind in (None, signal):
             return index
     return None
 
 
-def run_lengths(shift: float, kind: Signal, charts: int = 150) -> list[int]:
+def run_lengths(shift: float, kind: ControlChartAlarm, charts: int = 150) -> list[int]:
     """Values until the first signal, with a baseline so long that the limits are known."""
     lengths = []
     for seed in range(charts):
@@ -27,18 +27,18 @@ def run_lengths(shift: float, kind: Signal, charts: int = 150) -> list[int]:
 
 def test_false_alarms_are_as_rare_as_the_limits_say() -> None:
     # Once in 370 for either kind, 345 when runs end after 1000 values; 28 is the mean's deviation.
-    assert 260 < np.mean(run_lengths(0.0, Signal.JUMP)) < 430
-    assert 260 < np.mean(run_lengths(0.0, Signal.DRIFT)) < 430
+    assert 260 < np.mean(run_lengths(0.0, ControlChartAlarm.JUMP)) < 430
+    assert 260 < np.mean(run_lengths(0.0, ControlChartAlarm.DRIFT)) < 430
 
 
 def test_with_few_values_to_tell_what_is_normal_alarms_are_as_rare() -> None:
     # By themselves the limits of 20 values are often too near: Student's are not.
-    found = {Signal.JUMP: 0, Signal.DRIFT: 0}
+    found = {ControlChartAlarm.JUMP: 0, ControlChartAlarm.DRIFT: 0}
     charts, judged = 400, 100
     for seed in range(charts):
         chart = control_chart(np.random.default_rng(seed).standard_normal(20 + judged))
-        found[Signal.JUMP] += chart.signals.count(Signal.JUMP)
-        found[Signal.DRIFT] += chart.signals.count(Signal.DRIFT)
+        found[ControlChartAlarm.JUMP] += chart.alarms.count(ControlChartAlarm.JUMP)
+        found[ControlChartAlarm.DRIFT] += chart.alarms.count(ControlChartAlarm.DRIFT)
     for count in found.values():
         assert count / (charts * judged) < 2 / 370
 
@@ -50,7 +50,7 @@ def test_nothing_stays_changed_by_chance() -> None:
     for day in range(days):
         random = np.random.default_rng(day)
         alarmed += any(
-            control_chart(values[:end]).stays_changed
+            control_chart(values[:end]).is_sustained
             for values in random.standard_normal((4, 164))
             for end in range(28, 165, 8)
         )
@@ -63,16 +63,16 @@ def test_what_stays_changed_is_told(shift: float, values: int) -> None:
         series = np.random.default_rng(seed).standard_normal(20 + values)
         series[20:] += shift
         chart = control_chart(series)
-        assert chart.stays_changed
+        assert chart.is_sustained
         back = np.append(series, np.random.default_rng(seed + 100).standard_normal(8))
-        assert not control_chart(back).stays_changed, "it was repaired"
+        assert not control_chart(back).is_sustained, "it was repaired"
 
 
 def test_a_small_shift_is_found_by_the_average_and_a_large_one_at_once() -> None:
     # Of one standard deviation: 10 values by the average (Lucas and Saccucci), 44 by single ones.
-    assert 8 < np.mean(run_lengths(1.0, Signal.DRIFT)) < 12
-    assert 35 < np.mean(run_lengths(1.0, Signal.JUMP)) < 55
-    assert np.median(run_lengths(6.0, Signal.JUMP)) == 1
+    assert 8 < np.mean(run_lengths(1.0, ControlChartAlarm.DRIFT)) < 12
+    assert 35 < np.mean(run_lengths(1.0, ControlChartAlarm.JUMP)) < 55
+    assert np.median(run_lengths(6.0, ControlChartAlarm.JUMP)) == 1
 
 
 def test_a_slow_drift_is_found_before_it_is_a_jump() -> None:
@@ -102,7 +102,7 @@ def test_limits_do_not_depend_on_the_unit() -> None:
     values = np.random.default_rng(5).normal(3.0, 1.0, 60)
     values[40:] += 2.0
     one, other = control_chart(values), control_chart(1e3 * values - 7.0)
-    assert one.signals == other.signals
+    assert one.alarms == other.alarms
     assert first_signal(one) is not None
 
 

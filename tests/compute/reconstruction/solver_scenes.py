@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable, Degree
-from compute.reconstruction.estimate import PointBatch, PointFlag
-from compute.reconstruction.points import reconstruct
+from compute.reconstruction.point_batch import PointBatch, PointFlag
+from compute.reconstruction.triangulation import reconstruct
 from tests.compute.reconstruction.distorted_rig import distorted_rig, field_points, table
 from tests.compute.rig import rig
 
@@ -73,7 +73,7 @@ def scene(
 def parameter_spread(cameras: CameraStack, rng: np.random.Generator) -> Array:
     """A joint covariance of cameras that move readings by tenths of a pixel."""
     head = np.array([0.2, 0.1, 3e-5, 3e-5, 3e-5, 0.03, 0.03, 0.1])
-    counts = cameras.owned.sum(axis=1)
+    counts = cameras.parameter_mask.sum(axis=1)
     scale = np.concatenate([np.append(head, np.full(max(n - 8, 0), 3e-4))[:n] for n in counts])
     mixing = np.eye(len(scale)) + 0.3 * rng.standard_normal((len(scale),) * 2) / len(scale) ** 0.5
     factor = scale[:, None] * mixing

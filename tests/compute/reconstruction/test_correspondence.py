@@ -18,9 +18,9 @@ from compute.reconstruction.correspondence import (
     group_peaks,
     match_peaks,
 )
-from compute.reconstruction.correspondence.cover import covering_triples
-from compute.reconstruction.estimate import PointBatch
-from compute.reconstruction.points import reconstruct
+from compute.reconstruction.correspondence.covering_design import covering_triples
+from compute.reconstruction.point_batch import PointBatch
+from compute.reconstruction.triangulation import reconstruct
 from tests.compute.reconstruction.peak_scene import random_scene
 from tests.compute.rig import control_points, project, rig
 
@@ -184,7 +184,7 @@ def test_unambiguous_is_wrong_as_rarely_as_stated(
 ) -> None:
     """More than three wrong ones too many come by chance once in hundreds of such tests."""
     cameras = CameraStack.of(rig(sensors))
-    how = MatchSettings(detection=min(1.0 - missed, 0.95), wrong_rate=0.01)
+    how = MatchSettings(detection_probability=min(1.0 - missed, 0.95), max_error_rate=0.01)
     unmarked = wrong = 0
     for seed in range(40):
         scene = random_scene(cameras, markers, seed, missed=missed, false=false)
@@ -193,7 +193,7 @@ def test_unambiguous_is_wrong_as_rarely_as_stated(
             unmarked += not ambiguous
             wrong += owner is None and not ambiguous
     assert unmarked > 50
-    assert wrong <= how.wrong_rate * unmarked + 3.0 * (how.wrong_rate * unmarked) ** 0.5
+    assert wrong <= how.max_error_rate * unmarked + 3.0 * (how.max_error_rate * unmarked) ** 0.5
 
 
 @given(st.integers(0, 10_000), st.integers(4, 6), st.integers(2, 6))
@@ -344,10 +344,10 @@ def test_what_is_refused() -> None:
         PredictedPoints(np.full((1, 3), np.nan), np.eye(3)[None])
     with pytest.raises(InvalidParameter, match="shapes"):
         PredictedPoints(np.zeros((1, 3)), np.eye(3))
-    with pytest.raises(InvalidParameter, match="wrong_rate is 0"):
-        MatchSettings(wrong_rate=0.0)
-    with pytest.raises(InvalidParameter, match="merged_px is -1"):
-        MatchSettings(merged_px=-1.0)
+    with pytest.raises(InvalidParameter, match="max_error_rate is 0"):
+        MatchSettings(max_error_rate=0.0)
+    with pytest.raises(InvalidParameter, match="merged_sigma_px is -1"):
+        MatchSettings(merged_sigma_px=-1.0)
 
 
 @pytest.mark.parametrize(("sensors", "seen"), [(4, 4), (5, 4), (6, 4), (8, 4), (8, 6)])

@@ -12,10 +12,10 @@ from compute.camera.field_distortion import FieldDistortion
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import Degree
-from compute.reconstruction.estimate import PointFlag
 from compute.reconstruction.native.kernel import point_kernel
-from compute.reconstruction.points import reconstruct
-from compute.reconstruction.solver import LEAST_ROOM, PointSolver, load_kernels
+from compute.reconstruction.point_batch import PointFlag
+from compute.reconstruction.solver import MIN_CAPACITY, PointSolver, load_kernels
+from compute.reconstruction.triangulation import reconstruct
 from tests.compute.reconstruction.distorted_rig import distorted_rig, field_points, table
 from tests.compute.reconstruction.solver_scenes import Scene, assert_same, scene
 from tests.compute.rig import camera, rig
@@ -174,7 +174,7 @@ def test_calibrations_share_a_kernel() -> None:
 
 def test_kernels_are_loaded_in_the_build_that_is_launched(monkeypatch: pytest.MonkeyPatch) -> None:
     made = scene(4, distorted=True, degree=None, calibrated=False, seed=2)
-    modules = [point_kernel(4, room).module for room in (0, LEAST_ROOM)]
+    modules = [point_kernel(4, room).module for room in (0, MIN_CAPACITY)]
     for module in modules:
         monkeypatch.setattr(module, "execs", {})  # what other tests have loaded
     load_kernels(4, "cpu")

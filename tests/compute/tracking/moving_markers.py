@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
-from compute.optics.placement import place_sensor
+from compute.optics.sensor_placement import place_sensor
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ class Sensing:
     missed: float = 0.0
     false_peaks: float = 0.0
     """Expected number a sensor and exposure."""
-    merge_px: float = 0.0
+    resolution_px: float = 0.0
 
 
 def ring(sensors: int = 4) -> tuple[SensorModel, ...]:
@@ -95,7 +95,7 @@ def peaks_of(
         seen.sort()
         merged: list[tuple[float, int]] = []
         for value, marker in seen:
-            if merged and value - merged[-1][0] < sensing.merge_px:
+            if merged and value - merged[-1][0] < sensing.resolution_px:
                 share = rng.uniform(0.3, 0.7)
                 last = merged.pop()
                 value, marker = (

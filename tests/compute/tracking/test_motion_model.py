@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from compute.tracking.motion_model import MotionModels, acceleration_step, velocity_step
+from compute.tracking.motion_model import MotionModels, ca_transition, cv_transition
 from compute.tracking.settings import TrackerSettings
 
 TIMES = st.floats(1e-4, 2.0)
 
 
 @given(first=TIMES, second=TIMES)
-@pytest.mark.parametrize("step", [velocity_step, acceleration_step])
+@pytest.mark.parametrize("step", [cv_transition, ca_transition])
 def test_two_steps_are_one(step: object, first: float, second: float) -> None:
     assert callable(step)
     f1, q1 = step(first, 3.0)
@@ -26,7 +26,7 @@ def test_two_steps_are_one(step: object, first: float, second: float) -> None:
 @given(t=st.floats(1e-2, 2.0))
 def test_noise_is_the_integral_of_white_noise(t: float) -> None:
     """Van Loan's matrix exponential, an independent way to the same integral."""
-    for step, order in ((velocity_step, 2), (acceleration_step, 3)):
+    for step, order in ((cv_transition, 2), (ca_transition, 3)):
         drift = np.diag(np.ones(order - 1), 1)
         white = np.zeros((order, order))
         white[-1, -1] = 7.0
@@ -40,9 +40,9 @@ def test_noise_is_the_integral_of_white_noise(t: float) -> None:
 @given(first=TIMES, second=TIMES)
 def test_switching_over_two_times_is_switching_over_their_sum(first: float, second: float) -> None:
     models = MotionModels.of(TrackerSettings())
-    one, two, both = models.switching(np.array([first, second, first + second]))
+    one, two, both = models.mode_transition_probabilities(np.array([first, second, first + second]))
     assert np.allclose(one @ two, both)
     assert np.allclose(both.sum(axis=1), 1.0)
     assert (both > 0.0).all()
-    soon = models.switching(np.array([1e-6]))[0]
-    assert soon[0, 1] == pytest.approx(1e-6 / models.switch_s, rel=1e-4)
+    soon = models.mode_transition_probabilities(np.array([1e-6]))[0]
+    assert soon[0, 1] == pytest.approx(1e-6 / models.mean_sojourn_s, rel=1e-4)

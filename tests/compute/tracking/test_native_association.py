@@ -7,35 +7,35 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
-from compute.tracking.association import Associated, associate
-from compute.tracking.frame_peaks import FramePeaks
+from compute.tracking.association import AssociationResult, associate
+from compute.tracking.imm_states import mix_and_predict
+from compute.tracking.measurement_model import MeasurementModel
+from compute.tracking.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.native.associator import Associator
-from compute.tracking.new_states import new_states
-from compute.tracking.reading_model import ReadingModel
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.states import predicted
+from compute.tracking.state_initialisation import states_from_points
 from tests.compute.distorted_rig import distorted_rig
 from tests.compute.tracking.moving_markers import MIDDLE_MM, PIXELS, Sensing, peaks_of, ring
-from tests.compute.tracking.test_reading_model import table
+from tests.compute.tracking.test_measurement_model import table
 
 Array = NDArray[np.float64]
 
 STEP_S = 0.01
 
 
-def same(one: Associated, two: Associated) -> None:
-    for name in ("peaks", "merged", "doubtful", "in_view"):
+def same(one: AssociationResult, two: AssociationResult) -> None:
+    for name in ("peaks", "merged", "hypotheses_pruned", "in_view"):
         assert (getattr(one, name) == getattr(two, name)).all(), name
-    for name in ("chance", "nis", "evidence"):
+    for name in ("probability", "nis", "log_likelihood_ratio"):
         assert np.allclose(getattr(one, name), getattr(two, name), rtol=1e-7, atol=1e-7), name
-    for name in ("mean", "covariance", "with_bias", "probability"):
+    for name in ("mean", "covariance", "bias_cross_covariance", "probability"):
         first, second = getattr(one.states, name), getattr(two.states, name)
         assert np.allclose(first, second, rtol=1e-6, atol=1e-7), name
 
 
 def compare(
-    model: ReadingModel,
+    model: MeasurementModel,
     settings: TrackerSettings,
     markers: int,
     frames: int,
@@ -49,20 +49,20 @@ def compare(
     velocity = rng.uniform(-300.0, 300.0, (markers, 3))
     sigma = np.full((markers, len(model)), 0.05)
     merged = 0
-    sensing = Sensing(missed=0.1, false_peaks=1.0, merge_px=4.0)
+    sensing = Sensing(missed=0.1, false_peaks=1.0, resolution_px=4.0)
     for frame in range(frames):
         if frame % 5 == 0:
             # Anew: in such a crowd tracks are soon elsewhere. Of their velocity something is known.
-            states, bias = new_states(model, motion, settings, places, sigma)
+            states, bias = states_from_points(model, motion, settings, places, sigma)
             states.mean[..., 3:6] = velocity[:, None]
             states.covariance[..., 3:6, 3:6] *= 0.01
         places = places + STEP_S * velocity
-        states = predicted(motion, states, np.full(markers, STEP_S))
+        states = mix_and_predict(motion, states, np.full(markers, STEP_S))
         position, deviation, flags, _ = peaks_of(model.cameras, places, sensing, rng)
         if model.corrections is not None:
             # As the sensors give them: what the table adds is not there yet.
             position = position - model.corrections.at(MIDDLE_MM[None]).value_px[0][:, None]
-        peaks = FramePeaks.of(position, deviation, flags, len(model), settings)
+        peaks = Measurements.of(position, deviation, flags, len(model), settings)
         definition = associate(model, motion, settings, states, bias, peaks)
         same(definition, native.associate(states, bias, peaks))
         merged += int(definition.merged.sum())
@@ -72,8 +72,8 @@ def compare(
 
 @pytest.mark.parametrize("motion", ["velocity", "acceleration", "interacting"])
 def test_kernel_is_its_definition_in_a_crowd(motion: str) -> None:
-    settings = TrackerSettings(motion=motion, white_jerk=1e7)  # type: ignore[arg-type]
-    model = ReadingModel(CameraStack.of(ring()), pixels=(PIXELS,) * 4)
+    settings = TrackerSettings(motion=motion, jerk_psd=1e7)  # type: ignore[arg-type]
+    model = MeasurementModel(CameraStack.of(ring()), pixels=(PIXELS,) * 4)
     assert compare(model, settings, 8, 25, seed=1) > 40
 
 
@@ -83,25 +83,25 @@ def test_kernel_is_its_definition_with_distortion_table_and_calibration() -> Non
     ]
     cameras = CameraStack.of(models)
     rng = np.random.default_rng(3)
-    count = int(cameras.owned.sum())
+    count = int(cameras.parameter_mask.sum())
     root = 1e-3 * rng.standard_normal((count, count))
-    model = ReadingModel(cameras, root @ root.T, table(), (PIXELS,) * 4)
+    model = MeasurementModel(cameras, root @ root.T, table(), (PIXELS,) * 4)
     assert compare(model, TrackerSettings(), 6, 25, seed=2) > 20
 
 
 def test_what_there_is_no_room_for_is_done_by_the_definition() -> None:
     """Seventy peaks in one gate are more than the kernel's words have bits."""
-    settings = TrackerSettings(search_px=1e6)
-    model = ReadingModel(CameraStack.of(ring()))
+    settings = TrackerSettings(max_prediction_sigma_px=1e6)
+    model = MeasurementModel(CameraStack.of(ring()))
     motion = MotionModels.of(settings)
     native = Associator(model, motion, settings)
-    states, bias = new_states(
+    states, bias = states_from_points(
         model, motion, settings, MIDDLE_MM[None] + [[0.0], [1.0]], np.full((2, 4), 0.05)
     )
-    states = predicted(motion, states, np.full(2, 0.1))
+    states = mix_and_predict(motion, states, np.full(2, 0.1))
     reading = model.predict(MIDDLE_MM[None]).reading_px[0]
     position = reading[:, None] + np.linspace(-3.0, 3.0, 70)
-    peaks = FramePeaks.of(
+    peaks = Measurements.of(
         position, np.full_like(position, 0.05), np.zeros(position.shape, np.int32), 4, settings
     )
     same(

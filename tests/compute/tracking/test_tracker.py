@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.signal.peaks import PeakFlag
-from compute.tracking.motion_model import acceleration_step
+from compute.tracking.motion_model import ca_transition
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
 from compute.tracking.tracker import Tracker
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 STEP_S = 0.01
 WHITE_JERK = 1e6
-EQUAL = TrackerSettings(motion="acceleration", white_jerk=WHITE_JERK)
+EQUAL = TrackerSettings(motion="acceleration", jerk_psd=WHITE_JERK)
 
 
 def tracker(sensors: int = 4, settings: TrackerSettings = EQUAL, **options: Any) -> Tracker:
@@ -30,7 +30,7 @@ def tracker(sensors: int = 4, settings: TrackerSettings = EQUAL, **options: Any)
 
 def wandering(frames: int, rng: np.random.Generator) -> Array:
     """A marker whose jerk is white noise, as the model says: place, velocity, acceleration."""
-    transition, noise = acceleration_step(STEP_S, WHITE_JERK)
+    transition, noise = ca_transition(STEP_S, WHITE_JERK)
     half = np.linalg.cholesky(noise)
     states = np.zeros((frames, 3, 3))
     states[0, 0], states[0, 1] = MIDDLE_MM, [80.0, -50.0, 30.0]
@@ -78,7 +78,7 @@ def test_covariance_and_innovations_are_honest() -> None:
     """Over 40 runs NEES of the nine states, and NIS, lie within the bounds of chi-square."""
     cameras = CameraStack.of(ring())
     runs, frames = 40, 40
-    nees, place_nees, nis, degrees = [], [], 0.0, 0
+    nees, place_nees, nis, dof = [], [], 0.0, 0
     for seed in range(runs):
         rng = np.random.default_rng(seed)
         truth = wandering(frames, rng)
@@ -90,11 +90,11 @@ def test_covariance_and_innovations_are_honest() -> None:
         nees.append(off @ np.linalg.solve(last.covariance[0], off))
         place_nees.append(off[:3] @ np.linalg.solve(last.covariance[0, :3, :3], off[:3]))
         nis += sum(float(batch.nis[0]) for batch in reports[20:])
-        degrees += sum(int(batch.degrees[0]) for batch in reports[20:])
+        dof += sum(int(batch.dof[0]) for batch in reports[20:])
     for values, freedom in ((nees, 9), (place_nees, 3)):
         low, high = chi2.ppf([0.0005, 0.9995], runs * freedom)
         assert low < sum(values) < high
-    low, high = chi2.ppf([0.0005, 0.9995], degrees)
+    low, high = chi2.ppf([0.0005, 0.9995], dof)
     assert low < nis < high
 
 
@@ -108,7 +108,7 @@ def test_a_wrong_calibration_is_stated_and_not_filtered_away() -> None:
     for seed in range(runs):
         rng = np.random.default_rng(seed)
         steps = (deviation * rng.standard_normal(28)).reshape(4, 7)
-        true_cameras = cameras.moved(steps)
+        true_cameras = cameras.retract(steps)
         truth = wandering(frames, rng)
         for covariance, values in ((np.diag(deviation**2), stated), (None, exact)):
             one = tracker(parameter_covariance=covariance)
@@ -138,7 +138,7 @@ def crossing(frames: int, apart_mm: float) -> Array:
 def test_identity_is_kept_through_crossings(sensors: int) -> None:
     """Merged peaks, losses and false peaks on the way; no identity changes, no error is hidden."""
     cameras = CameraStack.of(ring(sensors))
-    sensing = Sensing(missed=0.05, false_peaks=0.1, merge_px=4.0)
+    sensing = Sensing(missed=0.05, false_peaks=0.1, resolution_px=4.0)
     merged, held, squares = 0, 0, []
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -191,7 +191,7 @@ def test_a_track_lives_on_two_sensors() -> None:
 
 def test_false_peaks_are_never_confirmed() -> None:
     """1,000 exposures of false peaks alone, two a sensor and exposure, each of them searched."""
-    settings = TrackerSettings(false_per_px=2.0 / PIXELS, start_every_s=0.0)
+    settings = TrackerSettings(clutter_density_per_px=2.0 / PIXELS, initiation_interval_s=0.0)
     one = tracker(4, settings)
     rng = np.random.default_rng(0)
     cameras = CameraStack.of(ring())
@@ -207,7 +207,7 @@ def test_false_peaks_are_never_confirmed() -> None:
 
 def test_the_same_input_gives_the_same_bits() -> None:
     cameras = CameraStack.of(ring())
-    sensing = Sensing(missed=0.1, false_peaks=0.5, merge_px=4.0)
+    sensing = Sensing(missed=0.1, false_peaks=0.5, resolution_px=4.0)
     runs = [
         follow(tracker(4, TrackerSettings()), cameras, crossing(60, 2.0), sensing, rng)
         for rng in (np.random.default_rng(9), np.random.default_rng(9))
@@ -221,7 +221,7 @@ def test_the_order_of_sensors_does_not_matter() -> None:
     """With sensors exchanged, tracks stay within a fraction of their deviations."""
     models = ring()
     places = crossing(70, 2.0)
-    sensing = Sensing(missed=0.05, merge_px=4.0)
+    sensing = Sensing(missed=0.05, resolution_px=4.0)
     rng = np.random.default_rng(2)
     peaks = [peaks_of(CameraStack.of(models), place, sensing, rng, room=4) for place in places]
     last = []
@@ -284,7 +284,7 @@ def test_another_calibration_keeps_the_tracks() -> None:
     steps = np.zeros((4, 7))
     steps[:, 1] = [1.5, -1.0, 0.5, 1.0]
     deviation = np.tile([1.0, 1.0, 2e-4, 2e-4, 2e-4, 0.1, 0.1], 4)
-    one = Tracker(cameras.moved(steps), EQUAL, np.diag(deviation**2), pixels=(PIXELS,) * 4)
+    one = Tracker(cameras.retract(steps), EQUAL, np.diag(deviation**2), pixels=(PIXELS,) * 4)
     rng = np.random.default_rng(7)
     batches = []
     for frame in range(60):
@@ -315,8 +315,8 @@ def test_clipped_peaks_are_not_used_and_saturated_ones_count_less() -> None:
             batch = one.step(1 + frame * 10**7, position, sigma, flags, None)
         batches.append(batch)
     plain, saturated, clipped = batches
-    assert saturated.flags[0] & TrackFlag.DOUBTFUL_PEAK
-    assert not plain.flags[0] & TrackFlag.DOUBTFUL_PEAK
+    assert saturated.flags[0] & TrackFlag.SUSPECT_PEAK
+    assert not plain.flags[0] & TrackFlag.SUSPECT_PEAK
     assert clipped.peaks[0, 0] == -1
     traces = [np.trace(batch.covariance[0, :3, :3]) for batch in batches]
     assert traces[0] < traces[1] < traces[2]
@@ -351,11 +351,11 @@ def test_bad_input_is_refused_with_its_value(change: dict[str, Any], message: st
     ("name", "value"),
     [
         ("motion", "jerk"),
-        ("detection", 1.0),
-        ("white_jerk", 0.0),
+        ("detection_probability", 1.0),
+        ("jerk_psd", 0.0),
         ("gate_sigma", float("nan")),
         ("confirm_hits", 0),
-        ("start_every_s", -1.0),
+        ("initiation_interval_s", -1.0),
     ],
 )
 def test_settings_are_refused_with_their_value(name: str, value: Any) -> None:

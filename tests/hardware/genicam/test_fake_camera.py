@@ -17,12 +17,12 @@ import pytest
 import hardware.genicam.driver
 from compute.errors import InvalidParameter
 from hardware.errors import DeviceNotConnected, MissingLibrary
-from hardware.frame import LineFrame
 from hardware.genicam.aravis import AravisError, library
 from hardware.genicam.camera import Camera
+from hardware.genicam.discovery import cameras
 from hardware.genicam.driver import GenicamDriver
-from hardware.genicam.listing import cameras
 from hardware.genicam.settings import Feature, GenicamCamera, GenicamSettings
+from hardware.line_frame import LineFrame
 from hardware.link import LinkState
 
 PROGRAM = shutil.which("arv-fake-gv-camera-0.8")
@@ -161,17 +161,17 @@ def test_a_trigger_by_its_features_and_silence(
         Feature("GainRaw", 2),
     )
     driver = opened(GenicamSettings(HERE, 7.0, features=trigger))
-    told: list[LinkState] = []
+    status: list[LinkState] = []
 
     def heard(state: LinkState) -> None:
-        told.append(state)
+        status.append(state)
         driver.close()
 
     driver.listen(heard)
     assert taken(driver, 1) == []
-    assert [state.state for state in told] == ["silent"]
-    assert told[0].reason is not None
-    assert "it may wait for a trigger" in told[0].reason
+    assert [state.state for state in status] == ["silent"]
+    assert status[0].reason is not None
+    assert "it may wait for a trigger" in status[0].reason
     fake.unplug()
     fake.plug()  # without its trigger
 
@@ -240,7 +240,7 @@ def test_unplugged_and_connected_again_many_times(
     fake: FakeCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(hardware.genicam.driver, "SILENCE_S", 0.1)
-    monkeypatch.setattr("hardware.genicam.feed.RETRY_S", (0.02,))
+    monkeypatch.setattr("hardware.genicam.camera_stream.RETRY_S", (0.02,))
     driver = opened(GenicamSettings(HERE, 7.0, width=200, line_rate_hz=200.0))
     states: list[LinkState] = []
     driver.listen(states.append)
@@ -265,9 +265,9 @@ def test_a_camera_that_goes_again_while_it_is_set_up_comes_back(
 ) -> None:
     """Nobody answers meanwhile: Aravis asks for seconds before it gives up."""
     monkeypatch.setattr(hardware.genicam.driver, "SILENCE_S", 0.1)
-    monkeypatch.setattr("hardware.genicam.feed.RETRY_S", (0.02,))
+    monkeypatch.setattr("hardware.genicam.camera_stream.RETRY_S", (0.02,))
     driver = opened(GenicamSettings(HERE, 7.0, width=200, line_rate_hz=200.0))
-    told: list[LinkState] = []
+    status: list[LinkState] = []
     cut: list[BaseException | None] = []
     set_up = Camera._set_up
 
@@ -282,7 +282,7 @@ def test_a_camera_that_goes_again_while_it_is_set_up_comes_back(
             raise
 
     def heard(state: LinkState) -> None:
-        told.append(state)
+        status.append(state)
         if "went away while it was set up" in (state.reason or ""):
             fake.plug()
 
@@ -297,5 +297,5 @@ def test_a_camera_that_goes_again_while_it_is_set_up_comes_back(
     driver.close()
     assert isinstance(cut[0], AravisError)
     assert cut[0].unanswered
-    assert changes(told) == ["disconnected", "connected"]
-    assert any("went away while it was set up" in (state.reason or "") for state in told)
+    assert changes(status) == ["disconnected", "connected"]
+    assert any("went away while it was set up" in (state.reason or "") for state in status)

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+import hardware.genicam.camera_stream
 import hardware.genicam.driver
-import hardware.genicam.feed
-import hardware.pacing
+import hardware.timing
 from compute.errors import InvalidParameter
 from hardware.errors import DeviceChanged, DeviceNotConnected
-from hardware.frame import FrameFlag, LineFrame
 from hardware.genicam.camera import Buffer
 from hardware.genicam.driver import GenicamDriver
 from hardware.genicam.settings import GenicamCamera, GenicamSettings
+from hardware.line_frame import FrameFlag, LineFrame
 from hardware.link import LinkedDriver, LinkState
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.waiting: dict[str, deque[Buffer]] = {}
-        self.there: dict[str, bool] = {}
+        self.is_present: dict[str, bool] = {}
         self.width = 16
         self.widths: dict[str, int] = {}
         self.open = 0
@@ -42,7 +42,7 @@ class Bench:
         self.refusals = 0
 
     def add(self, name: str) -> None:
-        self.waiting[name], self.there[name] = deque(), True
+        self.waiting[name], self.is_present[name] = deque(), True
 
     def send(self, name: str, *numbers: int, rows: int = 1, whole: bool = True) -> None:
         for number in numbers:
@@ -58,7 +58,7 @@ class PlayedCamera:
     """Stands where ``Camera`` does."""
 
     def __init__(self, which: GenicamCamera, bench: Bench) -> None:
-        if not bench.there[which.camera]:
+        if not bench.is_present[which.camera]:
             raise DeviceNotConnected(f"camera {which.camera} cannot be used")
         if bench.refusals:
             bench.refusals -= 1
@@ -77,8 +77,8 @@ class PlayedCamera:
         time.sleep(min(wait_us, 1000) * 1e-6)
         return None
 
-    def there(self) -> bool:
-        return self._bench.there[self._name]
+    def is_present(self) -> bool:
+        return self._bench.is_present[self._name]
 
     def close(self) -> None:
         self._bench.open -= 1
@@ -88,10 +88,10 @@ class PlayedCamera:
 def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     bench = Bench()
     monkeypatch.setattr(
-        hardware.genicam.feed, "Camera", lambda which, _: PlayedCamera(which, bench)
+        hardware.genicam.camera_stream, "Camera", lambda which, _: PlayedCamera(which, bench)
     )
     monkeypatch.setattr(hardware.genicam.driver, "SILENCE_S", 0.02)
-    monkeypatch.setattr(hardware.genicam.feed, "RETRY_S", (0.01,))
+    monkeypatch.setattr(hardware.genicam.camera_stream, "RETRY_S", (0.01,))
     yield bench
     assert bench.open == 0
 
@@ -125,7 +125,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """The host's clock as frames see it: so far ahead of its monotonic one."""
     clock = SimpleNamespace(ahead_ns=0)
     hosts = SimpleNamespace(time_ns=lambda: clock.ahead_ns, monotonic_ns=lambda: 0)
-    monkeypatch.setattr(hardware.pacing, "time", hosts)
+    monkeypatch.setattr(hardware.timing, "time", hosts)
     return clock
 
 
@@ -247,14 +247,14 @@ def test_a_lost_camera_holds_the_frames_back_until_it_is_back(bench: Bench) -> N
     before = next(frames)
 
     def away_and_back() -> None:
-        bench.there["b"] = False
+        bench.is_present["b"] = False
         end = time.monotonic() + 10.0
         while driver.link().state != "disconnected":
             assert time.monotonic() < end
             time.sleep(0.005)
         bench.send("a", 50)
         time.sleep(0.05)
-        bench.there["b"] = True
+        bench.is_present["b"] = True
         while driver.link().counters.reconnects == 0:
             assert time.monotonic() < end
             time.sleep(0.005)
@@ -282,12 +282,12 @@ def replugged(bench: Bench, driver: GenicamDriver, *numbers: int) -> None:
     """Take the only camera away; as soon as that is told it is back, and sends these."""
 
     def heard(state: LinkState) -> None:
-        if state.state == "disconnected" and not bench.there["a"]:
-            bench.there["a"] = True
+        if state.state == "disconnected" and not bench.is_present["a"]:
+            bench.is_present["a"] = True
             bench.send("a", *numbers)
 
     driver.listen(heard)
-    bench.there["a"] = False
+    bench.is_present["a"] = False
 
 
 @pytest.mark.parametrize("first", [1, 4, 204])
@@ -325,10 +325,10 @@ def test_a_camera_that_refuses_what_it_took_before_is_tried_again(bench: Bench) 
     frames = driver.frames()
     bench.send("a", 1)
     next(frames)
-    bench.refusals = hardware.genicam.feed.REFUSALS
+    bench.refusals = hardware.genicam.camera_stream.REFUSALS
     replugged(bench, driver, 9)
     assert next(frames).sequence == 1
-    bench.refusals = hardware.genicam.feed.REFUSALS + 1
+    bench.refusals = hardware.genicam.camera_stream.REFUSALS + 1
     replugged(bench, driver, 10)
     with pytest.raises(InvalidParameter, match="cannot be 200"):
         next(frames)
@@ -340,13 +340,13 @@ def test_a_camera_that_comes_back_with_another_width_ends_the_frames(bench: Benc
     bench.send("a", 1)
     frames = driver.frames()
     next(frames)
-    bench.there["a"] = False
+    bench.is_present["a"] = False
 
     def changed() -> None:
         while driver.link().state != "disconnected":
             time.sleep(0.005)
         bench.width = 32
-        bench.there["a"] = True
+        bench.is_present["a"] = True
 
     threading.Thread(target=changed, daemon=True).start()
     with pytest.raises(DeviceChanged, match='"sensor-a" had 16 pixels and has 32'):
@@ -357,7 +357,7 @@ def test_a_camera_that_comes_back_with_another_width_ends_the_frames(bench: Benc
 def test_a_camera_that_is_not_there_is_said_when_opened(bench: Bench) -> None:
     for name in ("a", "b"):
         bench.add(name)
-    bench.there["b"] = False
+    bench.is_present["b"] = False
     settings = GenicamSettings((GenicamCamera("x", "a"), GenicamCamera("y", "b")), 7.0)
     driver = GenicamDriver("bar", settings)
     with pytest.raises(DeviceNotConnected, match="camera b cannot be used"):

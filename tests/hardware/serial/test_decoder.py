@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hardware.serial.assembly import Assembler
 from hardware.serial.decoder import Decoder
+from hardware.serial.decoder_benchmark import decode_mutated, decoding_rate
 from hardware.serial.encoding import encode, split_lines
-from hardware.serial.measure import decoding_rate, mutated
-from hardware.serial.messages import MOST_BYTES, DeviceStatus, Lines, LinesFlag, Start
+from hardware.serial.messages import MAX_BYTES, DeviceStatus, Lines, LinesFlag, Start
+from hardware.serial.reassembly import ExposureAssembler
 from tests.hardware.serial.test_protocol import framed
 
 
@@ -30,7 +30,7 @@ def test_it_does_not_matter_how_reads_cut_the_stream(sizes: list[int]) -> None:
         place += size
     assert [message.sequence for message in found if isinstance(message, Lines)] == [*range(8)]
     assert decoder.counters.bytes_received == len(stream)
-    assert decoder.counters.thrown_away == 0
+    assert decoder.counters.discarded == 0
 
 
 @given(st.binary(max_size=500))
@@ -44,7 +44,7 @@ def test_after_anything_the_next_message_is_found(noise: bytes) -> None:
 
 def test_mutated_messages_give_nothing_that_was_not_sent() -> None:
     """Ten thousand here; `lumiline bench decoder` sends a million."""
-    found = mutated(10_000, seed=7)
+    found = decode_mutated(10_000, seed=7)
     assert found.wrong == 0
     assert found.counters["garbled"] > 8_000
     # One in nine is sent twice, and one in nine has but a zero too many, somewhere.
@@ -57,14 +57,14 @@ def test_the_check_of_mutations_sees_a_decoder_that_takes_anything(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("hardware.serial.decoder.zlib.crc32", lambda _: 0x2144DF1C)
-    assert mutated(300, seed=7).wrong > 10
+    assert decode_mutated(300, seed=7).wrong > 10
 
 
 def test_a_stream_without_zeros_is_not_kept() -> None:
     decoder = Decoder()
     for _ in range(40):
         assert decoder.feed(b"\x55" * 100_000) == []
-        assert decoder.pending <= MOST_BYTES
+        assert decoder.pending <= MAX_BYTES
     assert decoder.counters.too_long == 1
     assert decoder.feed(b"\x55\0" + encode(Start(1))) == [Start(1)]
     assert decoder.counters.too_long == 1
@@ -73,7 +73,7 @@ def test_a_stream_without_zeros_is_not_kept() -> None:
 def test_a_message_that_is_too_long_is_dropped_in_one_read_or_many() -> None:
     long = b"\x01" * 300
     for pieces in ([long + b"\0"], [long[:200], long[200:] + b"\0"], [long[:100]] * 4 + [b"\0"]):
-        decoder = Decoder(most_bytes=256)
+        decoder = Decoder(max_bytes=256)
         for piece in pieces:
             assert decoder.feed(piece) == []
         assert decoder.counters.too_long == 1
@@ -102,7 +102,7 @@ def test_the_rest_of_a_message_that_was_on_its_way_is_no_damage() -> None:
 def test_zeros_between_messages_are_nothing() -> None:
     decoder = Decoder()
     assert len(decoder.feed(bytes(50) + encode(Start(1)) + bytes(9) + encode(Start(2)))) == 2
-    assert decoder.counters.thrown_away == 0
+    assert decoder.counters.discarded == 0
 
 
 def test_its_rate_is_measured_on_whole_exposures() -> None:
@@ -119,7 +119,7 @@ def whole(sequence: int) -> Lines:
 
 @given(st.integers(1, 8), st.integers(0, 3))
 def test_exposures_come_from_parts_of_any_size(size: int, sequence: int) -> None:
-    assembler = Assembler(2, 4)
+    assembler = ExposureAssembler(2, 4)
     stream = b"".join(encode(part) for part in split_lines(whole(sequence), size))
     *early, last = (part for part in Decoder().feed(stream) if isinstance(part, Lines))
     assert all(assembler.add(part) is None for part in early)
@@ -136,7 +136,7 @@ def test_exposures_come_from_parts_of_any_size(size: int, sequence: int) -> None
 @given(st.integers(0, 2**32), st.integers(1, 5))
 def test_no_exposure_is_put_together_from_parts_of_two(seed: int, size: int) -> None:
     noise = random.Random(seed)
-    assembler = Assembler(2, 4)
+    assembler = ExposureAssembler(2, 4)
     sent = [part for sequence in range(20) for part in split_lines(whole(sequence), size)]
     kept = [part for part in sent if noise.random() > 0.2]
     for part in [one for one in kept for _ in range(1 + (noise.random() < 0.1))]:
@@ -146,7 +146,7 @@ def test_no_exposure_is_put_together_from_parts_of_two(seed: int, size: int) -> 
 
 
 def test_missing_parts_are_counted() -> None:
-    assembler = Assembler(2, 4)
+    assembler = ExposureAssembler(2, 4)
     first = split_lines(whole(0), 4)
     second = split_lines(whole(1), 4)
     assert assembler.add(first[0]) is None
@@ -161,7 +161,7 @@ def test_missing_parts_are_counted() -> None:
 
 
 def test_a_part_that_is_saturated_makes_the_exposure_so() -> None:
-    assembler = Assembler(2, 4)
+    assembler = ExposureAssembler(2, 4)
     one, two = split_lines(whole(0), 4)
     flagged = Lines(
         one.sequence, one.ticks, one.marker, LinesFlag.SATURATED, one.lost, one.first, one.counts
@@ -179,7 +179,7 @@ def test_a_status_is_a_message_like_others() -> None:
 
 @pytest.mark.parametrize("saturated", range(4))
 def test_flags_are_those_of_all_parts(saturated: int) -> None:
-    assembler = Assembler(4, 4)
+    assembler = ExposureAssembler(4, 4)
     parts = split_lines(lines(1), 4)
     flagged = replace(parts[saturated], flags=LinesFlag.SATURATED)
     parts = [*parts[:saturated], flagged, *parts[saturated + 1 :]]

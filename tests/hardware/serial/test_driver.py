@@ -13,22 +13,22 @@ import pytest
 
 from compute.errors import InvalidParameter
 from hardware.errors import DeviceChanged, DeviceNotConnected
-from hardware.frame import FrameFlag, LineFrame
+from hardware.line_frame import FrameFlag, LineFrame
 from hardware.link import LinkedDriver, LinkState
-from hardware.recording import RecordingWriter
+from hardware.recording.writer import RecordingWriter
 from hardware.serial import simulated_device
 from hardware.serial.driver import SerialDriver
+from hardware.serial.emulator import serve_terminal
 from hardware.serial.encoding import encode
+from hardware.serial.identity_check import check_identity
 from hardware.serial.messages import Description, Result
-from hardware.serial.sameness import check_same
-from hardware.serial.serving import serve_terminal
 from hardware.serial.settings import SerialSettings
 from hardware.serial.simulated_device import SimulatedSerialDevice
 from hardware.simulated.renderer import FrameRenderer
 from hardware.simulated.settings import SimulationSettings
-from hardware.strobe import StrobeSchedule
-from service.live.peak_finding import peak_method
-from tests.hardware.serial.bench_device import (
+from hardware.strobe_schedule import StrobeSchedule
+from service.pipeline.detection_stage import peak_method
+from tests.hardware.serial.emulated_device import (
     BenchDevice,
     bench_device,
     every_third,
@@ -86,13 +86,13 @@ def bar() -> Iterator[BenchDevice]:
 
 @pytest.fixture
 def watched(bar: BenchDevice) -> Iterator[Watched]:
-    watched = Watched(bar.told())
+    watched = Watched(bar.status())
     yield watched
     watched.end()
 
 
 def test_it_is_what_the_device_says_it_is(bar: BenchDevice) -> None:
-    driver = SerialDriver("bar", bar.told(frame_rate_hz=250.0))
+    driver = SerialDriver("bar", bar.status(frame_rate_hz=250.0))
     assert isinstance(driver, LinkedDriver)
     assert driver.link().state == "disconnected"
     driver.open()
@@ -108,14 +108,14 @@ def test_it_is_what_the_device_says_it_is(bar: BenchDevice) -> None:
 
 
 def test_how_peaks_are_measured_is_told_and_not_said_by_the_device(bar: BenchDevice) -> None:
-    for told, expected in ((bar.told(), "fit"), (bar.told(peaks="centroid"), "centroid")):
-        driver = SerialDriver("bar", told)
+    for status, expected in ((bar.status(), "fit"), (bar.status(peaks="centroid"), "centroid")):
+        driver = SerialDriver("bar", status)
         driver.open()
         assert driver.description.peaks == expected
         assert peak_method(driver.description) == expected
         driver.close()
     with pytest.raises(InvalidParameter, match="peaks is 'best'"):
-        bar.told(peaks="best")
+        bar.status(peaks="best")
 
 
 def test_frames_are_the_devices_own(bar: BenchDevice, watched: Watched, tmp_path: Path) -> None:
@@ -176,8 +176,8 @@ def test_what_a_bad_line_does_is_told_and_passes(
 ) -> None:
     watched.more(3)
     bar.line = line
-    told = watched.state(state)
-    assert words in (told.reason or "")
+    status = watched.state(state)
+    assert words in (status.reason or "")
     garbled = watched.driver.link().counters.frames_garbled
     if state == "garbled":
         assert garbled > 0
@@ -205,8 +205,8 @@ def test_damaged_messages_cost_their_frames_only(bar: BenchDevice, watched: Watc
 
 
 def test_a_device_that_is_reset_is_told_anew_and_its_clock_goes_on(bar: BenchDevice) -> None:
-    told = bar.told(frame_rate_hz=400.0, strobe=StrobeSchedule((1, 1, 0)))
-    watched = Watched(told)
+    status = bar.status(frame_rate_hz=400.0, strobe=StrobeSchedule((1, 1, 0)))
+    watched = Watched(status)
     for _ in range(3):
         watched.more(10)
         bar.switch_off_and_on()
@@ -258,9 +258,9 @@ def test_other_values_than_are_computed_with_are_another_device(
     change: dict[str, Any], words: str
 ) -> None:
     said = Description("bar", ("a",), 8, 14.0, 1_000_000, line_sigma_px=1.5)
-    check_same(said, replace(said, name="other", clock_hz=5, delay_us=3.0, frame_rate_hz=7.0))
+    check_identity(said, replace(said, name="other", clock_hz=5, delay_us=3.0, frame_rate_hz=7.0))
     with pytest.raises(DeviceChanged, match=words):
-        check_same(said, replace(said, **change))
+        check_identity(said, replace(said, **change))
 
 
 def test_a_device_with_another_clock_goes_on_and_with_another_gain_does_not(
@@ -284,19 +284,19 @@ class BusyDevice:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.left = 0
-        self.told: list[str] = []
+        self.status: list[str] = []
         obey = SimulatedSerialDevice._done
 
         def done(device: SimulatedSerialDevice, command: Any, now_ns: int) -> Result:
-            self.told.append(type(command).__name__)
+            self.status.append(type(command).__name__)
             if self.left > 0:
                 self.left -= 1
                 return Result.BUSY
             return obey(device, command, now_ns)
 
         monkeypatch.setattr(SimulatedSerialDevice, "_done", done)
-        monkeypatch.setattr("hardware.serial.busy.AGAIN_NS", 20_000_000)
-        monkeypatch.setattr("hardware.serial.connection.AGAIN_NS", 20_000_000)
+        monkeypatch.setattr("hardware.serial.busy_retry.RETRY_INTERVAL_NS", 20_000_000)
+        monkeypatch.setattr("hardware.serial.connection.RETRY_INTERVAL_NS", 20_000_000)
 
 
 @pytest.fixture
@@ -307,7 +307,7 @@ def busy(monkeypatch: pytest.MonkeyPatch) -> BusyDevice:
 def test_a_busy_device_is_waited_for(bar: BenchDevice, busy: BusyDevice) -> None:
     """When it is opened, and when it was reset."""
     busy.left = 3
-    watched = Watched(bar.told(frame_rate_hz=400.0))
+    watched = Watched(bar.status(frame_rate_hz=400.0))
     watched.more(3)
     busy.left = 3
     bar.switch_off_and_on()
@@ -326,9 +326,9 @@ def test_a_device_that_stays_busy_is_tried_again_as_one_that_is_lost(
         monkeypatch.setattr(f"hardware.serial.{place}.BUSY_NS", 100_000_000)
     busy.left = 60
     with pytest.raises(DeviceNotConnected, match="the device is busy for"):
-        SerialDriver("bar", bar.told()).open()
+        SerialDriver("bar", bar.status()).open()
     busy.left = 0
-    watched = Watched(bar.told())
+    watched = Watched(bar.status())
     watched.more(3)
     busy.left = 60
     bar.switch_off_and_on()
@@ -343,17 +343,17 @@ def test_a_device_that_stays_busy_is_tried_again_as_one_that_is_lost(
 def test_a_device_that_rests_is_silent_and_told_anew_after_a_reset(
     bar: BenchDevice, busy: BusyDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hardware.serial.asking.ASK_NS", 20_000_000)
-    watched = Watched(bar.told())
+    monkeypatch.setattr("hardware.serial.describe_policy.DESCRIBE_INTERVAL_NS", 20_000_000)
+    watched = Watched(bar.status())
     watched.more(3)
     monkeypatch.setattr(SimulatedSerialDevice, "_lines", lambda *_: iter(()))
     monkeypatch.setattr(simulated_device, "STATUS_NS", 50_000_000)
-    monkeypatch.setattr("hardware.serial.watch.MESSAGES_NS", 200_000_000)
+    monkeypatch.setattr("hardware.serial.link_watchdog.MESSAGES_NS", 200_000_000)
     watched.wait(lambda: "it rests" in (watched.driver.link().reason or ""))
     assert watched.driver.link().counters.frames_garbled == 0
-    told = busy.told.count("Start")
+    status = busy.status.count("Start")
     bar.switch_off_and_on()
-    watched.wait(lambda: busy.told.count("Start") > told)
+    watched.wait(lambda: busy.status.count("Start") > status)
     watched.end()
     assert {state.state for state in watched.states} == {"silent"}
 
@@ -369,7 +369,7 @@ def test_what_a_device_says_when_it_was_reset_is_taken(bar: BenchDevice, watched
 
 
 def test_a_device_that_cannot_be_told_any_more_is_told_so(bar: BenchDevice) -> None:
-    watched = Watched(bar.told(frame_rate_hz=400.0))
+    watched = Watched(bar.status(frame_rate_hz=400.0))
     watched.more(3)
     bar.described = lambda said: replace(said, abilities=type(said.abilities)(0))
     bar.switch_off_and_on()
@@ -395,11 +395,11 @@ def test_a_description_out_of_bounds_is_told(
     bar.described = lambda said: replace(said, electrons_per_count=0.0)
     bar.switch_off_and_on()
     with pytest.raises(DeviceNotConnected, match="a description came with gain 0; it must be abov"):
-        SerialDriver("bar", bar.told()).open()
+        SerialDriver("bar", bar.status()).open()
 
 
 def test_a_strobe_schedule_is_obeyed(bar: BenchDevice) -> None:
-    watched = Watched(bar.told(strobe=StrobeSchedule((0, 0, 1))))
+    watched = Watched(bar.status(strobe=StrobeSchedule((0, 0, 1))))
     watched.more(30)
     watched.end()
     assert watched.driver.description.markers == 2
@@ -411,7 +411,7 @@ def test_a_strobe_schedule_is_obeyed(bar: BenchDevice) -> None:
 
 
 def test_all_markers_at_once_are_a_schedule_too(bar: BenchDevice) -> None:
-    watched = Watched(bar.told(strobe=StrobeSchedule((None,))))
+    watched = Watched(bar.status(strobe=StrobeSchedule((None,))))
     watched.more(5)
     watched.end()
     assert watched.driver.description.markers == 0
@@ -429,7 +429,7 @@ def test_all_markers_at_once_are_a_schedule_too(bar: BenchDevice) -> None:
 def test_what_the_device_cannot_do_is_refused(
     bar: BenchDevice, changes: dict[str, object], words: str
 ) -> None:
-    driver = SerialDriver("bar", bar.told(**changes))
+    driver = SerialDriver("bar", bar.status(**changes))
     with pytest.raises(InvalidParameter, match=words):
         driver.open()
 
@@ -439,17 +439,17 @@ def test_a_device_that_takes_no_commands_is_not_given_any() -> None:
         bar.described = lambda said: replace(said, abilities=type(said.abilities)(0))
         bar.switch_off_and_on()
         with pytest.raises(InvalidParameter, match="cannot be told its frame_rate_hz"):
-            SerialDriver("bar", bar.told(frame_rate_hz=10.0)).open()
+            SerialDriver("bar", bar.status(frame_rate_hz=10.0)).open()
         with pytest.raises(InvalidParameter, match="cannot be told its strobe"):
-            SerialDriver("bar", bar.told(strobe=StrobeSchedule((0,)))).open()
-        driver = SerialDriver("bar", bar.told())
+            SerialDriver("bar", bar.status(strobe=StrobeSchedule((0,)))).open()
+        driver = SerialDriver("bar", bar.status())
         driver.open()
         driver.close()
 
 
 def test_parts_of_exposures_are_put_together() -> None:
     with bench_device(part_counts=1000) as bar:
-        watched = Watched(bar.told())
+        watched = Watched(bar.status())
         watched.more(10)
         watched.end()
         rendered = FrameRenderer(bar.settings).batch(0).lines
@@ -480,7 +480,7 @@ def test_a_port_without_a_device_is_told(
     monkeypatch.setattr("hardware.serial.connection.DESCRIBE_S", 0.2)
     bar.line = line
     with pytest.raises(DeviceNotConnected, match=words):
-        SerialDriver("bar", bar.told()).open()
+        SerialDriver("bar", bar.status()).open()
 
 
 @pytest.mark.parametrize("line", [silent, lambda data: data])
@@ -498,7 +498,7 @@ def test_close_ends_an_opening_at_once(bar: BenchDevice, monkeypatch: pytest.Mon
     monkeypatch.setattr("hardware.serial.connection.DESCRIBE_S", 60.0)
     monkeypatch.setattr("hardware.serial.connection._ASK_AGAIN_S", 60.0)
     bar.line = silent
-    driver = SerialDriver("bar", bar.told())
+    driver = SerialDriver("bar", bar.status())
     closer = threading.Timer(0.1, driver.close)
     closer.start()
     with pytest.raises(DeviceNotConnected):
@@ -507,7 +507,7 @@ def test_close_ends_an_opening_at_once(bar: BenchDevice, monkeypatch: pytest.Mon
 
 
 def test_it_can_be_opened_again(bar: BenchDevice) -> None:
-    driver = SerialDriver("bar", bar.told())
+    driver = SerialDriver("bar", bar.status())
     with pytest.raises(RuntimeError, match="open"):
         driver.frames()
     for _ in range(3):

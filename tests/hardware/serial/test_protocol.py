@@ -16,7 +16,7 @@ from compute.errors import InvalidParameter
 from hardware.serial.decoder import Decoder
 from hardware.serial.encoding import encode, split_lines
 from hardware.serial.messages import (
-    MOST_BYTES,
+    MAX_BYTES,
     NO_MARKER,
     Ability,
     Answer,
@@ -156,7 +156,7 @@ def test_what_was_encoded_is_decoded(message: Message) -> None:
         (Exposure(1, 1e39, 0.0), "room"),
         (Describe(2**16), "room"),
         (Lines(0, 0, 256, LinesFlag.NONE, 0, 0, np.zeros(1, np.uint16)), "room"),
-        (Lines(0, 0, 0, LinesFlag.NONE, 0, 0, np.ones(MOST_BYTES // 2, np.uint16)), "in parts"),
+        (Lines(0, 0, 0, LinesFlag.NONE, 0, 0, np.ones(MAX_BYTES // 2, np.uint16)), "in parts"),
         (Description("", ("a",), 8, 14.0, 1), "1 to 64"),
         (Description("x" * 65, ("a",), 8, 14.0, 1), "65 bytes"),
     ],

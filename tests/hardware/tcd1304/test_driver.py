@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from hardware.errors import DeviceNotConnected
-from hardware.frame import FrameFlag, LineFrame
+from hardware.line_frame import FrameFlag, LineFrame
 from hardware.link import LinkedDriver, LinkState
-from hardware.serial.port import Closing
-from hardware.tcd1304.board import BoardLink, Reading
-from hardware.tcd1304.driver import Tcd1304Driver, exposure_time
-from hardware.tcd1304.light import OFFSET_COUNTS
+from hardware.serial.port import CloseSignal
+from hardware.tcd1304.board import BoardLink, BoardScan
+from hardware.tcd1304.dark_correction import OFFSET_COUNTS
+from hardware.tcd1304.driver import Tcd1304Driver, combined_exposure_time
 from hardware.tcd1304.protocol import Request
 from hardware.tcd1304.settings import Tcd1304Board, Tcd1304Settings
-from hardware.tcd1304.simulated_board import Respond, SimulatedBoard, answer_counts
+from hardware.tcd1304.simulated_board import Respond, SimulatedBoard, response_counts
 
 if TYPE_CHECKING:
     from hardware.driver import Driver
@@ -32,14 +32,14 @@ GAP_MS = 30.0
 def line_at(pixel: int) -> bytes:
     light = np.zeros(3648)
     light[pixel] = 1000.0
-    return answer_counts(light).astype("<u2").tobytes()
+    return response_counts(light).astype("<u2").tobytes()
 
 
 def always(data: bytes) -> Respond:
     return lambda _: data
 
 
-def in_turn(*answers: bytes | None, then: bytes) -> Respond:
+def cyclic(*answers: bytes | None, then: bytes) -> Respond:
     """Each answer once, then one for ever."""
     waiting = list(answers)
     return lambda _: waiting.pop(0) if waiting else then
@@ -143,7 +143,7 @@ def test_exposures_are_timed_within_their_uncertainty() -> None:
     exposed_ns: list[int] = []
 
     def respond(request: Request) -> bytes:
-        exposed_ns.append(time.time_ns() - request.middle_to_answer_ns)
+        exposed_ns.append(time.time_ns() - request.centre_to_response_ns)
         return line_at(1)
 
     with bar(respond, realtime=True) as boards:
@@ -167,10 +167,16 @@ def test_exposures_are_timed_within_their_uncertainty() -> None:
 
 def test_the_uncertainty_grows_by_what_the_boards_lie_apart() -> None:
     nothing = np.zeros(0, np.uint16)
-    together = [Reading(nothing, 100, 120, 0), Reading(nothing, 100, 120, 0)]
-    assert (exposure_time(together).middle_ns, exposure_time(together).uncertainty_ns) == (110, 10)
-    apart = [Reading(nothing, 100, 120, 0), Reading(nothing, 200, 220, 0)]
-    assert (exposure_time(apart).middle_ns, exposure_time(apart).uncertainty_ns) == (160, 60)
+    together = [BoardScan(nothing, 100, 120, 0), BoardScan(nothing, 100, 120, 0)]
+    assert (
+        combined_exposure_time(together).centre_ns,
+        combined_exposure_time(together).uncertainty_ns,
+    ) == (110, 10)
+    apart = [BoardScan(nothing, 100, 120, 0), BoardScan(nothing, 200, 220, 0)]
+    assert (
+        combined_exposure_time(apart).centre_ns,
+        combined_exposure_time(apart).uncertainty_ns,
+    ) == (160, 60)
 
 
 def test_full_pixels_flag_the_frame() -> None:
@@ -193,7 +199,7 @@ def test_full_pixels_flag_the_frame() -> None:
 )
 def test_a_bad_answer_is_told_counted_and_left_out(bad: bytes, says: str) -> None:
     good = line_at(7)
-    with bar(in_turn(good, bad, then=good)) as boards, Taken(driver_of(boards)) as taken:
+    with bar(cyclic(good, bad, then=good)) as boards, Taken(driver_of(boards)) as taken:
         taken.frames_more(4)
     assert {int(frame.lines.argmax()) for frame in taken.frames} == {7}
     assert marked(taken) == [(0, False), (2, True), (3, False)]
@@ -230,9 +236,9 @@ def test_a_board_that_was_left_in_continuous_mode_is_stopped_by_the_first_reques
 
 
 def test_silence_is_told_and_ends_when_the_board_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hardware.tcd1304.board.PATIENCE_S", 0.1)
+    monkeypatch.setattr("hardware.tcd1304.board.RESPONSE_TIMEOUT_S", 0.1)
     good = line_at(7)
-    with bar(in_turn(good, b"", then=good)) as boards, Taken(driver_of(boards)) as taken:
+    with bar(cyclic(good, b"", then=good)) as boards, Taken(driver_of(boards)) as taken:
         taken.frames_more(3)
     assert taken.phases() == ["silent", "connected"]
     reason = taken.states[0].reason
@@ -245,7 +251,7 @@ def test_silence_is_told_and_ends_when_the_board_answers(monkeypatch: pytest.Mon
 def test_one_board_missing_holds_back_the_frame_and_is_named() -> None:
     good = line_at(7)
     with (
-        bar(always(good), in_turn(good, None, then=good)) as boards,
+        bar(always(good), cyclic(good, None, then=good)) as boards,
         Taken(driver_of(boards)) as taken,
     ):
         taken.frames_more(3)
@@ -269,7 +275,7 @@ def test_unplugged_and_connected_again_many_times(monkeypatch: pytest.MonkeyPatc
             if number % 3 == 0:
                 board.unplug()
             elif number % 3 == 1:
-                board.respond = in_turn(None, then=good)
+                board.respond = cyclic(None, then=good)
             else:
                 board.close()
                 taken.until(lambda t: t.driver.link().state == "disconnected")
@@ -316,7 +322,7 @@ def test_a_board_that_is_asked_after_the_end_is_not_connected_again() -> None:
     """A thread that asks may come to it just after ``close``: nobody would close the port."""
     with bar(always(line_at(7))) as boards:
         settings = driver_of(boards)._settings
-        closed = Closing()
+        closed = CloseSignal()
         link = BoardLink(settings.boards[0], settings, closed)
         link.connect()
         assert link.connected

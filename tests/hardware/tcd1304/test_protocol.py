@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from compute.errors import InvalidParameter
 from hardware.tcd1304.protocol import (
     CLOCK_HZ,
-    LEAST_ICG,
+    MIN_ICG_CLOCKS,
     REQUEST_BYTES,
     Request,
     decode_request,
@@ -33,7 +33,7 @@ def test_a_request_is_read_as_it_was_written(
     sh_clocks: int, pulses: int, averages: int, continuous: bool
 ) -> None:
     icg_clocks = sh_clocks * pulses
-    if not LEAST_ICG <= icg_clocks < 2**32:
+    if not MIN_ICG_CLOCKS <= icg_clocks < 2**32:
         with pytest.raises(InvalidParameter, match="ICG period is"):
             Request(sh_clocks, icg_clocks, averages, continuous)
         return
@@ -73,14 +73,14 @@ def test_an_exposure_is_met_to_half_a_clock_and_read_out_as_soon_as_possible(
 ) -> None:
     request = request_for(exposure_us, clock_hz=clock_hz)
     assert abs(request.exposure_ns - exposure_us * 1e3) <= 0.5e9 / clock_hz + 1.0
-    assert request.icg_clocks - request.sh_clocks < LEAST_ICG <= request.icg_clocks
+    assert request.icg_clocks - request.sh_clocks < MIN_ICG_CLOCKS <= request.icg_clocks
 
 
 def test_the_times_of_one_line_and_of_a_mean() -> None:
     """SH 10 ms, ICG 20 ms; reading 3694 elements of 4 clocks takes 7.388 ms."""
     one = Request(20_000, 40_000)
-    assert (one.exposure_ns, one.end_to_answer_ns) == (10_000_000, 7_388_000)
-    assert one.middle_to_answer_ns == 5_000_000 + 7_388_000
+    assert (one.exposure_ns, one.end_to_response_ns) == (10_000_000, 7_388_000)
+    assert one.centre_to_response_ns == 5_000_000 + 7_388_000
     mean = Request(20_000, 40_000, averages=5)
-    assert mean.middle_to_answer_ns == (10_000_000 + 4 * 20_000_000) // 2 + 7_388_000
-    assert mean.longest_wait_ns == 30_000_000 + 9 * 20_000_000 + 7_388_000
+    assert mean.centre_to_response_ns == (10_000_000 + 4 * 20_000_000) // 2 + 7_388_000
+    assert mean.max_wait_ns == 30_000_000 + 9 * 20_000_000 + 7_388_000

@@ -14,11 +14,11 @@ from compute.camera.field_distortion import FieldDistortion
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from service.cli import app
-from service.cli.calibrate import label_in_words
+from service.cli.calibrate import label_message
 from service.cli.calibration_file import read_calibration
 from tests.compute.rig import rig
 from tests.service.cli.test_commands import QUICK, frame_csv, here
-from validation.thesis_data import DFW_V500
+from validation.thesis_data import DFW_V500, load_test
 
 __all__ = ["frame_csv"]
 
@@ -68,6 +68,61 @@ def test_calibrate_writes_what_the_service_would_compute(frame_csv: Path, tmp_pa
     assert list(figures.glob("*.png"))
 
 
+def thesis_csv(path: Path, exchanged: tuple[int, int] | None = None) -> Path:
+    """Test 5.3 with the pixels' pitch only, and two readings of camera 4 exchanged back."""
+    test = load_test("5.3")
+    readings = np.asarray(test.readings_mm) / 0.0127
+    if exchanged is not None:
+        pair = [point - 1 for point in exchanged]
+        readings[pair, 3] = readings[pair[::-1], 3]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["X_mm", "Y_mm", "Z_mm", *(f"cam{number}_px" for number in range(1, 5))])
+        writer.writerows(np.hstack([test.points_mm, readings]).tolist())
+    return path
+
+
+def error_rows(shown: str) -> dict[str, list[str]]:
+    """The table of errors by its rows' labels."""
+    cells = [
+        [cell.strip() for cell in line.split("│")[1:-1]]
+        for line in shown.splitlines()
+        if line.startswith("│")
+    ]
+    return {row[0]: row[1:] for row in cells if len(row) == 8}
+
+
+def test_distortion_that_cannot_be_judged_is_not_taken_with_the_reasons(tmp_path: Path) -> None:
+    output = tmp_path / "calibration.json"
+    shown = here(
+        "calibrate", thesis_csv(tmp_path / "frame.csv"), "--pixels", "640", "--output", output
+    ).stdout
+    text = " ".join(shown.split())
+    assert "distortion: none (no candidate could be judged" in text
+    assert "not judged: none: without block 1, sensor cam1" in text
+    found = read_calibration(output).calibration.distortion
+    assert found is not None
+    for one in found.candidates:
+        assert " ".join(one.note.split()) in text
+
+
+def test_errors_are_over_the_readings_that_the_calibration_used(tmp_path: Path) -> None:
+    wrong = thesis_csv(tmp_path / "wrong.csv")
+    right = thesis_csv(tmp_path / "right.csv", (14, 16))
+    given = ("--pixels", "640", "--distortion", "none")
+    repaired = here("calibrate", wrong, *given, "--labels", "repair").stdout
+    by_hand = here("calibrate", right, *given, "--labels", "off").stdout
+    assert error_rows(repaired) == error_rows(by_hand)
+    assert error_rows(repaired)["fitted"][-1] == str(19 * 4)
+    assert error_rows(repaired)["leave one out"][-1] == str(19 * 4)
+    for options in (("--labels", "exclude"), ("--labels", "off", "--loss", "robust")):
+        shown = here("calibrate", wrong, *given, *options).stdout
+        rows = error_rows(shown)
+        assert rows["fitted"][-1] == str(19 * 4 - 2), options
+        alike = len({row[-1] for row in rows.values()}) == 1
+        assert alike != ("the rows are over different readings" in shown)
+
+
 def test_calibrate_refuses_with_a_reason(frame_csv: Path, tmp_path: Path) -> None:
     rows = frame_csv.read_text(encoding="utf-8").splitlines()
     few = tmp_path / "few.csv"
@@ -103,7 +158,7 @@ def test_map_writes_a_table_that_mends_a_plain_calibration(
 ) -> None:
     plain, table = tmp_path / "plain.json", tmp_path / "table.h5"
     here("calibrate", mapping_csv, "--pixels", "2048", *QUICK, "--output", plain)
-    given = ("map", mapping_csv, "--calibration", plain, "--own-points", "--output", table)
+    given = ("map", mapping_csv, "--calibration", plain, "--calibration-points", "--output", table)
     shown = here(*given).stdout
     assert "s1" in shown
     with h5py.File(table) as file:
@@ -128,13 +183,13 @@ def test_map_refuses_with_a_reason(mapping_csv: Path, frame_csv: Path, tmp_path:
 
 
 def test_findings_are_told_in_words() -> None:
-    from compute.calibration.labels.finding import LabelFinding
+    from compute.calibration.mislabels.finding import LabelFinding
 
     exchanged = LabelFinding("exchanged", "cam4", (14, 16), 0.999, (12.0, -11.0), (9.0, -8.0))
-    assert label_in_words(exchanged) == (
+    assert label_message(exchanged) == (
         "sensor cam4: the readings of points 14 and 16 are exchanged (probability 0.999)"
     )
     wrong = LabelFinding("wrong", "cam1", (3,), 1.0, (25.0,), (20.0,))
-    assert "point 3 is wrong, off by 25 px" in label_in_words(wrong)
+    assert "point 3 is wrong, off by 25 px" in label_message(wrong)
     missing = LabelFinding("missing", None, (4, 7), 0.9, (25.0, None), (20.0, None))
-    assert label_in_words(missing).startswith("all sensors: the reading of point 4 is point 7's")
+    assert label_message(missing).startswith("all sensors: the reading of point 4 is point 7's")

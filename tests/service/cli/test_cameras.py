@@ -7,10 +7,10 @@ from typer.testing import CliRunner
 
 import service.cli.cameras
 from hardware.errors import MissingLibrary
-from hardware.genicam.listing import CameraEntry
+from hardware.genicam.discovery import DiscoveredCamera
 from service.cli import app
 
-ENTRY = CameraEntry("Maker-Line2k-17", "10.0.0.5", "Maker", "Line2k", "17", "GigEVision")
+ENTRY = DiscoveredCamera("Maker-Line2k-17", "10.0.0.5", "Maker", "Line2k", "17", "GigEVision")
 
 
 def test_cameras_are_listed_for_people_and_machines(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,7 +35,7 @@ def test_no_camera_and_no_library_are_said(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(service.cli.cameras, "cameras", list)
     assert "No camera answered" in CliRunner().invoke(app, ["cameras"]).stdout
 
-    def missing() -> list[CameraEntry]:
+    def missing() -> list[DiscoveredCamera]:
         raise MissingLibrary("GenICam cameras need the library Aravis")
 
     monkeypatch.setattr(service.cli.cameras, "cameras", missing)

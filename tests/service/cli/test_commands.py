@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from hardware.recording_reader import read_recording
+from hardware.recording.reader import read_recording
 from service.cli import app
 from validation.all_cases import ALL_CASES
 from validation.thesis_data import DFW_V500, load_test
@@ -150,7 +150,7 @@ def test_an_output_that_cannot_be_written(frame_csv: Path, tmp_path: Path) -> No
 def nominal_document() -> bytes:
     """The simulator's own cameras, as `lumiline calibrate` writes a calibration."""
     from compute.calibration.result import Calibration, SensorFit
-    from hardware.simulated.bar import simulated_sensor_models
+    from hardware.simulated.simulated_rig import simulated_sensor_models
     from service.cli.calibration_file import DOCUMENT
 
     fits = tuple(

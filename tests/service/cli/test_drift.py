@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from compute.calibration.run import calibrate
+from compute.calibration.calibrate import calibrate
 from compute.camera.model import SensorModel
 from service.cli import app
 from service.cli.calibration_file import DOCUMENT, read_calibration
@@ -27,7 +27,7 @@ def knocked() -> tuple[SensorModel, ...]:
     step = np.zeros(7)
     step[4] = 4e-3
     models = list(rig())
-    models[2] = models[2].moved(step)
+    models[2] = models[2].retract(step)
     return tuple(models)
 
 

@@ -11,23 +11,23 @@ import pytest
 from typer.testing import CliRunner
 
 from compute.errors import InvalidParameter
-from compute.optics.profiles.loader import load_profile
-from compute.signal.fit.reference import fit_lines
-from compute.signal.fit.settings import FitSettings
-from hardware.recording import RecordingWriter
-from hardware.recording_reader import RecordingReader
+from compute.optics.profiles.profile_loader import load_profile
+from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_settings import FitSettings
+from hardware.recording.reader import RecordingReader
+from hardware.recording.writer import RecordingWriter
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.settings import SimulationSettings
+from service.api.line_scans.methods import CentroidMethod, FitMethod
+from service.api.line_scans.noise import line_noise
+from service.api.line_scans.peak_search import find_peaks
 from service.cli import app
 from service.cli.peaks import recorded_method
-from service.line_scans.methods import CentroidMethod, FitMethod
-from service.line_scans.noise import line_noise
-from service.line_scans.run import find_peaks
-from service.live.line_model import LineModel, line_model
-from service.live.peak_finding import FREE_SHAPE, PeakFinding
-from tests.service.line_scans.scan_lines import NOISE, WIDTH, scenes
+from service.pipeline.detection_stage import FREE_WIDTH_FIT, DetectionStage
+from service.pipeline.expected_scans import ExpectedScans, expected_scans
+from tests.service.api.line_scans.scan_lines import NOISE, WIDTH, scenes
 
 GIVEN = ("--gain", "10", "--read-noise", "20", "--offset", "100", "--full-scale", "4095")
 
@@ -47,7 +47,7 @@ def machine(*arguments: str | Path | float) -> Any:
 
 
 def positions(found: Any) -> list[list[float]]:
-    return [[peak["position_px"] for peak in scan["peaks"]] for scan in found["lines"]]
+    return [[peak["position_px"] for peak in scan["peaks"]] for scan in found["scans"]]
 
 
 @pytest.fixture
@@ -73,9 +73,9 @@ def test_a_numpy_array_s_peaks_are_compute_s(array: Path) -> None:
     for line, ours in enumerate(positions(found)):
         assert ours == batch.position_px[line, : batch.count[line]].tolist()
     assert found["assumed"] == []
-    assert [scan["line"] for scan in found["lines"]] == [0, 1]
-    one = machine(array, "--line", 1, "--width", WIDTH, *GIVEN)
-    assert one["lines"] == found["lines"][1:]
+    assert [scan["index"] for scan in found["scans"]] == [0, 1]
+    one = machine(array, "--scan", 1, "--width", WIDTH, *GIVEN)
+    assert one["scans"] == found["scans"][1:]
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
@@ -98,11 +98,11 @@ def test_a_recording_knows_its_noise(recording: Path) -> None:
         "full_scale_counts": 4095,
     }
     assert found["assumed"] == []
-    assert [len(scan["peaks"]) for scan in found["lines"]] == [1, 1, 1, 1]
+    assert [len(scan["peaks"]) for scan in found["scans"]] == [1, 1, 1, 1]
     one = machine(recording, "--frame", 7, "--sensor", "diagonal-rising")
-    assert one["lines"] == found["lines"][2:3]
-    assert machine(recording, "--frame", 8)["lines"] != found["lines"]
-    assert [scan["sensor"] for scan in found["lines"]][2] == "diagonal-rising"
+    assert one["scans"] == found["scans"][2:3]
+    assert machine(recording, "--frame", 8)["scans"] != found["scans"]
+    assert [scan["sensor"] for scan in found["scans"]][2] == "diagonal-rising"
     part = machine(recording, "--frame", 7, "--offset", 60)["noise"]
     assert part == found["noise"] | {"offset_counts": 60.0}
     given = machine(recording, "--frame", 7, *GIVEN)
@@ -120,9 +120,9 @@ def test_a_recording_of_a_profile_has_one_peak_for_a_marker(tmp_path: Path) -> N
             writer.append(frame)
     for method in ([], ["--method", "fit"]):
         found = machine(path, *method)
-        assert [len(scan["peaks"]) for scan in found["lines"]] == [1, 1, 1, 1]
+        assert [len(scan["peaks"]) for scan in found["scans"]] == [1, 1, 1, 1]
     split = machine(path, "--further-peaks")
-    assert sum(scan["further_peaks"] for scan in split["lines"]) > 0
+    assert sum(scan["further_peaks"] for scan in split["scans"]) > 0
     assert "--no-further-peaks" in run(path, "--further-peaks").output
     assert "--no-further-peaks" not in run(path).output
 
@@ -130,7 +130,7 @@ def test_a_recording_of_a_profile_has_one_peak_for_a_marker(tmp_path: Path) -> N
 def test_recorded_lines_are_fitted_as_they_are_live(recording: Path) -> None:
     with RecordingReader(recording) as reader:
         device, frames = reader.info.description, [reader.chunk(0)[0].lines]
-    live = PeakFinding(device, 1, LineModel()).find(np.concatenate(frames))
+    live = DetectionStage(device, 1, ExpectedScans()).find(np.concatenate(frames))
     for line, places in enumerate(positions(machine(recording))):
         count = int(live.count[line])
         # The kernel's numbers are of float32.
@@ -138,7 +138,10 @@ def test_recorded_lines_are_fitted_as_they_are_live(recording: Path) -> None:
     assert recorded_method(None, replace(device, peaks="centroid")) == CentroidMethod()
     free = recorded_method(None, replace(device, line_sigma_px=None))
     assert isinstance(free, FitMethod)
-    assert (free.max_joint, free.further_peaks) == (FREE_SHAPE.max_joint, FREE_SHAPE.further_peaks)
+    assert (free.max_joint_peaks, free.further_peaks) == (
+        FREE_WIDTH_FIT.max_joint_peaks,
+        FREE_WIDTH_FIT.further_peaks,
+    )
     assert machine(recording, "--method", "matched")["method"] == "matched"
 
 
@@ -158,14 +161,14 @@ def shadows(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_recorded_shadows_are_read_as_they_are_live(shadows: Path) -> None:
     with RecordingReader(shadows) as reader:
         device, frame = reader.info.description, reader.chunk(1)[0]
-    live = PeakFinding(device, 1, line_model(device)).find(frame.lines)
+    live = DetectionStage(device, 1, expected_scans(device)).find(frame.lines)
     assert live.count.tolist() == [1, 1, 1]
     found = machine(shadows, "--frame", 1)
     assert found["method"] == "mask"
     assert positions(found) == [[place] for place in live.position_px[:, 0]]
     # One sensor's line is read with that sensor's shadow.
-    for one in (["--sensor", device.sensors[2].name], ["--line", 2]):
-        assert machine(shadows, "--frame", 1, *one)["lines"] == found["lines"][2:]
+    for one in (["--sensor", device.sensors[2].name], ["--scan", 2]):
+        assert machine(shadows, "--frame", 1, *one)["scans"] == found["scans"][2:]
     output = shadows.with_name("shadow.png")
     assert "1 peak" in run(shadows, "--output", output).output
     assert output.read_bytes().startswith(b"\x89PNG")
@@ -189,7 +192,7 @@ def test_tables(array: Path, recording: Path) -> None:
     for part in ("line 0: 3 peaks", "joint", "saturated", "guessed: gain", "full scale"):
         assert part in text
     method = FitMethod(width_px=WIDTH)
-    for scan in find_peaks(scenes(), method).lines:
+    for scan in find_peaks(scenes(), method).scans:
         assert all(f"{peak.position_px:.4f}" in text for peak in scan.peaks)
     assert "guessed" not in run(array, *GIVEN).output
     assert "diagonal-falling, frame 0: 1 peak" in run(recording).output
@@ -217,7 +220,7 @@ def test_a_picture_of_each_method(array: Path, method: str) -> None:
     lines = (0, 1) if method == "centroid" else (1,)  # that a line is chosen is said once
     for line in lines:
         output = array.with_name(f"{line}.png")
-        shown = run(array, "--line", line, "--method", method, "--output", output)
+        shown = run(array, "--scan", line, "--method", method, "--output", output)
         assert "written" in shown.output
         pictures.append(output.read_bytes())
     assert all(one.startswith(b"\x89PNG") and len(one) > 10_000 for one in pictures)
@@ -226,9 +229,9 @@ def test_a_picture_of_each_method(array: Path, method: str) -> None:
 
 def test_settings_as_rest_takes_them(array: Path) -> None:
     file = array.with_name("method.json")
-    file.write_text('{"method": "fit", "width_px": 1.2, "max_joint": 1}', "utf-8")
+    file.write_text('{"method": "fit", "width_px": 1.2, "max_joint_peaks": 1}', "utf-8")
     found = machine(array, "--settings", file, *GIVEN, "--detail")
-    method = FitMethod(width_px=1.2, max_joint=1)
+    method = FitMethod(width_px=1.2, max_joint_peaks=1)
     ours = find_peaks(scenes(), method, NOISE, detail=True)
     assert found == json.loads(ours.model_dump_json())
 
@@ -248,7 +251,7 @@ def test_floating_counts_are_taken_when_whole(array: Path) -> None:
 
 def test_what_is_refused(array: Path, recording: Path, tmp_path: Path) -> None:
     assert "no such file" in refusal(tmp_path / "none.csv").lower()
-    assert "0 to 1" in refusal(array, "--line", 2)
+    assert "0 to 1" in refusal(array, "--scan", 2)
     assert "--frame is for recordings" in refusal(array, "--frame", 0)
     assert "--sensor is for recordings" in refusal(array, "--sensor", "a")
     assert "0 to 49" in refusal(recording, "--frame", 50)

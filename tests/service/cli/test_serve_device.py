@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from service.cli import app
-from tests.service.own_profiles import LENS, WINDOW, text_as
+from tests.service.renamed_profiles import LENS, WINDOW, renamed_profile
 
 
 @pytest.fixture(autouse=True)
@@ -18,7 +18,7 @@ def nothing_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         monkeypatch.delenv(f"LUMILINE_{name}", raising=False)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LUMILINE_PORT", "0")
-    monkeypatch.setattr("service.graceful.run_server", lambda *_, **__: None)
+    monkeypatch.setattr("service.application.shutdown.run_server", lambda *_, **__: None)
 
 
 def serve(tmp_path: Path, *arguments: str | Path, code: int = 0) -> Any:
@@ -44,7 +44,7 @@ def test_the_optics_are_ready_before_devices_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A device of lenses is calibrated and its optics traced, as its settings say, once each."""
-    from service.devices import profile_device
+    from service.api.devices import profile_device
 
     traced: list[tuple[str, str]] = []
     optics = profile_device.profile_optics
@@ -54,7 +54,7 @@ def test_the_optics_are_ready_before_devices_run(
         return None if mode == "tabulated" else optics(profile, mode)
 
     monkeypatch.setattr(profile_device, "profile_optics", tells)
-    monkeypatch.setattr("compute.optics.profiles.build.profile_optics", tells)
+    monkeypatch.setattr("compute.optics.profiles.profile_optics.profile_optics", tells)
     first = serve(tmp_path, "--device", LENS)
     assert "fitting its calibration" in first.stderr
     assert traced == [(LENS, "exact"), (LENS, "tabulated")]
@@ -68,7 +68,7 @@ def test_ones_own_file_by_option_variable_and_configuration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("one", "two", "three"):
-        (tmp_path / f"{name}.toml").write_text(text_as(name), "utf-8")
+        (tmp_path / f"{name}.toml").write_text(renamed_profile(name), "utf-8")
     serve(tmp_path, "--device", "one.toml")
     monkeypatch.setenv("LUMILINE_DEVICE", "two.toml")
     serve(tmp_path)
@@ -95,7 +95,7 @@ def test_ones_own_file_by_option_variable_and_configuration(
 def test_a_profile_that_cannot_be_used(
     tmp_path: Path, change: tuple[str, str], words: list[str]
 ) -> None:
-    text = text_as(WINDOW)
+    text = renamed_profile(WINDOW)
     assert change[0] in text
     (tmp_path / "own.toml").write_text(text.replace(*change), "utf-8")
     [line] = serve(tmp_path, "--device", "own.toml", code=2).output.splitlines()
@@ -112,15 +112,15 @@ def test_no_such_profile(tmp_path: Path) -> None:
 
 
 def test_another_file_of_the_same_name(tmp_path: Path) -> None:
-    (tmp_path / "own.toml").write_text(text_as("own"), "utf-8")
+    (tmp_path / "own.toml").write_text(renamed_profile("own"), "utf-8")
     serve(tmp_path, "--device", "own.toml")
-    (tmp_path / "own.toml").write_text(text_as("own") + "# changed\n", "utf-8")
+    (tmp_path / "own.toml").write_text(renamed_profile("own") + "# changed\n", "utf-8")
     [line] = serve(tmp_path, "--device", "own.toml", code=2).output.splitlines()
     assert "another profile of this name is in use" in line
 
 
 def test_a_folder_of_profiles_that_cannot_be_written(tmp_path: Path) -> None:
-    (tmp_path / "own.toml").write_text(text_as("own"), "utf-8")
+    (tmp_path / "own.toml").write_text(renamed_profile("own"), "utf-8")
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "profiles").write_text("", "utf-8")
     [line] = [

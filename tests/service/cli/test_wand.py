@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from compute.calibration.run import calibrate
+from compute.calibration.calibrate import calibrate
 from compute.camera.stack import CameraStack
-from compute.reconstruction.points import reconstruct
+from compute.reconstruction.triangulation import reconstruct
 from service.cli import app
 from service.cli.calibration_file import DOCUMENT, read_calibration
 from tests.compute.rig import control_points, geometry, project, rig
@@ -56,7 +56,7 @@ def test_a_waved_bar_gives_cameras_that_measure_its_length(
 ) -> None:
     output = tmp_path / "wand.json"
     readings, near = waved
-    shown = run("wand", readings, "--start", near, "--places", "0 300", "--output", output)
+    shown = run("wand", readings, "--start", near, "--positions", "0 300", "--output", output)
     assert f"{POSES} of {POSES} poses" in shown
     models = read_calibration(output).calibration.models
     ends = _bar_ends()
@@ -72,7 +72,7 @@ def test_a_waved_bar_gives_cameras_that_measure_its_length(
 
 def test_a_wand_is_refused_with_a_reason(waved: tuple[Path, Path], tmp_path: Path) -> None:
     readings, near = waved
-    start = ("--start", near, "--places")
+    start = ("--start", near, "--positions")
     assert "1 marker" in run("wand", readings, *start, "300", code=2)
     assert 'for example "0 300"' in run("wand", readings, *start, "0 to 300", code=2)
     rows = readings.read_text(encoding="utf-8").splitlines()

@@ -7,10 +7,10 @@ from typing import Any
 
 import httpx
 
-from hardware.simulated.frame_shape import frame_shape_mm
-from service.calibrations.examples import simulated_points
+from hardware.simulated.calibration_target import calibration_target_points_mm
+from service.api.calibrations.examples import simulated_points
 
-POINTS = simulated_points(2.0 * frame_shape_mm()[::2])
+POINTS = simulated_points(2.0 * calibration_target_points_mm()[::2])
 
 
 class Clients:

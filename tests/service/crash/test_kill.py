@@ -14,7 +14,7 @@ from typing import Any
 import httpx
 import pytest
 
-from hardware.recording_reader import RecordingReader
+from hardware.recording.reader import RecordingReader
 from tests.service.crash.clients import Clients
 from tests.service.crash.process import ServiceProcess
 
@@ -22,14 +22,14 @@ KILLS = int(os.environ.get("LUMILINE_TEST_KILLS", "2"))
 ENDED = {"succeeded", "failed", "cancelled", "interrupted"}
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_what_was_acknowledged_is_there_after_a_kill(tmp_path: Path) -> None:
     service = ServiceProcess(tmp_path)
     chance = random.Random()  # any moment will do, and each run tries others
     calibrations: dict[str, str] = {}
     runs: list[str] = []
     recorded = 0
-    service.start()
+    service.application.bootstrap()
     try:
         for kill in range(KILLS):
             clients = Clients(service.url, f"k{kill}")
@@ -46,7 +46,7 @@ def test_what_was_acknowledged_is_there_after_a_kill(tmp_path: Path) -> None:
             assert [one.text for one in clients.refused if one.status_code in range(500, 503)] == []
             calibrations |= clients.calibrations
             runs += clients.runs
-            service.start()
+            service.application.bootstrap()
             check_calibrations(service.url, calibrations)
             check_runs(service.url, runs)
             check_activations(service.url, clients)

@@ -70,11 +70,11 @@ def cluster() -> Iterator[Cluster]:
         shutil.rmtree(folder)
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.postgres
 def test_requests_fail_cleanly_and_recover(cluster: Cluster, tmp_path: Path) -> None:
     service = ServiceProcess(tmp_path, cluster.url)
-    service.start()
+    service.application.bootstrap()
     clients = Clients(service.url, "c")
     try:
         clients.start()

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from service.application.initial_content import seed
 from service.database.engine import Database
-from service.database.migrate import migrate
-from service.database.seed import seed
+from service.database.migration import migrate
 
 
 @pytest.fixture

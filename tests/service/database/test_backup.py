@@ -12,14 +12,15 @@ import pytest
 from sqlalchemy import select, text
 from typer.testing import CliRunner
 
+from service.api.correction_tables.store import add_table, find_parent
+from service.api.security.schema import NewApiKey
+from service.application.initial_content import seed
 from service.cli import app
-from service.correction_tables.store import add_table, find_parent
 from service.database import restore as restoring
 from service.database.backup import back_up
-from service.database.check import complaints
+from service.database.consistency import find_inconsistencies
 from service.database.engine import Database
-from service.database.in_use import used_by_server
-from service.database.migrate import migrate
+from service.database.migration import migrate
 from service.database.models import (
     ActivationRow,
     ApiKeyRow,
@@ -29,14 +30,13 @@ from service.database.models import (
     DeviceRow,
 )
 from service.database.restore import restore
-from service.database.restored_keys import KeyChanges
-from service.database.seed import seed
-from service.errors import BackupUnusable, DatabaseDamaged, DatabaseInUse, DatabaseNotEmpty
+from service.database.restored_api_keys import KeyChanges
+from service.database.server_lock import server_lock
+from service.problems.errors import BackupUnusable, DatabaseDamaged, DatabaseInUse, DatabaseNotEmpty
 from service.security import store
-from service.security.schema import NewApiKey
+from tests.service.api.correction_tables.tables import content as content_of_table
 from tests.service.conftest import postgres_schema
-from tests.service.correction_tables.tables import content as content_of_table
-from tests.service.database.filled import Rows, content, fill
+from tests.service.database.sample_rows import Rows, content, fill
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_each_restored_into_each(filled: Database, target: Database, tmp_path: P
     assert (restored.counts, restored.kept) == (counts, None)
     assert without_entry_of_restore(rows_of(target)) == rows_of(filled)
     with target.engine.connect() as connection:
-        assert complaints(connection) == []
+        assert find_inconsistencies(connection) == []
     # New rows are numbered after those that were there.
     with target.write() as session:
         session.get_one(DeviceRow, "sim").title = "After"
@@ -136,7 +136,7 @@ def test_a_restore_that_fails_changes_nothing(
         restore(target, tmp_path / "b", tmp_path / "kept")
     assert rows_of(target) == before
     with target.engine.connect() as connection:
-        assert complaints(connection) == []
+        assert find_inconsistencies(connection) == []
 
 
 @pytest.fixture(scope="module")
@@ -205,8 +205,8 @@ def test_a_revoked_key_stays_so(database: Database, target: Database, tmp_path: 
 def test_not_under_a_server(database: Database, target: Database, tmp_path: Path) -> None:
     back_up(database, tmp_path / "b")
     migrate(target, fill=seed)
-    server = Database(target.engine.url.render_as_string(hide_password=False), impatient=True)
-    with used_by_server(server):
+    server = Database(target.engine.url.render_as_string(hide_password=False), query_timeout=True)
+    with server_lock(server):
         server.check()
         with pytest.raises(DatabaseInUse, match="stop it first"):
             restore(target, tmp_path / "b", tmp_path / "kept")

@@ -6,7 +6,7 @@ import pytest
 from sqlalchemy import text, update
 from sqlalchemy.exc import DBAPIError
 
-from service.database.check import complaints
+from service.database.consistency import find_inconsistencies
 from service.database.engine import Database
 from service.database.models import (
     ActivationRow,
@@ -19,7 +19,7 @@ from service.database.models import (
     RegistrationRow,
     ToolCalibrationRow,
 )
-from tests.service.database.filled import content, fill
+from tests.service.database.sample_rows import content, fill
 
 UNCHANGED = {
     CalibrationRow: {"retired_at"},
@@ -103,12 +103,12 @@ def test_nothing_is_replaced(filled: Database, row: type[Base], key: str) -> Non
 
 def complaints_after(database: Database, *statements: str) -> list[str]:
     with database.engine.connect() as connection:
-        assert complaints(connection) == []
+        assert find_inconsistencies(connection) == []
     with database.engine.begin() as connection:
         for statement in statements:
             connection.exec_driver_sql(statement)
     with database.engine.connect() as connection:
-        return [line.split(":")[0] for line in complaints(connection)]
+        return [line.split(":")[0] for line in find_inconsistencies(connection)]
 
 
 def test_a_trigger_that_was_taken_away_is_told(database: Database) -> None:

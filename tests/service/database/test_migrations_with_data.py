@@ -5,9 +5,9 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import inspect
 
 from service.database.engine import Database
-from service.database.migrate import alembic_config, migrate
+from service.database.migration import alembic_config, migrate
 from service.database.models import Base
-from tests.service.database.filled import common, fill, reflected
+from tests.service.database.sample_rows import common, fill, reflected
 
 
 def test_each_revision_down_and_up_again(database: Database) -> None:

@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 from sqlalchemy import update
 
-from service.app import create_app
+from service.api.security.schema import NewApiKey
+from service.application.app import create_app
 from service.database.models import ApiKeyRow
 from service.security import store
-from service.security.schema import NewApiKey
 from service.security.scopes import Scope
 from service.settings import Settings
-from tests.service.recorded_live import RecordedLive, TestClient
+from tests.service.fake_pipeline import FakePipeline, TestClient
 
 
 class Secured:
@@ -66,5 +66,5 @@ def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
         authentication="required",
         failed_logins_per_minute=10_000,
     )
-    with TestClient(create_app(settings, RecordedLive()), raise_server_exceptions=False) as client:
+    with TestClient(create_app(settings, FakePipeline()), raise_server_exceptions=False) as client:
         yield Secured(client)

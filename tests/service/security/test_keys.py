@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from sqlalchemy import text, update
 
 from service.database.models import ApiKeyRow
-from service.security import key_text, store
-from service.security.key_text import digest, id_of, make_key
+from service.security import key_format, store
+from service.security.key_format import digest, key_id_of, make_key
 from tests.service.security.conftest import Secured, bearer, key_id
 
 KEY_CHARACTERS = string.ascii_letters + string.digits
@@ -146,25 +146,25 @@ def test_every_key_is_another_and_has_the_form() -> None:
     made = [make_key() for _ in range(200)]
     assert len({key.id for key in made}) == len({key.text for key in made}) == 200
     for key in made:
-        assert id_of(key.text) == key.id
+        assert key_id_of(key.text) == key.id
         assert key.text not in repr(key)
         assert len(key.digest) == 64
 
 
 @given(st.text(max_size=80))
 def test_text_that_is_no_key_has_no_id(given_text: str) -> None:
-    assert id_of(given_text) is None
-    assert id_of(f"lumi_{given_text}") is None or len(given_text) == 56
+    assert key_id_of(given_text) is None
+    assert key_id_of(f"lumi_{given_text}") is None or len(given_text) == 56
 
 
 @given(st.integers(0, 60), st.characters())
 def test_a_key_with_a_wrong_character_is_another(place: int, character: str) -> None:
     key = KEY.text
     changed = key[:place] + character + key[place + 1 :]
-    found = id_of(changed)
+    found = key_id_of(changed)
     assert changed == key or found != KEY.id or digest(changed) != KEY.digest
     if character not in KEY_CHARACTERS and changed != key:
         assert found is None
 
 
-KEY = key_text.make_key()
+KEY = key_format.make_key()

@@ -14,8 +14,8 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from jwt.algorithms import ECAlgorithm, RSAAlgorithm
 from pydantic import ValidationError
 
-from service.errors import NotReady, Unauthenticated
-from service.security.jwks import AGAIN_S, KEPT_S, Jwks, fetch
+from service.problems.errors import NotReady, Unauthenticated
+from service.security.jwks import CACHE_LIFETIME_S, RETRY_INTERVAL_S, Jwks, fetch
 from service.security.oidc import LEEWAY_S, OidcTokens
 from service.settings import Settings
 from tests.service.security.conftest import Secured
@@ -194,7 +194,7 @@ def test_unknown_key_ids_cost_one_fetch_in_a_while(issuer: Issuer) -> None:
     issuer.keys.append(public(OTHER_RSA, RSAAlgorithm, "r2"))
     with pytest.raises(Unauthenticated):
         tokens.principal(signed(claims(), OTHER_RSA, kid="r2"))
-    issuer.now += AGAIN_S
+    issuer.now += RETRY_INTERVAL_S
     assert tokens.principal(signed(claims(), OTHER_RSA, kid="r2")).id == "user-7"
     assert len(issuer.fetched) == 3
 
@@ -203,7 +203,7 @@ def test_a_key_that_was_taken_back_is_refused_after_a_while(issuer: Issuer) -> N
     tokens = issuer.tokens()
     tokens.principal(signed(claims()))
     issuer.keys = [public(EC, ECAlgorithm, "e1")]
-    issuer.now += KEPT_S + 1.0
+    issuer.now += CACHE_LIFETIME_S + 1.0
     with pytest.raises(Unauthenticated, match="does not have"):
         tokens.principal(signed(claims()))
 
@@ -217,10 +217,10 @@ def test_keys_are_kept_while_the_issuer_does_not_answer(issuer: Issuer) -> None:
     with pytest.raises(NotReady):  # not asked again so soon
         tokens.principal(signed(claims()))
     assert len(issuer.fetched) == 1
-    issuer.now += AGAIN_S
+    issuer.now += RETRY_INTERVAL_S
     tokens.principal(signed(claims()))
     issuer.answers = False
-    issuer.now += KEPT_S + 1.0
+    issuer.now += CACHE_LIFETIME_S + 1.0
     assert tokens.principal(signed(claims())).id == "user-7"
 
 
@@ -264,11 +264,11 @@ def test_a_provider_that_hangs_holds_nobody_up(issuer: Issuer) -> None:
     assert keys.key("r1") is not None
     fetched = len(issuer.fetched)
     hangs.set()
-    issuer.now += KEPT_S + 1.0
+    issuer.now += CACHE_LIFETIME_S + 1.0
     for _ in range(20):  # what is kept is used, and one asks for more
         assert keys.key("r1") is not None
         assert keys.key("unknown") is None
-        issuer.now += AGAIN_S
+        issuer.now += RETRY_INTERVAL_S
     assert len(issuer.fetched) == fetched + 1
     issuer.keys.append(public(OTHER_RSA, RSAAlgorithm, "r2"))
     goes_on.set()

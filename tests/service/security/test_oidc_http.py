@@ -10,9 +10,9 @@ import jwt
 import pytest
 from jwt.algorithms import RSAAlgorithm
 
-from service.app import create_app
+from service.application.app import create_app
 from service.settings import Settings
-from tests.service.recorded_live import RecordedLive, TestClient
+from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.security.conftest import bearer
 from tests.service.security.test_oidc import AUDIENCE, OTHER_RSA, RSA, claims, public
 
@@ -72,7 +72,7 @@ def test_a_token_opens_what_its_scopes_say(provider: Provider, sqlite_settings: 
             "oidc_audience": AUDIENCE,
         }
     )
-    with TestClient(create_app(settings, RecordedLive())) as client:
+    with TestClient(create_app(settings, FakePipeline())) as client:
 
         def answer(method: str, path: str, token: str) -> int:
             found: int = client.request(method, path, headers=bearer(token)).status_code

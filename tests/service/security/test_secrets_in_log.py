@@ -12,11 +12,11 @@ import httpx
 import pytest
 from sqlalchemy.engine import make_url
 
+from service.api.security.schema import NewApiKey
 from service.database.engine import Database
-from service.database.migrate import migrate
+from service.database.migration import migrate
 from service.security import store
-from service.security.key_text import make_key
-from service.security.schema import NewApiKey
+from service.security.key_format import make_key
 from service.security.scopes import SCOPES
 from tests.service.conftest import postgres_schema
 

@@ -15,14 +15,14 @@ from compute.camera.field_distortion import (
     distortion,
     power_terms,
     symmetric_terms,
-    term_slopes,
+    term_derivatives,
     term_values,
-    undistorted,
+    undistort,
 )
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, InvalidParameter, NoConvergence, TooFewPoints
-from compute.optics.aberrations.field_fit import FieldModel, fit_field_model
+from compute.optics.aberrations.field_distortion_fit import FieldModel, fit_field_model
 
 RNG = np.random.default_rng(5)
 TERMS = symmetric_terms(5)
@@ -87,20 +87,20 @@ def test_they_are_degenerate(term: tuple[int, int]) -> None:
 def test_undistorted_undoes_distortion(u: float, v: float) -> None:
     a = np.array(MODEL.coefficients)
     there = np.array([u]) + distortion(np.array([u]), np.array([v]), TERMS, a)
-    assert undistorted(there, np.array([v]), TERMS, a)[0] == pytest.approx(u, abs=1e-12)
+    assert undistort(there, np.array([v]), TERMS, a)[0] == pytest.approx(u, abs=1e-12)
 
 
 def test_beyond_the_field_there_is_no_angle() -> None:
     # u - u^3 is never more than 0.385.
     with pytest.raises(NoConvergence, match="fitted to a smaller field"):
-        undistorted(np.array([0.5]), np.zeros(1), [(3, 0)], np.array([-1.0]))
+        undistort(np.array([0.5]), np.zeros(1), [(3, 0)], np.array([-1.0]))
 
 
 @given(u=st.floats(-0.4, 0.4), v=st.floats(-0.4, 0.4))
 def test_slopes_of_terms(u: float, v: float) -> None:
     step = 1e-6
     terms = all_terms(7)
-    by_u, by_v = term_slopes(np.array([u]), np.array([v]), terms)
+    by_u, by_v = term_derivatives(np.array([u]), np.array([v]), terms)
     for slope, du, dv in ((by_u, step, 0.0), (by_v, 0.0, step)):
         ahead = term_values(np.array([u + du]), np.array([v + dv]), terms)
         behind = term_values(np.array([u - du]), np.array([v - dv]), terms)

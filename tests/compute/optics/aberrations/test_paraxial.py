@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
 from compute.optics.aberrations.paraxial import paraxial_system
+from compute.optics.tracing.reference_tracer import trace_rays
 from compute.optics.tracing.shapes import Conic, Cylinder, Plane
 from compute.optics.tracing.surfaces import Surface, SurfaceStack
-from compute.optics.tracing.trace import trace_rays
 from tests.compute.optics.aberrations.lenses import INDEX, SPHERES, lens_stack
 
 

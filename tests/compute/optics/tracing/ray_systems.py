@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from compute.optics.tracing.rays import RayStatus
 from compute.optics.tracing.shapes import Conic, Cylinder, Plane, Toroid
 from compute.optics.tracing.surfaces import OUTLINES, Aperture, Surface, SurfaceStack
+from compute.optics.tracing.traced_rays import RayStatus
 
 
 def random_shape(rng):

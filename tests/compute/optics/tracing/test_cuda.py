@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from compute.optics.tracing.rays import RayStatus
-from compute.optics.tracing.trace import trace_rays
-from compute.optics.tracing.tracer import RayTracer
+from compute.optics.tracing.ray_tracer import RayTracer
+from compute.optics.tracing.reference_tracer import trace_rays
+from compute.optics.tracing.traced_rays import RayStatus
 from tests.compute.optics.tracing.ray_systems import assert_same_rays, random_rays, random_stack
 
 

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from compute.optics.tracing.assembly import Assembly
 from compute.optics.tracing.elements import Alignment, Lens
-from compute.optics.tracing.rays import RayStatus
+from compute.optics.tracing.reference_tracer import trace_rays
 from compute.optics.tracing.shapes import Conic, Cylinder, Plane, Toroid
 from compute.optics.tracing.surfaces import Aperture
-from compute.optics.tracing.trace import trace_rays
+from compute.optics.tracing.traced_rays import RayStatus
 
 # Numba's own internal check, as it compiles optiland's functions.
 pytestmark = pytest.mark.filterwarnings("ignore::numba.core.errors.NumbaIRAssumptionWarning")
@@ -94,7 +94,7 @@ def skew_rays(assembly, count, rng):
 
 @pytest.mark.parametrize("name", CASES)
 def test_same_places_and_directions_at_the_sensor(name):
-    from benchmarks.rays_peer import optiland_tracer
+    from benchmarks.ray_tracing_peer import optiland_tracer
 
     stack = CASES[name].stack()
     origins, directions = skew_rays(CASES[name], 40_000, np.random.default_rng(7))

@@ -3,21 +3,21 @@
 import numpy as np
 import pytest
 
-from benchmarks import rays
-from compute.optics.tracing.packing import pack
-from compute.optics.tracing.rays import RayStatus
+from benchmarks import ray_tracing
+from compute.optics.tracing.reference_tracer import trace_rays
+from compute.optics.tracing.surface_records import pack
 from compute.optics.tracing.surfaces import Surface, SurfaceStack
-from compute.optics.tracing.trace import trace_rays
+from compute.optics.tracing.traced_rays import RayStatus
 
 
 def test_all_rays_arrive():
-    found = trace_rays(rays.thesis_lens(), *rays.rays_to_lens(5000))
+    found = trace_rays(ray_tracing.thesis_lens(), *ray_tracing.rays_to_lens(5000))
     assert (found.status == RayStatus.ARRIVED).mean() > 0.99
 
 
 def test_rows(monkeypatch):
-    monkeypatch.setattr(rays, "RAYS", 2000)
-    rows = rays.run("cpu", seconds=0.0, peer=False)
+    monkeypatch.setattr(ray_tracing, "RAYS", 2000)
+    rows = ray_tracing.run("cpu", seconds=0.0, peer=False)
     assert [row["method"] for row in rows] == ["numpy", "warp, trace()", "warp, rays on the device"]
     assert rows[0]["times_numpy"] == 1.0
     for row in rows:
@@ -26,12 +26,12 @@ def test_rows(monkeypatch):
 
 def test_operations_are_counted_surface_by_surface():
     """A plane that does not refract adds what its formulas say, and no more."""
-    lens = rays.thesis_lens()
+    lens = ray_tracing.thesis_lens()
     plane = Surface(lens.image.shape, (0.0, 0.0, 20.0))
     more = SurfaceStack((*lens.surfaces, plane), lens.image)
     assert not pack(more)["refracts"][2]
-    before, after = rays.operations_of_a_ray(lens), rays.operations_of_a_ray(more)
+    before, after = ray_tracing.operations_per_ray(lens), ray_tracing.operations_per_ray(more)
     added = {kind: after[kind] - before[kind] for kind in before}
     # Into its frame 3 and a quotient, the place 4, the path 2, out of the frame 3.
     assert added == {"adds": 12.0, "divisions": 1.0, "roots": 0.0}
-    assert np.isclose(rays.BYTES_OF_A_RAY, 116.0)
+    assert np.isclose(ray_tracing.BYTES_PER_RAY, 116.0)

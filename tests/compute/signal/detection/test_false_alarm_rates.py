@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal, norm, poisson
 
 from compute.errors import InvalidParameter
-from compute.signal.detection.detector import DetectionSettings, NoiseSource, PeakDetector
 from compute.signal.detection.false_alarms import FalseAlarms, _both_below
 from compute.signal.detection.matched_filter import gaussian_filter
-from compute.signal.noise import LineNoise
+from compute.signal.detection.peak_detector import DetectionSettings, NoiseSource, PeakDetector
+from compute.signal.sensor_noise import SensorNoise
 
 RATES = (1e-3, 1e-2, 1e-1, 1.0)
 SURE = 1e-5
@@ -23,7 +23,7 @@ def interval(found: int) -> tuple[float, float]:
 
 
 def alarms(
-    lines: NDArray[np.uint16], rate: float, source: NoiseSource, noise: LineNoise, width: float
+    lines: NDArray[np.uint16], rate: float, source: NoiseSource, noise: SensorNoise, width: float
 ) -> int:
     detector = PeakDetector(
         gaussian_filter(width), lines.shape[1], DetectionSettings(rate, source, 64), noise
@@ -52,7 +52,7 @@ def test_as_many_as_chosen_with_known_noise(width: float, pixels: int) -> None:
     """Short lines too, where the ends count."""
     rng = np.random.default_rng(11)
     lines = np.rint(rng.normal(1000.0, 20.0, (12000, pixels))).astype(np.uint16)
-    noise = LineNoise.of(1.0, 20.0, 1200.0)
+    noise = SensorNoise.of(1.0, 20.0, 1200.0)
     for rate in RATES:
         found = alarms(lines, rate, "model", noise, width)
         low, high = interval(found)
@@ -63,7 +63,7 @@ def test_as_many_as_chosen_with_known_noise(width: float, pixels: int) -> None:
 def test_as_many_as_chosen_with_the_lines_own_noise(source: NoiseSource) -> None:
     """The uncertainty of the measured noise is reckoned with; the larger of two gives fewer."""
     rng = np.random.default_rng(12)
-    pixels, noise = 512, LineNoise.of(1.0, 20.0, 1200.0)
+    pixels, noise = 512, SensorNoise.of(1.0, 20.0, 1200.0)
     lines = np.rint(rng.normal(1000.0, 20.0, (12000, pixels))).astype(np.uint16)
     for rate in RATES:
         found = alarms(lines, rate, source, noise, 2.0)
@@ -80,7 +80,7 @@ def test_as_many_as_chosen_with_the_lines_own_noise(source: NoiseSource) -> None
 def test_a_wrong_model_is_seen_by_the_lines_own_noise() -> None:
     rng = np.random.default_rng(13)
     lines = np.rint(rng.normal(1000.0, 20.0, (5000, 512))).astype(np.uint16)
-    quiet = LineNoise.of(1.0, 15.0, 1200.0)
+    quiet = SensorNoise.of(1.0, 15.0, 1200.0)
     assert alarms(lines, 0.01, "model", quiet, 2.0) > 10 * 0.01 * 5000
     for source in ("line", "larger"):
         assert interval(alarms(lines, 0.01, source, quiet, 2.0))[0] < 0.01 * 5000
@@ -94,19 +94,19 @@ def test_photon_noise_has_more_by_its_skewness(electrons: int) -> None:
     matched = gaussian_filter(2.0)
     skew = (matched.taps.astype(np.float64) ** 3).sum() / matched.norm**3 / np.sqrt(electrons)
     # The noise as it is, for Edgeworth's sake: as read noise, over an offset above the light.
-    noise = LineNoise.of(1.0, np.sqrt(electrons - 1.0 / 12.0), 65535.0)
+    noise = SensorNoise.of(1.0, np.sqrt(electrons - 1.0 / 12.0), 65535.0)
     for rate in (1e-2, 1e-1):
         settings = DetectionSettings(rate, "model", 64)
         detector = PeakDetector(matched, 256, settings, noise)
         found = int(detector.detect(lines).count.sum())
         expected = np.exp(skew * detector.threshold_sigma**3 / 6.0)
-        own = alarms(lines, rate, "line", LineNoise.of(1.0, 0.0), 2.0)
-        usual = alarms(lines, rate, "model", LineNoise.of(1.0, 0.0), 2.0)
+        own = alarms(lines, rate, "line", SensorNoise.of(1.0, 0.0), 2.0)
+        usual = alarms(lines, rate, "model", SensorNoise.of(1.0, 0.0), 2.0)
         chosen = rate * len(lines)
         print(
             f"{electrons} electrons, {rate} a line: {found / chosen:.2f} times as many, "
             f"by the series {expected:.2f}; by the line's noise {own / chosen:.2f}, "
-            f"by LineNoise {usual / chosen:.2f} (+- {1 / np.sqrt(chosen):.2f})"
+            f"by SensorNoise {usual / chosen:.2f} (+- {1 / np.sqrt(chosen):.2f})"
         )
         low, high = interval(found)
         # The series' next terms: a tenth of the first one's exponent.
@@ -121,7 +121,7 @@ def test_noise_that_counts_hardly_resolve(sigma: float) -> None:
     rates = (1e-2, 1e-1, 1.0)
     for level in (0.0, 0.25, 0.5):
         lines = np.rint(rng.normal(1000.0 + level, sigma, (3000, 512))).astype(np.uint16)
-        found = [alarms(lines, rate, "line", LineNoise.of(1.0, 0.0), 2.0) for rate in rates]
+        found = [alarms(lines, rate, "line", SensorNoise.of(1.0, 0.0), 2.0) for rate in rates]
         shares = ", ".join(f"{n / len(lines) / r:.2f}" for n, r in zip(found, rates, strict=True))
         print(f"noise {sigma} counts, level {level} counts above a whole one: {shares} of chosen")
         for number, rate in zip(found, rates, strict=True):
@@ -142,7 +142,7 @@ def test_what_no_threshold_gives_is_refused() -> None:
 
 def test_an_uncertain_noise_costs_a_higher_threshold() -> None:
     law = FalseAlarms.of(gaussian_filter(2.0), 2048)
-    thresholds = [law.threshold_sigma(0.01, degrees) for degrees in (np.inf, 1e6, 200.0, 100.0)]
+    thresholds = [law.threshold_sigma(0.01, dof) for dof in (np.inf, 1e6, 200.0, 100.0)]
     assert thresholds == sorted(thresholds)
     assert thresholds[1] == pytest.approx(thresholds[0], abs=1e-4)
     assert law.expected(thresholds[3], 100.0) == pytest.approx(0.01, rel=1e-6)

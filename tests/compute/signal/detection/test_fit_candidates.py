@@ -4,21 +4,21 @@ import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter
-from compute.signal.detection.candidates import fit_candidates
-from compute.signal.detection.detector import DetectionSettings, PeakDetector
+from compute.signal.centroid_reference import find_peaks_reference
+from compute.signal.centroid_settings import CentroidSettings
+from compute.signal.detection.fit_candidates import fit_candidates
 from compute.signal.detection.matched_filter import gaussian_filter
-from compute.signal.fit.bounds import position_bounds
-from compute.signal.fit.reference import fit_lines
-from compute.signal.fit.settings import FitSettings
-from compute.signal.noise import LineNoise
+from compute.signal.detection.peak_detector import DetectionSettings, PeakDetector
+from compute.signal.fit.cramer_rao import position_bounds
+from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.peaks import PeakFlag
-from compute.signal.reference import find_peaks_reference
-from compute.signal.settings import CentroidSettings
+from compute.signal.sensor_noise import SensorNoise
 
 PIXELS, WIDTH, LIGHT, AMBIENT = 200, 3.0, 1800.0, 200.0
-NOISE = LineNoise.of(5.0, 50.0, 100.0, 65535)
+NOISE = SensorNoise.of(5.0, 50.0, 100.0, 65535)
 SEARCH = CentroidSettings(min_width_px=1, max_peaks=4)
-FIT = FitSettings(search=SEARCH, width_px=WIDTH, width_spread=0.0)
+FIT = FitSettings(search=SEARCH, width_px=WIDTH, width_log_sigma=0.0)
 DETECTOR = PeakDetector(
     gaussian_filter(WIDTH), PIXELS, DetectionSettings(false_alarms_per_line=0.01), NOISE
 )

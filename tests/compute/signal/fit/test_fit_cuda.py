@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from compute.signal.fit.fit_finder import FitFinder
-from compute.signal.fit.reference import fit_lines
-from compute.signal.fit.settings import FitSettings
+from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.peaks import PeakFlag
-from tests.compute.signal.fit.fit_agreement import (
+from tests.compute.signal.fit.kernel_agreement import (
     SETTINGS,
     any_noise,
     any_settings,
@@ -15,7 +15,13 @@ from tests.compute.signal.fit.fit_agreement import (
     lines_that_differ,
     without_room,
 )
-from tests.compute.signal.signal_lines import FULL, NOISE, gaussian_counts, measured, varied_lines
+from tests.compute.signal.synthetic_scans import (
+    FULL,
+    NOISE,
+    gaussian_counts,
+    measured,
+    varied_lines,
+)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +67,7 @@ def test_faint_and_overlapping_lines_give_what_the_cpu_gives(device, spread):
         places, widths = rng.uniform(-3, 131, 12_000), rng.uniform(0.5, 3.0, 12_000)
         counts += gaussian_counts(128, places, widths, heights)
     lines = measured(counts, rng, full=FULL)
-    options = without_room(FitSettings(width_px=1.2, width_spread=spread), 4)
+    options = without_room(FitSettings(width_px=1.2, width_log_sigma=spread), 4)
     found = FitFinder(len(lines), 128, options, NOISE, device=device).find(lines)
     expected = FitFinder(len(lines), 128, options, NOISE, device="cpu").find(lines)
     for name, values in vars(expected).items():

@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from compute.errors import InvalidParameter
-from compute.signal.fit.bounds import position_bounds
+from compute.signal.centroid_reference import find_peaks_reference
+from compute.signal.centroid_settings import CentroidSettings
+from compute.signal.fit.cramer_rao import position_bounds
 from compute.signal.fit.fit_finder import FitFinder
-from compute.signal.fit.reference import fit_lines
-from compute.signal.fit.settings import FitSettings
-from compute.signal.fit.shape import LineShape
-from compute.signal.noise import LineNoise
-from compute.signal.peaks import JOINT_PEAKS, PeakFlag
-from compute.signal.reference import find_peaks_reference
-from compute.signal.settings import CentroidSettings
-from tests.compute.signal.fit.fit_agreement import (
+from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_settings import FitSettings
+from compute.signal.fit.line_spread_function import LineSpreadFunction
+from compute.signal.peaks import MAX_JOINT_PEAKS, PeakFlag
+from compute.signal.sensor_noise import SensorNoise
+from tests.compute.signal.fit.kernel_agreement import (
     SETTINGS,
     any_noise,
     any_settings,
@@ -26,7 +26,7 @@ from tests.compute.signal.fit.fit_agreement import (
     lines_that_differ,
     without_room,
 )
-from tests.compute.signal.signal_lines import (
+from tests.compute.signal.synthetic_scans import (
     GAIN,
     NOISE,
     OFFSET,
@@ -51,7 +51,7 @@ def test_kernel_matches_the_reference(pixels, options):
     fits = expected.flags[np.isfinite(expected.position_px)]
     assert np.any(fits & PeakFlag.UNFITTED)
     assert np.any(fits & PeakFlag.POOR_FIT)
-    assert np.any(fits & PeakFlag.JOINT) or options.max_joint == 1
+    assert np.any(fits & PeakFlag.JOINT) or options.max_joint_peaks == 1
     assert np.any(fits & PeakFlag.TRUNCATED) or options.search.max_peaks > 3 or pixels < 300
 
 
@@ -79,7 +79,7 @@ def test_kernel_matches_the_reference_with_any_settings_noise_and_shape():
 
 def bright_lines(count, width_px, electrons, gain, rng):
     """Lines of one peak each in 64 pixels, uint16, and the positions; 20 counts of ambient."""
-    noise = LineNoise.of(gain, 5.0, 100.0)
+    noise = SensorNoise.of(gain, 5.0, 100.0)
     position = rng.uniform(25.0, 38.0, count)
     share = gaussian_counts(64, position, width_px, 1.0 / (width_px * np.sqrt(2.0 * np.pi)))
     light = rng.poisson(share * electrons + 20.0 * gain) + rng.normal(0.0, 5.0, share.shape)
@@ -105,14 +105,14 @@ def test_single_peaks_are_at_the_bound_and_honest(width_px, electrons, read):
     Five standard errors of each are allowed beyond the limits.
     """
     rng = np.random.default_rng(11)
-    noise = LineNoise.of(4.0, read, 100.0)
+    noise = SensorNoise.of(4.0, read, 100.0)
     count, pixels = 40_000, 64
     position = rng.uniform(25.0, 38.0, count)
     height = electrons / (width_px * np.sqrt(2.0 * np.pi))
     electrons_at = gaussian_counts(pixels, position, width_px, height) + 80.0
     light = rng.poisson(electrons_at) + rng.normal(0.0, read, electrons_at.shape)
     lines = np.clip(np.rint(light / 4.0 + 100.0), 0, 65535).astype(np.uint16)
-    options = FitSettings(width_px=width_px, width_spread=0.0)
+    options = FitSettings(width_px=width_px, width_log_sigma=0.0)
     bounds = position_bounds(
         position[:2000, None], [electrons], 80.0, pixels, options, noise, only_positions=True
     )
@@ -131,13 +131,13 @@ def test_single_peaks_are_at_the_bound_and_honest(width_px, electrons, read):
 
 
 @pytest.mark.parametrize(
-    "options", [FitSettings(width_px=2.0), FitSettings(width_px=2.0, width_spread=0.0)]
+    "options", [FitSettings(width_px=2.0), FitSettings(width_px=2.0, width_log_sigma=0.0)]
 )
 def test_pairs_are_at_their_joint_bound_and_honest(options):
     """Two lines of 1e5 electrons, 2.5 deviations apart: within 1.2 of the bound."""
     rng = np.random.default_rng(13)
     count, pixels, width_px, electrons = 10_000, 64, 2.0, 1e5
-    noise = LineNoise.of(GAIN, READ, OFFSET)
+    noise = SensorNoise.of(GAIN, READ, OFFSET)
     first = rng.uniform(25.0, 30.0, count)
     place = np.stack([first, first + 2.5 * width_px], axis=1)
     height = electrons / GAIN / (width_px * np.sqrt(2.0 * np.pi))
@@ -262,18 +262,18 @@ def test_lines_take_the_noise_and_the_shape_of_their_sensor_in_turn():
     """The second sensor sees nothing for noise; shapes of the odd ones lie a width to the right."""
     counts = gaussian_counts(256, 100.3, 2.0, 600.0)
     lines = np.repeat(measured(counts, np.random.default_rng(6)), 8, axis=0)
-    noise = LineNoise.of(GAIN, [READ, 100.0 * READ, READ, READ], OFFSET)
-    even = LineShape.gaussian()
+    noise = SensorNoise.of(GAIN, [READ, 100.0 * READ, READ, READ], OFFSET)
+    even = LineSpreadFunction.gaussian()
     steps = round(1.0 / even.step)
-    odd_edge = np.roll(even.edge, steps, axis=2)
+    odd_edge = np.roll(even.cumulative, steps, axis=2)
     odd_edge[..., :steps] = 0.0
-    shape = LineShape(
-        np.concatenate([even.edge, odd_edge]),
-        np.concatenate([even.slope, np.roll(even.slope, steps, axis=2)]),
+    shape = LineSpreadFunction(
+        np.concatenate([even.cumulative, odd_edge]),
+        np.concatenate([even.density, np.roll(even.density, steps, axis=2)]),
         even.first,
         even.step,
     )
-    options = FitSettings(width_px=2.0, width_spread=0.0)
+    options = FitSettings(width_px=2.0, width_log_sigma=0.0)
     found = fitted(lines, options, noise, shape)
     assert found.count.tolist() == [1, 0, 1, 1, 1, 0, 1, 1]
     expected = np.array([100.3, 100.3, 98.3] * 2)
@@ -288,7 +288,7 @@ def test_the_brightest_stay_where_splits_leave_no_room():
     height = np.array([900.0, 800.0, 300.0, 500.0, 700.0, 600.0])
     counts = sum(gaussian_counts(pixels, place[k], width, height[k]) for k in range(len(place)))
     lines = measured(counts, np.random.default_rng(3), full=65535)
-    options = without_room(FitSettings(width_px=width, width_spread=0.0), 5)
+    options = without_room(FitSettings(width_px=width, width_log_sigma=0.0), 5)
     found = fitted(lines, options)
     expected = fit_lines(lines, options, NOISE)
     assert found.count.tolist() == [5]
@@ -306,9 +306,9 @@ def test_covariances_are_with_the_next_peaks_of_the_group():
     counts = sum(gaussian_counts(pixels, x, width, 800.0) for x in place)
     lines = measured(counts, np.random.default_rng(4), full=65535)
     found = fitted(lines, FitSettings(width_px=width))
-    assert found.count.tolist() == [JOINT_PEAKS]
+    assert found.count.tolist() == [MAX_JOINT_PEAKS]
     np.testing.assert_array_equal(
-        found.covariance_px2[0, :JOINT_PEAKS] != 0.0,
+        found.covariance_px2[0, :MAX_JOINT_PEAKS] != 0.0,
         [[True, True, True], [True, True, False], [True, False, False], [False] * 3],
     )
     assert np.all(np.linalg.eigvalsh(found.covariance(0)) > 0.0)
@@ -341,7 +341,7 @@ def test_candidates_are_those_of_the_search():
     """With every fit refused for want of pixels, what is left is the search's own."""
     lines = varied_lines(64, 400, np.random.default_rng(12))
     options = FitSettings(search=CentroidSettings(detection_sigma=4.0), reach=2.0, width_px=0.25)
-    noise = LineNoise.of(GAIN, READ, OFFSET, 1)
+    noise = SensorNoise.of(GAIN, READ, OFFSET, 1)
     found = fitted(lines, options, noise)
     candidates = find_peaks_reference(lines, options.search, noise)
     assert candidates.count.sum() > 50

@@ -9,16 +9,16 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from compute.errors import InvalidParameter
-from compute.signal.fit.bounds import position_bounds
+from compute.signal.centroid_reference import find_peaks_reference
+from compute.signal.centroid_settings import CentroidSettings
+from compute.signal.fit.cramer_rao import position_bounds
+from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.group_fit import fit_line
-from compute.signal.fit.reference import fit_lines
-from compute.signal.fit.settings import FitSettings
-from compute.signal.fit.shape import LineShape
-from compute.signal.noise import LineNoise
+from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import PeakFlag
-from compute.signal.reference import find_peaks_reference
-from compute.signal.settings import CentroidSettings
-from tests.compute.signal.signal_lines import (
+from compute.signal.sensor_noise import SensorNoise
+from tests.compute.signal.synthetic_scans import (
     FULL,
     GAIN,
     NOISE,
@@ -31,8 +31,8 @@ from tests.compute.signal.signal_lines import (
 
 PIXELS = 96
 AMBIENT = 20.0
-KNOWN = FitSettings(width_px=2.0, width_spread=0.0)
-FITTED = FitSettings(width_px=2.0, width_spread=0.5)
+KNOWN = FitSettings(width_px=2.0, width_log_sigma=0.0)
+FITTED = FitSettings(width_px=2.0, width_log_sigma=0.5)
 
 
 def light(height, width_px=2.0):
@@ -58,7 +58,7 @@ def same(found, expected):
         KNOWN,
         FITTED,
         FitSettings(width_px=2.0, background="slope"),
-        FitSettings(width_px=2.1, width_spread=0.01),
+        FitSettings(width_px=2.1, width_log_sigma=0.01),
     ],
 )
 def test_it_is_the_root_of_the_score(options):
@@ -85,7 +85,7 @@ def test_it_is_the_root_of_the_score(options):
         sigma = np.sqrt((READ / GAIN) ** 2 + 1 / 12 + np.maximum(mean(p) - OFFSET, 0) / GAIN)
 
         def residual(q, sigma=sigma):
-            spread = options.width_spread if options.width_spread > 0 else 1e-9
+            spread = options.width_log_sigma if options.width_log_sigma > 0 else 1e-9
             held = q[6:] if options.background == "level" else [0.0]
             return np.concatenate(
                 [
@@ -97,7 +97,7 @@ def test_it_is_the_root_of_the_score(options):
 
         p = least_squares(residual, p, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14).x
     np.testing.assert_allclose(group.position_px, p[:2], atol=1e-3 * group.sigma_px.min())
-    np.testing.assert_allclose(group.light_counts, p[2:4], rtol=1e-4)
+    np.testing.assert_allclose(group.dark_corrected_counts, p[2:4], rtol=1e-4)
     assert group.background_counts == pytest.approx(p[5], abs=1e-3)
     assert group.width_px == pytest.approx(np.exp(p[4]), rel=1e-5)
 
@@ -150,21 +150,21 @@ def test_pairs_are_told_apart_as_soon_as_the_light_allows(apart, height):
     rng = np.random.default_rng(15)
     place = 45.0 + rng.uniform(0.0, 1.0, (lines, 1)) + [0.0, 2.0 * apart]
     mean = scene(place, [height, height])
-    one = FitSettings(width_px=2.0, width_spread=0.0, max_joint=1)
+    one = FitSettings(width_px=2.0, width_log_sigma=0.0, max_joint_peaks=1)
     exact = np.rint(mean[:1] + AMBIENT + OFFSET).astype(np.uint16)
     (alone,) = fit_line(exact[0], one, NOISE)
     needed = 2.0 * np.log(len(alone.values)) + KNOWN.split_margin
     misfit = alone.chi2
     assert misfit - 4.0 * 2.0 * np.sqrt(misfit) > needed
-    chance = alone.freedom + misfit - 4.0 * np.sqrt(2 * alone.freedom + 4 * misfit)
-    assert chance > KNOWN.misfit_limits()[alone.freedom]
+    chance = alone.dof + misfit - 4.0 * np.sqrt(2 * alone.dof + 4 * misfit)
+    assert chance > KNOWN.chi2_limits()[alone.dof]
     found = fit_lines(measured(mean, rng, AMBIENT), KNOWN, NOISE)
     assert np.mean(found.count == 2) > 0.98
 
 
 def test_single_peaks_are_split_as_rarely_as_the_settings_say():
     lines = 10_000
-    options = FitSettings(width_px=1.5, width_spread=0.0, false_split_rate=1e-3)
+    options = FitSettings(width_px=1.5, width_log_sigma=0.0, false_split_rate=1e-3)
     rng = np.random.default_rng(5)
     place = 47.5 + rng.uniform(0.0, 1.0, (lines, 1))
     pixels = measured(scene(place, [500.0], 1.5), rng, AMBIENT)
@@ -213,7 +213,7 @@ def test_each_sensor_has_its_own_shape():
     rng = np.random.default_rng(13)
     edges = np.arange(-160, 161) / 16.0
     cells = np.stack([np.diff(ndtr(edges / width)) for width in (1.2, 2.4)])[:, None]
-    shape = LineShape.measured(cells, edges[0], 1 / 16, unit_px=2.0)
+    shape = LineSpreadFunction.from_cells(cells, edges[0], 1 / 16, unit_px=2.0)
     lines = 400
     place = 47.5 + rng.uniform(0.0, 1.0, (lines, 1))
     means = np.where(
@@ -221,15 +221,15 @@ def test_each_sensor_has_its_own_shape():
         scene(place, [1000.0], 1.2),
         scene(place, [1000.0], 2.4),
     )
-    noise = LineNoise.of([GAIN, GAIN], READ, OFFSET)
+    noise = SensorNoise.of([GAIN, GAIN], READ, OFFSET)
     found = fit_lines(measured(means, rng, AMBIENT), KNOWN, noise, shape)
     assert (found.count == 1).all()
     assert (found.flags == 0).mean() > 0.998
     square = np.mean(((found.position_px - place)[:, 0] / found.sigma_px[:, 0]) ** 2)
     assert abs(square - 1.0) < 0.05 + 4 * np.sqrt(2 / lines)
     # The other way round it does not fit.
-    wrong = LineShape.measured(cells[::-1], edges[0], 1 / 16, unit_px=2.0)
-    one = FitSettings(width_px=2.0, width_spread=0.0, max_joint=1)
+    wrong = LineSpreadFunction.from_cells(cells[::-1], edges[0], 1 / 16, unit_px=2.0)
+    one = FitSettings(width_px=2.0, width_log_sigma=0.0, max_joint_peaks=1)
     bad = fit_lines(measured(means, rng, AMBIENT), one, noise, wrong)
     assert (bad.flags[:, 0] & (PeakFlag.POOR_FIT | PeakFlag.UNFITTED) != 0).all()
 
@@ -242,7 +242,9 @@ def test_uneven_pixels_are_allowed_for():
     pixels = measured(means, rng, AMBIENT)
     squares = []
     for allowed in (error, 0.0):
-        options = FitSettings(width_px=2.0, width_spread=0.0, shape_error=allowed, max_joint=1)
+        options = FitSettings(
+            width_px=2.0, width_log_sigma=0.0, shape_error=allowed, max_joint_peaks=1
+        )
         found = fit_lines(pixels, options, NOISE)
         difference = (found.position_px[:, 0] - place[:, 0]) / found.sigma_px[:, 0]
         squares.append(np.mean(difference**2))
@@ -262,7 +264,7 @@ def test_whole_lines_near_the_end_are_not_flagged():
 def test_one_line_tells_what_the_batch_does_and_more():
     rng = np.random.default_rng(8)
     heights = [300.0, 3000.0, 60.0]
-    noise = LineNoise.of([GAIN, 5.0], [READ, 10.0], [OFFSET, 0.0], FULL)
+    noise = SensorNoise.of([GAIN, 5.0], [READ, 10.0], [OFFSET, 0.0], FULL)
     lines = measured(scene([[20.3, 26.1, 70.0]] * 2, heights), rng, AMBIENT, FULL)
     for options in (KNOWN, FITTED, FitSettings(width_px=2.0, background="slope")):
         batch = fit_lines(lines, options, noise)
@@ -275,7 +277,7 @@ def test_one_line_tells_what_the_batch_does_and_more():
                     told.astype(getattr(batch, name).dtype), getattr(batch, name)[sensor, :count]
                 )
             reduced = np.repeat(
-                [group.chi2 / group.freedom for group in groups],
+                [group.chi2 / group.dof for group in groups],
                 [len(group.position_px) for group in groups],
             )
             np.testing.assert_array_equal(
@@ -292,9 +294,10 @@ def test_one_line_tells_what_the_batch_does_and_more():
                 assert group.fitted
                 assert len(group.model) == len(group.values) == len(group.residual_sigma)
                 np.testing.assert_allclose(
-                    group.light_electrons, group.light_counts * (noise.electrons_per_count[sensor])
+                    group.light_electrons,
+                    group.dark_corrected_counts * (noise.electrons_per_count[sensor]),
                 )
-                assert (group.width_sigma_px == 0.0) == (options.width_spread == 0.0)
+                assert (group.width_sigma_px == 0.0) == (options.width_log_sigma == 0.0)
                 assert group.values[0] == lines[sensor, group.first_px]
     (first, *_, last) = fit_line(lines[0], FITTED, noise)
     assert first.light_electrons == pytest.approx([light(h) for h in heights[:2]], rel=0.05)
@@ -322,7 +325,7 @@ def test_too_many_peaks_for_the_room():
     place = [[20.0, 26.0, 60.0, 66.0]]
     line = measured(scene(place, [500.0, 600.0, 3000.0, 2500.0]), rng, AMBIENT)
     room = FitSettings(
-        width_px=2.0, width_spread=0.0, search=CentroidSettings(min_width_px=1, max_peaks=3)
+        width_px=2.0, width_log_sigma=0.0, search=CentroidSettings(min_width_px=1, max_peaks=3)
     )
     found = fit_lines(line, room, NOISE)
     assert found.count[0] == 3
@@ -374,14 +377,14 @@ options = st.builds(
         detection_sigma=st.sampled_from([3.0, 6.0]),
     ),
     width_px=st.floats(0.25, 16.0),
-    width_spread=st.sampled_from([0.0, 0.1, 0.5, np.inf]),
+    width_log_sigma=st.sampled_from([0.0, 0.1, 0.5, np.inf]),
     reach=st.floats(2.0, 8.0),
     background=st.sampled_from(["level", "slope"]),
     shape_error=st.sampled_from([0.0, 0.05]),
-    max_joint=st.integers(1, 4),
+    max_joint_peaks=st.integers(1, 4),
 )
 noises = st.builds(
-    LineNoise.of,
+    SensorNoise.of,
     st.floats(0.1, 100.0),
     st.sampled_from([0.0, 5.0, 50.0]),
     st.floats(-100.0, 1000.0),

@@ -71,5 +71,5 @@ def test_acceleration_along_z_is_followed_late() -> None:
 
 
 def test_refused() -> None:
-    with pytest.raises(InvalidParameter, match="white_jerk is 0"):
+    with pytest.raises(InvalidParameter, match="jerk_psd is 0"):
         EightStateModel(1.0, 0.0)

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.tracking.thesis.dynamic_model import transition_along_sensor, transition_in_plane
-from compute.tracking.thesis.gaps import fill_gaps
-from compute.tracking.thesis.pair_follower import Decision
+from compute.tracking.thesis.gap_filling import fill_gaps
+from compute.tracking.thesis.pair_tracker import Decision
 from compute.tracking.thesis.pair_tracking import PairTracking, PairTracks
+from compute.tracking.thesis.quadratic_window import QuadraticWindow
 from compute.tracking.thesis.subsets import order_by_detection
-from compute.tracking.thesis.window import QuadraticWindow
 
 Array = NDArray[np.float64]
 

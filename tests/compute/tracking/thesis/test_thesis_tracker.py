@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.signal.peaks import PeakFlag
-from compute.tracking.methods import marker_tracker
+from compute.tracking.factory import create_tracker
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.thesis.settings import ThesisMethod, ThesisSettings
 from compute.tracking.thesis.thesis_tracker import ThesisTracker
@@ -27,12 +27,12 @@ RADIUS_MM = 80.0
 TURN_S = 2.0
 METHODS: tuple[ThesisMethod, ...] = ("window", "probabilistic", "eight-state")
 ALONG: tuple[ThesisMethod, ...] = ("window", "probabilistic")
-MERGING = Sensing(merge_px=4.0)
+MERGING = Sensing(resolution_px=4.0)
 
 
 def given(method: ThesisMethod, **more: Any) -> ThesisSettings:
     """A method that knows how fast the markers of these scenes are, and that they accelerate."""
-    known = {"most_velocity_px_s": 600.0, "least_interval_px": 5.0}
+    known = {"max_velocity_px_s": 600.0, "min_interval_px": 5.0}
     return ThesisSettings(method, **(known | more))
 
 
@@ -114,7 +114,7 @@ def test_identity_is_kept_where_markers_cross_and_a_replay_gives_the_same_bits(
 @pytest.mark.parametrize("method", METHODS)
 def test_clients_get_numbers_whatever_the_sensors_miss_and_invent(method: ThesisMethod) -> None:
     """Of the 8 states there is no acceleration along Z; that is 0, and has no variance."""
-    sensing = Sensing(missed=0.05, false_peaks=0.05, merge_px=4.0)
+    sensing = Sensing(missed=0.05, false_peaks=0.05, resolution_px=4.0)
     reports = follow(tracker(given(method)), circling(120), sensing)
     assert sum(map(len, reports)) > 100
     for batch in reports:
@@ -129,10 +129,10 @@ def test_clients_get_numbers_whatever_the_sensors_miss_and_invent(method: Thesis
         )
         if method == "eight-state":
             assert (batch.acceleration_mm_s2[:, 2] == 0.0).all()
-            assert (np.isfinite(batch.nis) == (batch.degrees == 3)).all()
+            assert (np.isfinite(batch.nis) == (batch.dof == 3)).all()
         else:
             assert np.isnan(batch.nis).all()
-            assert (batch.degrees == (batch.peaks >= 0).sum(axis=1)).all()
+            assert (batch.dof == (batch.peaks >= 0).sum(axis=1)).all()
         coasting = (batch.peaks < 0).all(axis=1) & (batch.state != TrackState.TENTATIVE)
         assert ((batch.state == TrackState.COASTING) == coasting).all()
         few = (batch.peaks >= 0).sum(axis=1) < 3
@@ -142,7 +142,7 @@ def test_clients_get_numbers_whatever_the_sensors_miss_and_invent(method: Thesis
 @pytest.mark.parametrize("method", ALONG)
 def test_differences_have_the_covariance_that_is_stated(method: ThesisMethod) -> None:
     """A marker at constant velocity, which the models are told: NEES of all nine, in 40 runs."""
-    quiet = given(method, white_acceleration=1e-6, white_jerk=1e-6)
+    quiet = given(method, acceleration_psd=1e-6, jerk_psd=1e-6)
     velocity = np.array([60.0, -40.0, 20.0])
     places = MIDDLE_MM + velocity * (np.arange(8) * STEP_S)[:, None]
     runs, total = 40, 0.0
@@ -265,7 +265,7 @@ def test_peaks_that_are_saturated_are_reported_and_clipped_ones_not_used() -> No
         flags[0], flags[1] = PeakFlag.CLIPPED, PeakFlag.SATURATED
         batch = one.step(frame * 10_000_000, *peaks[:2], flags, None)
     assert batch.peaks.tolist() == [[-1, 0, 0, 0]]
-    assert batch.flags.tolist() == [TrackFlag.DOUBTFUL_PEAK]
+    assert batch.flags.tolist() == [TrackFlag.SUSPECT_PEAK]
 
 
 def test_frames_without_peaks() -> None:
@@ -284,8 +284,8 @@ def test_frames_without_peaks() -> None:
 
 def test_methods_are_chosen_by_the_settings() -> None:
     cameras = CameraStack.of(ring())
-    assert isinstance(marker_tracker(cameras, TrackerSettings()), Tracker)
-    assert isinstance(marker_tracker(cameras, given("window")), ThesisTracker)
+    assert isinstance(create_tracker(cameras, TrackerSettings()), Tracker)
+    assert isinstance(create_tracker(cameras, given("window")), ThesisTracker)
 
 
 @pytest.mark.parametrize(
@@ -297,12 +297,12 @@ def test_methods_are_chosen_by_the_settings() -> None:
         ({"window_points": 2}, "points is 2; a quadratic curve needs 3"),
         ({"window_decision": "nearest"}, "window_decision is 'nearest'"),
         ({"interval_velocity": "last"}, "interval_velocity is 'last'"),
-        ({"most_velocity_px_s": 0.0}, "most_velocity_px_s is 0.0; it must be above zero"),
+        ({"max_velocity_px_s": 0.0}, "max_velocity_px_s is 0.0; it must be above zero"),
         ({"velocity_limit_px_s": -1.0}, "velocity_limit_px_s is -1.0"),
-        ({"least_interval_px": float("nan")}, "least_interval_px is nan"),
-        ({"white_jerk": float("inf")}, "white_jerk is inf"),
+        ({"min_interval_px": float("nan")}, "min_interval_px is nan"),
+        ({"jerk_psd": float("inf")}, "jerk_psd is inf"),
         ({"coast_s": 0.0}, "coast_s is 0.0"),
-        ({"exchange_threshold": 1.0}, "exchange_threshold is 1.0; it must lie between 0 and 1"),
+        ({"swap_threshold": 1.0}, "swap_threshold is 1.0; it must lie between 0 and 1"),
         ({"gate_sigma": 1.0}, "gate_sigma is 1.0"),
         ({"young_scans": 0}, "young_scans is 0"),
         ({"coast_scans": -1}, "coast_scans is -1"),

@@ -1,0 +1,41 @@
+"""The OpenIGTLink benchmark's peer: a socket that only sends, as many messages as large."""
+
+import contextlib
+import socket
+import time
+from typing import Final
+
+from benchmarks.peer_process import inherited_listener
+
+RATE_HZ: Final = 200.0
+TOOLS: Final = 10
+
+
+def _serve(listener: socket.socket) -> None:
+    """Send frames to whoever comes, made by pyigtl itself, each at its due time."""
+    import numpy as np
+    import pyigtl
+
+    while True:
+        link, _ = listener.accept()
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        begin, number = time.monotonic(), 0
+        with contextlib.suppress(OSError), link:
+            while True:
+                wait = begin + number / RATE_HZ - time.monotonic()
+                if wait > 0.0:
+                    time.sleep(wait)
+                exposure_s = time.time()
+                matrix = np.eye(4)
+                matrix[0, 3] = number
+                link.sendall(
+                    b"".join(
+                        pyigtl.TransformMessage(matrix, exposure_s, f"tool-{tool}ToTracker").pack()
+                        for tool in range(TOOLS)
+                    )
+                )
+                number += 1
+
+
+if __name__ == "__main__":
+    _serve(inherited_listener())

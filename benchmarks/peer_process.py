@@ -1,0 +1,35 @@
+"""A peer's websocket in a process of its own, on a port that is open before it begins."""
+
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def running_peer(module: str) -> Iterator[str]:
+    """Run a module with a listening socket and yield the URL; ends it afterwards.
+
+    Args:
+        module: gets the socket's descriptor as its argument: see ``inherited_listener``.
+    """
+    listener = socket.socket()
+    listener.bind(("127.0.0.1", 0))
+    listener.listen()
+    port = listener.getsockname()[1]
+    process = subprocess.Popen(  # noqa: S603 - our own modules
+        [sys.executable, "-m", module, str(listener.fileno())],
+        pass_fds=[listener.fileno()],
+    )
+    listener.close()
+    try:
+        yield f"ws://127.0.0.1:{port}/"
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def inherited_listener() -> socket.socket:
+    """Return the listening socket that ``running_peer`` handed to this process."""
+    return socket.socket(fileno=int(sys.argv[1]))

@@ -1,0 +1,254 @@
+"""What control points leave open: weak parameters, coverage, and which measurement would help."""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.assessment_result import Diagnosis, SensorDiagnosis, Suggestion
+from compute.calibration.result import Calibration, SensorFit
+from compute.calibration.single_sensor.design_matrix import (
+    design_matrix,
+    fitted_columns,
+    recentred_camera,
+)
+from compute.camera.model import vector3
+from compute.camera.stack import CameraStack
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+VOLUME_GRID_NODES: Final = 5
+"""Nodes along each axis of the grid over the control points' box at which points are judged."""
+CANDIDATE_GRID_NODES: Final = 7
+CANDIDATE_BOX_FACTOR: Final = 1.15
+"""Further control points are looked for in the control points' box, so much larger."""
+MAX_SUGGESTIONS: Final = 5
+MIN_SEPARATION_FRACTION: Final = 0.2
+"""How far suggestions lie apart at least, of the box's diagonal."""
+MIN_PIXEL_SHARE: Final = 0.6
+MIN_RELATIVE_DEPTH_RANGE: Final = 0.05
+WEAK_CONDITION_THRESHOLD: Final = 1e-4
+"""Condition below which a sensor's parameters hang on single readings."""
+
+_PARAMETER_DESCRIPTIONS: Final = {
+    "principal_distance_px": "the principal distance",
+    "principal_point_px": "the principal point",
+    "rotation_x_rad": "tilt about the row",
+    "rotation_y_rad": "pan about the slit",
+    "rotation_z_rad": "roll about the view",
+    "offset_x_mm": "the position along the row",
+    "offset_z_mm": "the distance from the points",
+    "offset_y_mm": "the position along the slit",
+}
+
+
+def diagnose(
+    calibration: Calibration,
+    points_mm: Array,
+    readings_px: Array,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Say how well control points determine a calibration, and where a further one helps most.
+
+    A point's deviation that the calibration causes is that of a reconstruction from all sensors
+    that see it, by the calibration's covariance; a candidate lowers the covariance as one more
+    control point, read with the sensors' deviations, does in the linearised model.
+
+    Args:
+        calibration: of these points.
+        points_mm: control points, shape (N, 3) [mm].
+        readings_px: their readings, shape (N, S) [px]; NaN where not seen.
+        progress: called with the fraction done and the stage; what it raises passes through.
+    """
+    points = np.asarray(points_mm, dtype=np.float64)
+    readings = np.asarray(readings_px, dtype=np.float64)
+    sensors = tuple(
+        _sensor(fit, points[rows], column[rows])
+        for fit, column, rows in zip(
+            calibration.sensors, readings.T, np.isfinite(readings).T, strict=True
+        )
+    )
+    if progress is not None:
+        progress(0.2, "which measurement would help most")
+    influence = _PrecisionPredictor(calibration, points)
+    mean, largest = influence.current()
+    return Diagnosis(
+        sensors,
+        mean,
+        largest,
+        influence.suggestions(),
+        _remarks(calibration, sensors),
+    )
+
+
+def _sensor(fit: SensorFit, points: Array, readings: Array) -> SensorDiagnosis:
+    model = fit.model
+    centre = points.mean(axis=0)
+    here = recentred_camera(model, centre)
+    matrix = design_matrix(here, points - centre, np.full(len(points), 1.0 / fit.sigma_px))
+    scale = np.linalg.norm(matrix, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    _, singular, right = np.linalg.svd(matrix / scale, full_matrices=False)
+    # By what each parameter adds to its own reach: columns of length 1.
+    shares = right[-1] ** 2
+    names = [model.parameter_names[column] for column in fitted_columns(model)]
+    order = np.argsort(-shares, kind="stable")[:4]
+    weakest = tuple((names[k], float(np.sqrt(shares[k]))) for k in order)
+    frame = points @ model.rotation.T
+    depth = frame[:, 2] + model.offset_z_mm
+    u = (frame[:, 0] + model.offset_x_mm) / depth
+    field_v = None
+    if model.distortion is not None:
+        v = (frame[:, 1] + model.distortion.offset_y_mm) / (depth + model.distortion.row_behind_mm)
+        field_v = (float(v.min()), float(v.max()))
+    low, high = float(readings.min()), float(readings.max())
+    return SensorDiagnosis(
+        model.name,
+        float(singular[-1] / singular[0]),
+        weakest,
+        _describe_combination(names, shares),
+        (low, high),
+        (high - low) / model.pixels,
+        (float(u.min()), float(u.max())),
+        field_v,
+        (float(depth.min()), float(depth.max())),
+    )
+
+
+def _describe_combination(names: list[str], shares: Array) -> str:
+    order = np.argsort(-shares, kind="stable")
+    count = int(np.searchsorted(np.cumsum(shares[order]), 0.8)) + 1
+    parts = [
+        f"{_PARAMETER_DESCRIPTIONS.get(names[k], f'the distortion term {names[k]}')} ({shares[k]:.0%})"
+        for k in order[: min(count, 4)]
+    ]
+    if len(parts) == 1:
+        return parts[0]
+    return f"{', '.join(parts[:-1])} against {parts[-1]}"
+
+
+class _PrecisionPredictor:
+    """How a calibration's covariance moves points of the volume, and what lowers it."""
+
+    def __init__(self, calibration: Calibration, points: Array) -> None:
+        self.cameras = CameraStack.of(calibration.models)
+        self.pixels = np.array([model.pixels for model in calibration.models])
+        self.sigma = np.array([fit.sigma_px for fit in calibration.sensors])
+        self.low, self.high = points.min(axis=0), points.max(axis=0)
+        self.covariance = np.array(calibration.covariance)
+        volume, jacobian, rows = self._visible(_grid(self.low, self.high, VOLUME_GRID_NODES))
+        self.point_derivatives = self._point_jacobian(jacobian, rows) if len(volume) else None
+
+    def _visible(self, points: Array) -> tuple[Array, Array, Array]:
+        """Return points that three sensors see, slopes by the point and by the parameters.
+
+        Shapes (M, 3), (M, S, 3) and (M, S, P); both are 0 where a sensor does not see the point.
+        """
+        readings, jacobian = self.cameras.linearise(points)
+        with np.errstate(invalid="ignore"):
+            inside = (readings >= -0.5) & (readings <= self.pixels - 0.5)
+        keep = inside.sum(axis=1) >= 3
+        points, inside, jacobian = points[keep], inside[keep], jacobian[keep]
+        own = self.cameras.parameter_jacobian(points)
+        rows = np.zeros((*inside.shape, len(self.covariance)))
+        for sensor, columns in enumerate(self.cameras.parameter_index):
+            here = columns >= 0
+            rows[:, sensor, columns[here]] = own[:, sensor, here]
+        rows = np.where(inside[..., None], rows, 0.0)
+        return points, np.where(inside[..., None], jacobian, 0.0), rows
+
+    def _point_jacobian(self, jacobian: Array, rows: Array) -> Array:
+        """Return d point / d parameters, shape (M, 3, P)."""
+        weighted = jacobian / self.sigma[:, None] ** 2
+        normal = np.einsum("msi,msj->mij", weighted, jacobian)
+        gain = np.linalg.solve(normal, weighted.swapaxes(1, 2))
+        point_derivatives: Array = -gain @ rows
+        return point_derivatives
+
+    def current(self) -> tuple[float | None, float | None]:
+        if self.point_derivatives is None:
+            return None, None
+        return _summary(self._variances())
+
+    def _variances(self) -> Array:
+        assert self.point_derivatives is not None
+        variances: Array = np.einsum(
+            "mip,pq,miq->m",
+            self.point_derivatives,
+            self.covariance,
+            self.point_derivatives,
+            optimize=True,
+        )
+        return variances
+
+    def suggestions(self) -> tuple[Suggestion, ...]:
+        if self.point_derivatives is None:
+            return ()
+        centre, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        reach = CANDIDATE_BOX_FACTOR * half
+        positions, _, rows = self._visible(
+            _grid(centre - reach, centre + reach, CANDIDATE_GRID_NODES)
+        )
+        before = self._variances()
+        nodes, parameters = len(self.point_derivatives), len(self.covariance)
+        towards = self.covariance @ self.point_derivatives.reshape(-1, parameters).T
+        found = []
+        for position, row in zip(positions, rows, strict=True):
+            sees = row.any(axis=1)
+            here = row[sees]
+            noise = np.diag(self.sigma[sees] ** 2)
+            gain = np.linalg.solve(noise + here @ self.covariance @ here.T, here @ towards)
+            lowered = (gain * (here @ towards)).reshape(len(here), nodes, 3).sum(axis=(0, 2))
+            mean, largest = _summary(np.maximum(before - lowered, 0.0))
+            found.append(Suggestion(vector3(position), mean, largest))
+        found.sort(key=lambda one: one.mean_sigma_mm)
+        chosen: list[Suggestion] = []
+        apart = MIN_SEPARATION_FRACTION * float(np.linalg.norm(self.high - self.low))
+        for one in found:
+            gaps = [np.linalg.norm(np.subtract(one.position_mm, o.position_mm)) for o in chosen]
+            if not gaps or min(gaps) >= apart:
+                chosen.append(one)
+            if len(chosen) == MAX_SUGGESTIONS:
+                break
+        return tuple(chosen)
+
+
+def _summary(variances: Array) -> tuple[float, float]:
+    return float(np.sqrt(variances.mean())), float(np.sqrt(variances.max()))
+
+
+def _grid(low: Array, high: Array, count: int) -> Array:
+    axes = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
+    return np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+
+def _remarks(calibration: Calibration, sensors: tuple[SensorDiagnosis, ...]) -> tuple[str, ...]:
+    remarks = []
+    for fit, one in zip(calibration.sensors, sensors, strict=True):
+        if one.pixel_share < MIN_PIXEL_SHARE:
+            remarks.append(
+                f"Sensor {one.sensor}: the control points cover {one.pixel_share:.0%} of its "
+                f"pixels ({one.pixels[0]:.0f} to {one.pixels[1]:.0f}); beyond them the "
+                "calibration is an extrapolation."
+            )
+        near, far = one.depth_mm
+        if far - near < MIN_RELATIVE_DEPTH_RANGE * near:
+            remarks.append(
+                f"Sensor {one.sensor}: its control points lie between {near:.0f} and {far:.0f} mm "
+                "from the lens; over so little depth, the principal distance and the distance "
+                "from the points can hardly be told apart."
+            )
+        if one.condition < WEAK_CONDITION_THRESHOLD:
+            remarks.append(
+                f"Sensor {one.sensor}: {one.weakest_description} hang on small differences between "
+                f"readings (condition {one.condition:.1e}); spread the points further in all "
+                "three directions."
+            )
+        if fit.chi2_per_dof is not None and fit.chi2_per_dof > 2.0:
+            remarks.append(
+                f"Sensor {one.sensor}: its residuals are {fit.chi2_per_dof**0.5:.1f} times what "
+                "the stated deviations explain; look at distortion, labels, or the deviations."
+            )
+    return tuple(remarks)

@@ -1,0 +1,101 @@
+"""The world frame where no coordinates are known: rigid motions, and how one frame is chosen."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+
+Array = NDArray[np.float64]
+
+_AXES = np.eye(3)
+
+
+def rigid_motion_jacobian(models: Sequence[SensorModel]) -> Array:
+    """Return d parameters / d (turn, shift) of the world, shape (P, 6).
+
+    For ``X <- X + w x X + t`` with cameras that go on reading the same of the moved points.
+    """
+    blocks = []
+    for model in models:
+        block = np.zeros((model.parameter_count, 6))
+        block[2:5, :3] = -model.rotation
+        block[5, 3:], block[6, 3:] = -model.rotation[0], -model.rotation[2]
+        if model.distortion is not None:
+            block[7, 3:] = -model.rotation[1]
+        blocks.append(block)
+    return np.concatenate(blocks)
+
+
+def transform_world(model: SensorModel, rotation: Array, translation_mm: Array) -> SensorModel:
+    """Return a camera that reads of ``rotation X + translation`` what it has read of X."""
+    turned = model.rotation @ rotation.T
+    shift = turned @ translation_mm
+    x, y, z = Rotation.from_matrix(turned).as_rotvec().tolist()
+    distortion = model.distortion
+    if distortion is not None:
+        distortion = replace(distortion, offset_y_mm=distortion.offset_y_mm - float(shift[1]))
+    return replace(
+        model,
+        rotation_vector_rad=(x, y, z),
+        offset_x_mm=model.offset_x_mm - float(shift[0]),
+        offset_z_mm=model.offset_z_mm - float(shift[2]),
+        distortion=distortion,
+    )
+
+
+def inner_constraints(cameras: CameraStack, points_mm: Array, weights: Array) -> Array:
+    """Return D, shape (P, 6), of the datum ``D' dp = 0``: the cloud of points stays in its place.
+
+    Its place is where the unchanged cameras would read best what was read of it, if it moved as
+    a rigid body. With A the readings' slopes by the points, M the points' slopes by a rigid
+    motion and J the readings' slopes by the parameters that is ``M'A' W J dp = 0``: the inner
+    constraints of a free network, over readings.
+
+    Args:
+        cameras: S cameras.
+        points_mm: shape (N, 3) [mm].
+        weights: 1 / standard deviation of the readings, 0 where not seen, shape (N, S) [1/px].
+    """
+    _, jacobian = cameras.linearise(points_mm)
+    whitened = np.nan_to_num(jacobian) * weights[..., None]
+    by_parameter = np.nan_to_num(cameras.parameter_jacobian(points_mm)) * weights[..., None]
+    arms = points_mm - points_mm.mean(axis=0)
+    # A turn w about the middle moves a point by w x arm, its readings by (arm x slope).w
+    turned = np.cross(arms[:, None], whitened)
+    by_motion = np.concatenate([turned, whitened], axis=2)
+    datum = np.einsum("nsm,nsp->msp", by_motion, by_parameter).reshape(6, -1)
+    here = np.flatnonzero(cameras.parameter_mask)
+    ordered = np.empty((6, len(here)))
+    ordered[:, cameras.parameter_index.ravel()[here]] = datum[:, here]
+    return np.ascontiguousarray(ordered.T)
+
+
+def centring(models: Sequence[SensorModel], centre_mm: Array) -> Array:
+    """Return T, shape (P, P), that turns steps into those of cameras with the origin at a point.
+
+    Seen from the middle of what is measured, turns and shifts of a camera differ most.
+    """
+    size = sum(model.parameter_count for model in models)
+    change = np.eye(size)
+    first = 0
+    for model in models:
+        a, b, c = (model.rotation @ centre_mm).tolist()
+        # d(offset + R m) = d offset + w x (R m)
+        change[first + 5, first + 2 : first + 5] = (0.0, c, -b)
+        change[first + 6, first + 2 : first + 5] = (b, -a, 0.0)
+        if model.distortion is not None:
+            change[first + 7, first + 2 : first + 5] = (-c, 0.0, a)
+        first += model.parameter_count
+    return change
+
+
+def orthogonal_complement(columns: Array) -> Array:
+    """Return orthonormal columns orthogonal to the given ones."""
+    basis, _ = np.linalg.qr(columns, mode="complete")
+    rest: Array = basis[:, columns.shape[1] :]
+    return rest

@@ -1,0 +1,205 @@
+"""Normal equations of an adjustment: built for all poses at once, reduced to the globals."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.bundle_adjustment.pose_set import PoseSet
+from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class AdjustmentState:
+    """Where an adjustment is: the sensors and the poses."""
+
+    models: tuple[SensorModel, ...]
+    pose_sets: tuple[PoseSet, ...]
+
+    def residuals(self) -> list[Array]:
+        """Return (projected - read) / sigma of each set, (B, K, S).
+
+        0 where not seen, NaN where a marker that was read lies behind the lens.
+        """
+        cameras = CameraStack.of(self.models)
+        found = []
+        for poses in self.pose_sets:
+            projected = cameras.project(poses.marker_positions().reshape(-1, 3))
+            difference = projected.reshape(poses.readings_px.shape) - poses.readings_px
+            found.append(np.where(poses.seen, difference / poses.sigma_px, 0.0))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class PoseBlocks:
+    """The normal equations' part of one set of poses.
+
+    Args:
+        normal: V of each pose, shape (B, d, d).
+        mixed: W between the globals and each pose, shape (B, F, d).
+        gradient: shape (B, d).
+    """
+
+    normal: Array
+    mixed: Array
+    gradient: Array
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Gauss-Newton equations ``N step = -gradient``, in blocks.
+
+    The F globals are the sensors' parameters, as in ``SensorModel.parameter_names``, then each
+    set's unknowns of its shape.
+
+    Args:
+        normal: of the globals, shape (F, F).
+        gradient: shape (F,).
+        blocks: one for each set of poses.
+    """
+
+    normal: Array
+    gradient: Array
+    blocks: tuple[PoseBlocks, ...]
+
+    def reduced(self, damping: float = 0.0) -> "ReducedEquations":
+        """Eliminate the poses (Schur complement); damping scales up every diagonal."""
+        normal = self.normal.copy()
+        _damp(normal, damping)
+        gradient = self.gradient.copy()
+        inverses, back_substitution = [], []
+        for block in self.blocks:
+            local = block.normal.copy()
+            _damp(local, damping)
+            inverse = np.asarray(np.linalg.inv(local), dtype=np.float64)
+            # T = V^-1 W' takes globals to the poses.
+            carried = inverse @ block.mixed.transpose(0, 2, 1)
+            flat = carried.reshape(-1, carried.shape[-1])
+            normal -= block.mixed.transpose(0, 2, 1).reshape(flat.shape).T @ flat
+            gradient -= flat.T @ block.gradient.ravel()
+            inverses.append(inverse)
+            back_substitution.append(carried)
+        return ReducedEquations(
+            0.5 * (normal + normal.T), gradient, tuple(inverses), tuple(back_substitution)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedEquations:
+    """The globals' equations after the poses are eliminated, and the way back.
+
+    Args:
+        normal: S, shape (F, F).
+        gradient: shape (F,).
+        inverses: V^-1 of each set, (B, d, d).
+        back_substitution: V^-1 W', (B, d, F).
+    """
+
+    normal: Array
+    gradient: Array
+    inverses: tuple[Array, ...]
+    back_substitution: tuple[Array, ...]
+
+    def local_steps(self, equations: NormalEquations, step: Array) -> list[Array]:
+        """Return the poses' steps (B, d) that go with a step of the globals (F,)."""
+        return [
+            -np.einsum("bij,bj->bi", inverse, block.gradient) - carried @ step
+            for inverse, carried, block in zip(
+                self.inverses, self.back_substitution, equations.blocks, strict=True
+            )
+        ]
+
+
+def _damp(normal: Array, damping: float) -> None:
+    """Scale up the diagonals of matrices (..., n, n) in place; an empty row gets a 1."""
+    if damping == 0.0:
+        return
+    places = np.arange(normal.shape[-1])
+    diagonal = normal[..., places, places]
+    normal[..., places, places] += np.where(diagonal > 0.0, damping * diagonal, 1.0)
+
+
+def build_normal_equations(
+    state: AdjustmentState, weights: Sequence[Array], prior: SensorPrior | None
+) -> NormalEquations:
+    """Build the normal equations at a state.
+
+    Args:
+        state: sensors and poses, every marker that was read in front of the lenses.
+        weights: factors for the squared residuals, (B, K, S) for each set.
+        prior: of the sensors.
+    """
+    cameras = CameraStack.of(state.models)
+    here = np.flatnonzero(cameras.parameter_mask)
+    order = cameras.parameter_index.ravel()[here]
+    count = len(here)
+    size = count + sum(poses.shape.unknowns for poses in state.pose_sets)
+    normal, gradient = np.zeros((size, size)), np.zeros(size)
+    sensors, width = cameras.parameter_index.shape
+    sensor_normal = np.zeros((sensors, width, width))
+    sensor_gradient = np.zeros((sensors, width))
+    blocks = []
+    first = count
+    for poses, weight in zip(state.pose_sets, weights, strict=True):
+        shape = slice(first, first + poses.shape.unknowns)
+        first = shape.stop
+        marker = poses.marker_positions().reshape(-1, 3)
+        projected, position_jacobian = cameras.linearise(marker)
+        full = (*poses.readings_px.shape, -1)
+        scale = np.where(poses.seen, np.sqrt(weight) / poses.sigma_px, 0.0)
+        residual = np.where(
+            poses.seen, (projected.reshape(full[:-1]) - poses.readings_px) * scale, 0.0
+        )
+        inverse_sigma = scale[..., None]
+        globals_ = np.nan_to_num(cameras.parameter_jacobian(marker)).reshape(full) * inverse_sigma
+        weighted_position_jacobian = np.nan_to_num(position_jacobian).reshape(full) * inverse_sigma
+        local = weighted_position_jacobian @ poses.marker_jacobian()  # (B, K, S, 3) @ (B, K, 3, d)
+        sensor_normal += np.einsum("bksp,bksq->spq", globals_, globals_, optimize=True)
+        sensor_gradient += np.einsum("bksp,bks->sp", globals_, residual)
+
+        flat = local.reshape(len(poses), -1, poses.unknowns)
+        own = flat.transpose(0, 2, 1)
+        block_normal = own @ flat
+        block_gradient = (own @ residual.reshape(len(poses), -1, 1))[..., 0]
+        # (B, S, width, K) @ (B, S, K, d)
+        crossed = globals_.transpose(0, 2, 3, 1) @ local.transpose(0, 2, 1, 3)
+        mixed = np.zeros((len(poses), size, poses.unknowns))
+        mixed[:, order] = crossed.reshape(len(poses), sensors * width, -1)[:, here]
+        if poses.shape.unknowns:
+            changes = np.einsum("bij,mkj->bkim", poses.rotation, poses.shape.basis)
+            shape_jacobian = weighted_position_jacobian @ changes  # (B, K, S, M)
+            rows = shape_jacobian.reshape(-1, poses.shape.unknowns)
+            normal[shape, shape] += rows.T @ rows
+            gradient[shape] += rows.T @ residual.ravel()
+            with_sensors = np.einsum("bksp,bksm->spm", globals_, shape_jacobian, optimize=True)
+            part = np.zeros((count, poses.shape.unknowns))
+            part[order] = with_sensors.reshape(sensors * width, -1)[here]
+            normal[:count, shape] += part
+            normal[shape, :count] += part.T
+            mixed[:, shape] = shape_jacobian.reshape(*flat.shape[:2], -1).transpose(0, 2, 1) @ flat
+        known, known_jacobian = poses.shape.equations()
+        normal[shape, shape] += known_jacobian.T @ known_jacobian
+        gradient[shape] += known_jacobian.T @ known
+        placed = poses.prior()
+        if placed is not None:
+            difference, information = placed
+            block_normal[:, -3:, -3:] += information
+            block_gradient[:, -3:] += np.einsum("bij,bj->bi", information, difference)
+        blocks.append(PoseBlocks(block_normal, mixed, block_gradient))
+
+    together = np.zeros((sensors, width, sensors, width))
+    index = np.arange(sensors)
+    together[index, :, index] = sensor_normal
+    square = together.reshape(sensors * width, -1)[np.ix_(here, here)]
+    normal[np.ix_(order, order)] += square
+    gradient[order] += sensor_gradient.ravel()[here]
+    if prior is not None:
+        difference, prior_jacobian = prior.difference(state.models)
+        normal[:count, :count] += prior_jacobian.T @ prior.information @ prior_jacobian
+        gradient[:count] += prior_jacobian.T @ prior.information @ difference
+    return NormalEquations(normal, gradient, tuple(blocks))

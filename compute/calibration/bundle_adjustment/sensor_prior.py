@@ -1,0 +1,69 @@
+"""What is known of the sensors beforehand: parameters held, or near given values."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from compute.camera.model import PARAMETER_COUNT, SensorModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SensorPrior:
+    """Values of all sensors' parameters with their information.
+
+    Args:
+        models: the values; the same sensors with the same terms as are adjusted.
+        information: inverse covariance, shape (P, P), sensor by sensor in the order of
+            ``SensorModel.parameter_names``; 0 for what is not known. It may be singular.
+    """
+
+    models: tuple[SensorModel, ...]
+    information: Array
+
+    def difference(self, models: Sequence[SensorModel]) -> tuple[Array, Array]:
+        """Return models minus values (P,), and its slope by the models' parameters (P, P)."""
+        steps = [step_between(old, new) for old, new in zip(self.models, models, strict=True)]
+        jacobian = np.eye(sum(len(step) for step in steps))
+        first = 0
+        for step in steps:
+            rotation_rows = slice(first + 2, first + 5)
+            jacobian[rotation_rows, rotation_rows] = inverse_left_jacobian(step[2:5])
+            first += len(step)
+        return np.concatenate(steps), jacobian
+
+
+def step_between(start: SensorModel, end: SensorModel) -> Array:
+    """Return the step of the parameters with ``start.retract(step) == end``."""
+    turned = (
+        Rotation.from_rotvec(end.rotation_vector_rad)
+        * Rotation.from_rotvec(start.rotation_vector_rad).inv()
+    )
+    step = np.empty(start.parameter_count)
+    step[0] = end.principal_distance_px - start.principal_distance_px
+    step[1] = end.principal_point_px - start.principal_point_px
+    step[2:5] = turned.as_rotvec()
+    step[5] = end.offset_x_mm - start.offset_x_mm
+    step[6] = end.offset_z_mm - start.offset_z_mm
+    if start.distortion is not None and end.distortion is not None:
+        step[PARAMETER_COUNT] = end.distortion.offset_y_mm - start.distortion.offset_y_mm
+        step[PARAMETER_COUNT + 1 :] = np.subtract(
+            end.distortion.coefficients, start.distortion.coefficients
+        )
+    return step
+
+
+def inverse_left_jacobian(vector: Array) -> Array:
+    """Return d log(exp([w]x) exp([v]x)) / d w at w = 0 for a rotation vector v, shape (3, 3)."""
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector.tolist()
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    second = 1.0 / 12.0
+    if angle > 1e-4:
+        second = 1.0 / angle**2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle))
+    inverse: Array = np.eye(3) - 0.5 * cross + second * (cross @ cross)
+    return inverse

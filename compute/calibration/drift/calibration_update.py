@@ -1,0 +1,144 @@
+"""Quick re-calibration: few parameters brought up to date by a still set, the rest as it was."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.bundle_adjustment.pose_set import PoseSet
+from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
+from compute.calibration.bundle_adjustment.solver import adjust
+from compute.calibration.drift.stability_check import StationaryMarkers, prediction_residuals
+from compute.calibration.result import Calibration
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter, UnknownSensor
+
+Array = NDArray[np.float64]
+
+ALLOWANCE: Final = {
+    "rotation_x_rad": 5e-3,
+    "rotation_y_rad": 5e-3,
+    "rotation_z_rad": 5e-3,
+    "principal_distance_px": 10.0,
+}
+"""Standard deviation of what may have changed: a knock turns a sensor, warmth moves its lens. A
+shift of a sensor by some hundredths of a millimetre reads as a turn."""
+EXACT_MM: Final = 1e-6
+
+
+def update_calibration(
+    calibration: Calibration,
+    stationary: StationaryMarkers,
+    *,
+    sensors: Sequence[str] | None = None,
+    allowance: dict[str, float] | None = None,
+) -> Calibration:
+    """Bring a calibration up to date by a still set of markers, with itself as the prior.
+
+    What may have changed of the sensors gets a variance on top of the calibration's covariance;
+    the readings then decide. With few markers they decide little, and the rest stays as it was.
+    Against earlier readings the change alone is estimated and its covariance added, as the
+    calibration's own error is the same before and after.
+
+    Args:
+        calibration: of the method "metric" or without known coordinates.
+        stationary: the readings, with places or earlier readings.
+        sensors: names of those that may have changed, from ``check_drift``; None: all.
+        allowance: standard deviation of the change by parameter name; None: ALLOWANCE.
+
+    Returns:
+        The calibration with method "update"; residuals are those of the still set.
+
+    Raises:
+        UnknownSensor: a name that the device has not got.
+        InvalidParameter: no parameter of this name, or a deviation that is not positive.
+        TooFewPoints, NonFiniteValue: as ``check_drift``.
+    """
+    check_update(calibration, sensors=sensors, allowance=allowance)
+    compared = prediction_residuals(calibration, stationary)
+    changes = _changes(calibration, sensors, ALLOWANCE if allowance is None else allowance)
+    models = calibration.models
+    old = np.array(calibration.covariance)
+    cameras = CameraStack.of(models)
+    seen = np.isfinite(compared.residual_px)
+    expected = cameras.project(compared.positions_mm)
+    readings = np.where(seen, expected + compared.residual_px, np.nan)
+    relative = stationary.earlier_px is not None
+    before = np.diag(changes**2) if relative else old + np.diag(changes**2)
+    free = np.diagonal(before) > 0.0
+    information = np.zeros_like(before)
+    information[np.ix_(free, free)] = np.linalg.inv(before[np.ix_(free, free)])
+    place_sigma = EXACT_MM if relative else max(stationary.position_sigma_mm, EXACT_MM)
+    poses = PoseSet.points(
+        compared.positions_mm,
+        readings,
+        np.where(seen, compared.noise_px, 1.0),
+        compared.positions_mm,
+        np.broadcast_to(place_sigma**2 * np.eye(3), (len(readings), 3, 3)),
+    )
+    adjusted = adjust(models, [poses], prior=SensorPrior(models, information), free=free)
+    covariance = adjusted.sensor_covariance + (old if relative else 0.0)
+    counts = [model.parameter_count for model in models]
+    touched = [part.any() for part in np.split(free, np.cumsum(counts)[:-1])]
+    residuals = np.full(stationary.readings_px.shape, np.nan)
+    residuals[compared.marker_index] = adjusted.residuals[0][:, 0] * compared.noise_px
+    return Calibration(
+        "update",
+        tuple(
+            replace(fit, model=model) if changed else fit
+            for fit, model, changed in zip(
+                calibration.sensors, adjusted.models, touched, strict=True
+            )
+        ),
+        tuple(tuple(row) for row in covariance.tolist()),
+        tuple(tuple(None if np.isnan(x) else x for x in row) for row in residuals.tolist()),
+        settings=calibration.settings,
+    )
+
+
+def check_update(
+    calibration: Calibration,
+    *,
+    sensors: Sequence[str] | None = None,
+    allowance: dict[str, float] | None = None,
+) -> None:
+    """Check what ``update_calibration`` is asked to change, without readings.
+
+    Raises:
+        UnknownSensor, InvalidParameter: as ``update_calibration``.
+    """
+    for model in calibration.models:
+        if model.cubic_per_px2 != 0.0:
+            raise InvalidParameter(
+                f"sensor {model.name} has the cubic term {model.cubic_per_px2:g} of the published "
+                f"method {calibration.method}; only metric cameras are updated: calibrate again"
+            )
+    _changes(calibration, sensors, ALLOWANCE if allowance is None else allowance)
+
+
+def _changes(
+    calibration: Calibration, sensors: Sequence[str] | None, allowance: dict[str, float]
+) -> Array:
+    """Return the deviation of every parameter's change, shape (P,)."""
+    names = [model.name for model in calibration.models]
+    for name in sensors or ():
+        if name not in names:
+            raise UnknownSensor(
+                f"there is no sensor {name}; the device has {', '.join(names)}", sensor=name
+            )
+    known = {name for model in calibration.models for name in model.parameter_names}
+    for name, sigma in allowance.items():
+        if name not in known or not 0.0 < sigma < np.inf:
+            raise InvalidParameter(
+                f"allowance has {name} = {sigma}; it must be one of "
+                f"{', '.join(sorted(known))} with a positive deviation"
+            )
+    return np.array(
+        [
+            allowance.get(name, 0.0) if sensors is None or model.name in sensors else 0.0
+            for model in calibration.models
+            for name in model.parameter_names
+        ]
+    )

@@ -1,0 +1,244 @@
+"""Search over explanations in the linearised camera, where each one's squares are closed-form."""
+
+from collections.abc import Iterable
+from math import log
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.mislabels.hypothesis import (
+    WRONG_LABEL_PROBABILITY,
+    Hypothesis,
+    log_exchange_prior,
+)
+from compute.calibration.mislabels.linearised_camera import (
+    EvaluatedHypotheses,
+    LinearisedCamera,
+    evaluate_hypotheses,
+    log_posteriors,
+    log_priors,
+)
+
+Array = NDArray[np.float64]
+
+BEAM_WIDTH: Final = 16
+"""Explanations that are taken further at each level, for up to about 100 readings."""
+MAX_PAIR_VALUES: Final = 240_000
+"""Pairs looked at in one level: many readings narrow the beam."""
+MAX_LEVELS: Final = 12
+MAX_SHRUNK: Final = 6
+"""Explanations of a level, the best ones, that are also tried with fewer errors."""
+MAX_LEVELS_WITHOUT_GAIN: Final = 2
+"""Levels without a better explanation before the search ends: two errors may hide each other."""
+TIE_TOLERANCE: Final = 1e-9
+"""Redundancy 1 - h of a reading that the others say nothing about."""
+
+
+def beam_search(
+    camera: LinearisedCamera, seeds: Iterable[Hypothesis], count: int, beam: int = BEAM_WIDTH
+) -> list[tuple[float, Hypothesis]]:
+    """Return the ``count`` best explanations found, with their log posterior but for a constant.
+
+    A beam over sets of wrong readings and exchanged pairs. From each explanation: one reading
+    more wrong, one pair more exchanged (squares by the residuals r and the redundancy matrix
+    Q = I - H: leaving out i gains r_i^2 / Q_ii, exchanging changes the readings by v and adds
+    2 v'r + v'Qv), one error fewer, two wrong readings as one exchanged pair.
+
+    Args:
+        camera: the linearised camera; points are counted within its readings.
+        seeds: explanations to start from.
+        count: wanted.
+        beam: explanations that are taken further at each level.
+    """
+    n = len(camera.readings)
+    width = int(np.clip(MAX_PAIR_VALUES // n**2, 4, beam))
+    known: dict[Hypothesis, float] = {}
+    states = evaluate_hypotheses(camera, list(dict.fromkeys(seeds)))
+    _record(known, zip(log_posteriors(camera, states).tolist(), states.hypotheses, strict=True))
+    best, waited = max(known.values()), 0
+    for _ in range(MAX_LEVELS):
+        grown = dict[Hypothesis, float]()
+        _record(grown, _extend(camera, states, 2 * width))
+        _record(grown, _reduce(camera, states, 4 * width))
+        fresh = [(score, h) for h, score in grown.items() if h not in known]
+        if not fresh:
+            break
+        fresh.sort(key=_by_score)
+        _record(known, fresh[: 4 * width])
+        if fresh[0][0] > best + 1e-9:
+            best, waited = fresh[0][0], 0
+        else:
+            waited += 1
+            if waited == MAX_LEVELS_WITHOUT_GAIN:
+                break
+        states = evaluate_hypotheses(camera, [h for _, h in fresh[:width]])
+    return sorted(((score, h) for h, score in known.items()), key=_by_score)[:count]
+
+
+def _by_score(entry: tuple[float, Hypothesis]) -> tuple[float, int, list[int]]:
+    return -entry[0], entry[1].size, sorted(entry[1].affected_points)
+
+
+def _record(known: dict[Hypothesis, float], entries: Iterable[tuple[float, Hypothesis]]) -> None:
+    for score, hypothesis in entries:
+        if np.isfinite(score):
+            known.setdefault(hypothesis, score)
+
+
+def _extend(
+    camera: LinearisedCamera, states: EvaluatedHypotheses, count: int
+) -> list[tuple[float, Hypothesis]]:
+    """Return the best explanations with one wrong reading, or one exchanged pair, more."""
+    n = len(camera.readings)
+    own = states.used - np.einsum("bnw,bnw->bn", states.gain, states.basis)
+    free = np.ones(own.shape, dtype=bool)
+    for row, hypothesis in enumerate(states.hypotheses):
+        free[row, list(hypothesis.affected_points)] = False
+    wrong = np.array([len(h.wrong) for h in states.hypotheses])[:, None]
+    prior = log_priors(camera, states.hypotheses)[:, None]
+    usable = free & (own > TIE_TOLERANCE) & (states.kept[:, None] - 1 > camera.evidence.parameters)
+    safe = np.where(usable, own, 1.0)
+    left_out = camera.evidence.log_likelihood(
+        np.maximum(states.chi2[:, None] - states.residual**2 / safe, 0.0),
+        states.kept[:, None] - 1,
+        states.log_determinant[:, None] + np.log(safe),
+        states.log_sigma[:, None] - np.log(camera.sigma),
+        wrong + 1,
+    )
+    left_out = np.where(usable, left_out + prior + log(WRONG_LABEL_PROBABILITY), -np.inf)
+
+    parts = [
+        _best_exchanges(camera, states, own, free, count, slice(row, row + camera.batch_size))
+        for row in range(0, len(own), camera.batch_size)
+    ]
+    squares, pair = (np.concatenate(part) for part in zip(*parts, strict=True))
+    exchanged = camera.evidence.log_likelihood(
+        np.maximum(states.chi2[:, None] + squares, 0.0),
+        states.kept[:, None],
+        states.log_determinant[:, None],
+        states.log_sigma[:, None],
+        wrong,
+    )
+    exchanged = np.where(np.isfinite(squares), exchanged + prior + log_exchange_prior(n), -np.inf)
+
+    scores = np.concatenate([left_out, exchanged], axis=1)
+    grown = []
+    for row, column in _best(scores, count):
+        base = states.hypotheses[row]
+        if column < n:
+            extended = base.with_wrong(column)
+        else:
+            place = pair[row, column - n]
+            extended = base.with_cycle((int(camera.pairs[0][place]), int(camera.pairs[1][place])))
+        grown.append((float(scores[row, column]), extended))
+    return grown
+
+
+def _best_exchanges(
+    camera: LinearisedCamera,
+    states: EvaluatedHypotheses,
+    own: Array,
+    free: NDArray[np.bool_],
+    count: int,
+    rows: slice,
+) -> tuple[Array, NDArray[np.intp]]:
+    """Return the pairs whose exchange leaves the smallest squares: what it adds, and which.
+
+    Of one explanation these are the likeliest. Shapes (rows, ``count`` at most).
+
+    Args:
+        camera: the linearised camera.
+        states: explanations, of which ``rows`` are looked at.
+        own: redundancy of each reading, shape (B, n).
+        free: readings that no error is about, shape (B, n).
+        count: wanted of each.
+        rows: which explanations; few at a time, as the memory of all is large.
+    """
+    n = len(camera.readings)
+    # v'Qv of the hat matrix's share; a pair lies off its diagonal.
+    squares, alone = camera.workspace[:, : len(own[rows])]
+    np.matmul(states.gain[rows], states.basis[rows].swapaxes(1, 2), out=squares)
+    squares *= camera.cross_terms
+    np.multiply(camera.changes, own[rows, :, None], out=alone)
+    alone += 2.0 * states.residual[rows, :, None]
+    alone *= camera.changes
+    alone[~free[rows]] = np.inf
+    squares += alone
+    squares += alone.swapaxes(1, 2)
+    flat = camera.flat_pairs
+    places = alone.reshape(-1)[: len(squares) * len(flat)].reshape(len(squares), -1)
+    added = np.take(squares.reshape(-1, n * n), flat, axis=1, out=places, mode="clip")
+    most = min(count, len(flat))
+    pair = np.argpartition(added, most - 1, axis=1)[:, :most]
+    return np.take_along_axis(added, pair, axis=1), pair
+
+
+def _best(scores: Array, count: int) -> list[tuple[int, int]]:
+    """Return rows and columns of the ``count`` highest scores."""
+    flat = np.argpartition(-scores, min(count, scores.size - 1), axis=None)[:count]
+    return [divmod(index, scores.shape[1]) for index in flat.tolist()]
+
+
+def _reduce(
+    camera: LinearisedCamera, states: EvaluatedHypotheses, count: int
+) -> list[tuple[float, Hypothesis]]:
+    """Return explanations with one error fewer, or two wrong readings as an exchanged pair."""
+    found: list[tuple[float, Hypothesis]] = []
+    undone: dict[Hypothesis, None] = {}
+    for row, hypothesis in enumerate(states.hypotheses[:MAX_SHRUNK]):
+        found += _put_back(camera, states, row, count)
+        for cycle in sorted(hypothesis.cycles):
+            undone.setdefault(hypothesis.without(cycle))
+    if undone:
+        worked = evaluate_hypotheses(camera, list(undone))
+        found += zip(log_posteriors(camera, worked).tolist(), worked.hypotheses, strict=True)
+    return found
+
+
+def _put_back(
+    camera: LinearisedCamera, states: EvaluatedHypotheses, row: int, count: int
+) -> list[tuple[float, Hypothesis]]:
+    """Return the best explanations with a wrong reading fewer, or two of them exchanged.
+
+    Readings that come in with misfits e at places whose rows are B add e' (I + B N^-1 B')^-1 e to
+    the squares of the normal equations N, and the determinant grows by that of the same matrix.
+    """
+    base = states.hypotheses[row]
+    wrong = np.array(sorted(base.wrong), dtype=np.intp)
+    if len(wrong) == 0:
+        return []
+    basis = camera.basis[wrong]
+    gain = basis @ states.inverse[row] @ basis.T
+    # Of the reading labelled with the second at the place of the first, off by:
+    fitted = camera.fitted[wrong] + camera.sigma[wrong] * (basis @ states.theta[row])
+    off = (camera.readings[wrong] - fitted[:, None]) / camera.sigma[wrong, None]
+    own = 1.0 + gain.diagonal()
+    first, second = np.triu_indices(len(wrong), 1)
+    across = gain[first, second]
+    determinant = own[first] * own[second] - across**2
+    here, there = off[first, second], off[second, first]
+    added = (own[second] * here**2 - 2.0 * across * here * there + own[first] * there**2) / (
+        determinant
+    )
+    log_sigma = np.log(camera.sigma[wrong])
+    pairs = len(first)
+    likelihood = camera.evidence.log_likelihood(
+        states.chi2[row] + np.concatenate([off.diagonal() ** 2 / own, added]),
+        states.kept[row] + np.repeat([1, 2], [len(wrong), pairs]),
+        states.log_determinant[row] + np.log(np.concatenate([own, determinant])),
+        states.log_sigma[row] + np.concatenate([log_sigma, log_sigma[first] + log_sigma[second]]),
+        len(wrong) - np.repeat([1, 2], [len(wrong), pairs]),
+    )
+    prior = base.log_prior(len(camera.readings), 0) - log(WRONG_LABEL_PROBABILITY)
+    as_pair = log_exchange_prior(len(camera.readings)) - log(WRONG_LABEL_PROBABILITY)
+    scores = likelihood + prior + np.repeat([0.0, as_pair], [len(wrong), pairs])
+    found = []
+    for _, index in _best(scores[None], count):
+        if index < len(wrong):
+            extended = base.without(int(wrong[index]))
+        else:
+            place = index - len(wrong)
+            extended = base.with_cycle((int(wrong[first[place]]), int(wrong[second[place]])))
+        found.append((float(scores[index]), extended))
+    return found

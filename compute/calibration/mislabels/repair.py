@@ -1,0 +1,86 @@
+"""Control data with the label errors found in them left out, or mended."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.mislabels.finding import LabelFinding
+from compute.camera.model import SensorGeometry
+from compute.errors import InvalidParameter
+
+Array = NDArray[np.float64]
+
+
+def exclude(
+    findings: Sequence[LabelFinding],
+    sensors: Sequence[SensorGeometry],
+    readings_px: Array,
+    sigma_px: Array | None = None,
+) -> tuple[Array, Array | None]:
+    """Return readings and deviations (N, S) without any that a finding is about (NaN).
+
+    Args:
+        findings: of ``find_label_errors``, in its order, or those of them that shall count.
+        sensors: the device's sensors in order.
+        readings_px: readings, shape (N, S); NaN where not seen.
+        sigma_px: their deviations, shape (N, S), or None; returned as they are.
+
+    Raises:
+        InvalidParameter: a finding names a sensor or a point that is not there.
+    """
+    readings = np.array(readings_px, dtype=np.float64)
+    label = list(range(len(readings)))  # where what is now at a point came from
+    for finding in findings:
+        columns, points = _where(finding, sensors, readings)
+        if finding.sensor is None:
+            readings[points] = np.nan
+            for first, second in pairwise(points):
+                label[first], label[second] = label[second], label[first]
+        else:
+            readings[[label[point] for point in points], columns] = np.nan
+    return readings, None if sigma_px is None else np.array(sigma_px, dtype=np.float64)
+
+
+def repair(
+    findings: Sequence[LabelFinding],
+    sensors: Sequence[SensorGeometry],
+    readings_px: Array,
+    sigma_px: Array | None = None,
+) -> tuple[Array, Array | None]:
+    """Return readings and deviations (N, S) with each at its own point; wrong ones are NaN.
+
+    Arguments and errors as those of ``exclude``. Findings of all sensors come first, as
+    ``find_label_errors`` gives them: those of single sensors count the mended labels.
+    """
+    readings = np.array(readings_px, dtype=np.float64)
+    sigma = None if sigma_px is None else np.array(sigma_px, dtype=np.float64)
+    for finding in findings:
+        columns, points = _where(finding, sensors, readings)
+        if finding.kind == "wrong":
+            readings[np.ix_(points, columns)] = np.nan
+            continue
+        there, here = [*points[1:], points[0]], points
+        for array in (readings, sigma):
+            if array is not None:
+                array[np.ix_(there, columns)] = array[np.ix_(here, columns)]
+    return readings, sigma
+
+
+def _where(
+    finding: LabelFinding, sensors: Sequence[SensorGeometry], readings: Array
+) -> tuple[list[int], list[int]]:
+    names = [sensor.name for sensor in sensors]
+    if finding.sensor is not None and finding.sensor not in names:
+        raise InvalidParameter(
+            f'a label finding names sensor "{finding.sensor}"; the sensors are {", ".join(names)}',
+            sensor=finding.sensor,
+        )
+    outside = [point for point in finding.points if not 1 <= point <= len(readings)]
+    if outside:
+        raise InvalidParameter(
+            f"a label finding names point {outside[0]}; there are points 1 to {len(readings)}"
+        )
+    columns = range(len(names)) if finding.sensor is None else [names.index(finding.sensor)]
+    return list(columns), [point - 1 for point in finding.points]

@@ -1,0 +1,159 @@
+"""The world frame of a calibration without known coordinates: the start's, or the first pose's."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
+from compute.calibration.bundle_adjustment.gauge import rigid_motion_jacobian, transform_world
+from compute.calibration.bundle_adjustment.pose_set import PoseSet
+from compute.calibration.bundle_adjustment.solver import adjust
+from compute.calibration.bundle_adjustment.target_shape import body_shape
+from compute.camera.model import SensorModel
+from compute.errors import NoConvergence
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DatumResult:
+    """Sensors and poses in their world frame, with the sensors' covariance there.
+
+    Args:
+        models: the sensors.
+        pose_sets: the poses.
+        covariance: of the sensors' parameters, shape (P, P).
+    """
+
+    models: tuple[SensorModel, ...]
+    pose_sets: tuple[PoseSet, ...]
+    covariance: Array
+
+
+def to_start_frame(adjusted: AdjustmentResult, start: Sequence[SensorModel]) -> DatumResult:
+    """Put the result where the start's cameras read best what was read of its markers.
+
+    All markers together, as one rigid cloud, are fitted to the readings with the start's cameras
+    held: a start that is wrong by much turns the frame, and does not bend it.
+    """
+    marker, reading, sigma = [], [], []
+    for poses in adjusted.pose_sets:
+        marker.append(poses.marker_positions().reshape(-1, 3))
+        reading.append(poses.readings_px.reshape(-1, poses.readings_px.shape[-1]))
+        sigma.append(poses.sigma_px.reshape(reading[-1].shape))
+    markers = np.concatenate(marker)
+    rotation, translation = _rigid_motion_between(adjusted.models, start)
+    centre = markers.mean(axis=0)
+    cloud = PoseSet(
+        body_shape(markers),
+        (rotation @ centre + translation)[None],
+        rotation[None],
+        np.concatenate(reading)[None],
+        np.concatenate(sigma)[None],
+    )
+    held = np.zeros(sum(model.parameter_count for model in start), dtype=np.bool_)
+    fitted = cloud
+    # Lenses that are wrong by much may have the cloud behind them: as the cameras stand, then.
+    with suppress(NoConvergence):
+        fitted = adjust(start, [cloud], free=held).pose_sets[0]
+    rotation = fitted.rotation[0]
+    translation = fitted.translation_mm[0] - rotation @ centre
+    return DatumResult(
+        tuple(transform_world(model, rotation, translation) for model in adjusted.models),
+        tuple(poses.transformed(rotation, translation) for poses in adjusted.pose_sets),
+        _transform_covariance(adjusted.models, adjusted.sensor_covariance, rotation, translation),
+    )
+
+
+def to_first_pose_frame(
+    adjusted: AdjustmentResult, origin_mm: Array, index: int = 0, pose: int = 0
+) -> DatumResult:
+    """Put the result into the frame of one pose of one set.
+
+    Args:
+        adjusted: the result.
+        origin_mm: where the body's own origin of the set's shape is in the frame that is
+            wanted, shape (3,): the shape is kept about its centroid.
+        index: the set.
+        pose: the pose in it.
+    """
+    poses = adjusted.pose_sets[index]
+    rotation = poses.rotation[pose].T
+    translation = origin_mm - rotation @ poses.translation_mm[pose]
+    count = len(adjusted.sensor_covariance)
+    motion = rigid_motion_jacobian(adjusted.models)
+    # How the pose's own unknowns (turns about its axes, translation) move with the world.
+    own = np.zeros((6, 6))
+    own[:3, :3] = rotation
+    x, y, z = poses.translation_mm[pose].tolist()
+    own[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    own[3:, 3:] = np.eye(3)
+    follow = motion @ np.linalg.inv(own)
+    crossed = adjusted.pose_sensor_covariance(index)[pose][:, :count]
+    pulled = follow @ crossed
+    covariance = (
+        adjusted.sensor_covariance
+        - pulled
+        - pulled.T
+        + follow @ adjusted.pose_covariance(index)[pose] @ follow.T
+    )
+    return DatumResult(
+        tuple(transform_world(model, rotation, translation) for model in adjusted.models),
+        tuple(one.transformed(rotation, translation) for one in adjusted.pose_sets),
+        _transform_covariance(adjusted.models, covariance, rotation, translation),
+    )
+
+
+def align_to_start(
+    models: Sequence[SensorModel], start: Sequence[SensorModel]
+) -> tuple[SensorModel, ...]:
+    """Return cameras moved as one rigid device to where the start's are nearest.
+
+    A free frame wanders; what is known of the start's cameras is known in the start's.
+    """
+    rotation, translation = _rigid_motion_between(models, start)
+    return tuple(transform_world(model, rotation, translation) for model in models)
+
+
+def _rigid_motion_between(
+    models: Sequence[SensorModel], start: Sequence[SensorModel]
+) -> tuple[Array, Array]:
+    """Return the rigid motion that takes cameras nearest to those of the start."""
+    rotations = np.array(
+        [given.rotation.T @ found.rotation for found, given in zip(models, start, strict=True)]
+    )
+    rotation = Rotation.from_matrix(rotations).mean().as_matrix()
+    # The lens is known but for its shift along the slit: two equations of each camera.
+    rows, right = [], []
+    for found, given in zip(models, start, strict=True):
+        turned = found.rotation @ rotation.T
+        rows += [turned[0], turned[2]]
+        right += [found.offset_x_mm - given.offset_x_mm, found.offset_z_mm - given.offset_z_mm]
+    translation = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0]
+    return rotation, np.asarray(translation, dtype=np.float64)
+
+
+def _transform_covariance(
+    models: Sequence[SensorModel], covariance: Array, rotation: Array, translation_mm: Array
+) -> Array:
+    """Return the sensors' covariance after ``X <- rotation X + translation``.
+
+    Turns are steps in a camera's own frame and stay; the offsets become ``o - R' t`` with
+    ``R' = R rotation'``, which turns with the camera.
+    """
+    change = np.eye(len(covariance))
+    first = 0
+    for model in models:
+        a, b, c = (model.rotation @ rotation.T @ translation_mm).tolist()
+        # d(-R' t) = -w x (R' t)
+        change[first + 5, first + 2 : first + 5] = (0.0, -c, b)
+        change[first + 6, first + 2 : first + 5] = (-b, a, 0.0)
+        if model.distortion is not None:
+            change[first + 7, first + 2 : first + 5] = (c, 0.0, -a)
+        first += model.parameter_count
+    transformed: Array = change @ covariance @ change.T
+    return transformed

@@ -1,0 +1,192 @@
+"""Where an adjustment starts: markers by the cameras at hand, and bodies fitted to them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.bundle_adjustment.pose_set import PoseSet
+from compute.calibration.bundle_adjustment.target_shape import TargetShape
+from compute.calibration.self_calibration.targets import (
+    CalibrationTarget,
+    Recording,
+    RigidBody,
+    Wand,
+)
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+from compute.errors import TooFewPoints
+from compute.reconstruction.linear_triangulation import triangulate_linear
+from compute.reconstruction.triangulation import reconstruct
+
+Array = NDArray[np.float64]
+
+PROCRUSTES_ITERATIONS = 20
+DISTANCE_RATIO = 1.5
+"""How much nearer or farther than most a pose starts at most, where cameras are not trusted."""
+
+
+def triangulate(cameras: CameraStack, readings_px: Array) -> Array:
+    """Return markers (..., 3) [mm] of readings (..., S); NaN where there is none.
+
+    The weighted solution where it converges, else the linear one, in front of every lens that
+    read it: cameras that are wrong by much make planes that meet badly.
+    """
+    flat = readings_px.reshape(-1, readings_px.shape[-1])
+    found = reconstruct(cameras, flat, np.ones(flat.shape[1])).position_mm
+    lines = triangulate_linear(cameras, flat)
+    found = np.where(np.isfinite(found), found, lines)
+    behind = np.isfinite(flat) & ~np.isfinite(cameras.project(np.nan_to_num(found)))
+    found[behind.any(axis=1)] = np.nan
+    return found.reshape(*readings_px.shape[:-1], 3)
+
+
+@dataclass(frozen=True, eq=False)
+class InitialPoses:
+    """Poses to start from, of those poses of a recording that have one.
+
+    Args:
+        poses: the poses.
+        pose_index: their numbers in the recording, shape (B',).
+    """
+
+    poses: PoseSet
+    pose_index: NDArray[np.intp]
+
+
+def start_poses(
+    models: Sequence[SensorModel],
+    recording: Recording,
+    sigma_px: Array,
+    *,
+    trusted: bool = True,
+) -> InitialPoses:
+    """Fit the target to its triangulated markers at every pose that shows enough of it.
+
+    Args:
+        models: cameras that are near.
+        recording: the readings; NaN also what is left out.
+        sigma_px: standard deviations, shape (B, K, S) [px].
+        trusted: False: angles wrong by some degrees move what is triangulated by metres, mostly
+            towards or away from the sensors; known lengths then tell the distance better, and
+            all poses start about as far away as these say.
+
+    Raises:
+        TooFewPoints: no pose shows enough markers.
+    """
+    cameras = CameraStack.of(models)
+    marker = triangulate(cameras, recording.readings_px)
+    shape = _shape(recording.target, marker)
+    if not trusted:
+        marker = _limit_distances(models, marker, _scale(shape, marker))
+    fit = np.isfinite(marker[..., 0]).sum(axis=1) >= (3 if len(shape.rotation_axes) == 3 else 2)
+    if fit.any():
+        rotation, translation = _fit_poses(shape, marker[fit])
+        poses = PoseSet(shape, translation, rotation, recording.readings_px[fit], sigma_px[fit])
+        kept = np.flatnonzero(fit)
+        # Fitted to the shape, a marker may have come to lie behind a lens.
+        projected = cameras.project(poses.marker_positions().reshape(-1, 3))
+        ahead = np.isfinite(projected).reshape(poses.readings_px.shape) | ~poses.seen
+        good = ahead.all(axis=(1, 2)) & (poses.seen.sum(axis=(1, 2)) >= poses.unknowns)
+        if good.any():
+            return InitialPoses(select_poses(poses, good), kept[good])
+    raise TooFewPoints(
+        f"none of the {len(marker)} poses shows enough markers to enough sensors: a marker "
+        "needs three sensors, a wand two markers, a rigid body three",
+        poses=len(marker),
+    )
+
+
+def observed_scale(models: Sequence[SensorModel], recording: Recording) -> float:
+    """Return the median of lengths as cameras see them over those given; NaN without any."""
+    marker = triangulate(CameraStack.of(models), recording.readings_px)
+    return _scale(_shape(recording.target, marker), marker)
+
+
+def _limit_distances(models: Sequence[SensorModel], marker_mm: Array, scale: float) -> Array:
+    """Return markers at distances that known lengths say, from the middle of the lenses."""
+    if not np.isfinite(scale):
+        return marker_mm
+    lenses = [
+        -model.offset_x_mm * model.rotation[0] - model.offset_z_mm * model.rotation[2]
+        for model in models
+    ]
+    centre = np.mean(lenses, axis=0)
+    away = marker_mm - centre
+    distance = np.linalg.norm(away, axis=-1, keepdims=True)
+    usual = float(np.nanmedian(distance))
+    kept = np.clip(distance, usual / DISTANCE_RATIO, usual * DISTANCE_RATIO)
+    drawn: Array = centre + away * (kept / (distance * scale))
+    return drawn
+
+
+def select_poses(poses: PoseSet, which: NDArray[np.bool_] | NDArray[np.intp]) -> PoseSet:
+    """Return some of the poses, by a mask or by their numbers."""
+    return PoseSet(
+        poses.shape,
+        poses.translation_mm[which],
+        poses.rotation[which],
+        poses.readings_px[which],
+        poses.sigma_px[which],
+    )
+
+
+def _shape(target: CalibrationTarget, marker_mm: Array) -> TargetShape:
+    if isinstance(target, Wand | RigidBody):
+        return target.shape()
+    complete = marker_mm[np.isfinite(marker_mm).all(axis=(1, 2))]
+    if len(complete) == 0:
+        raise TooFewPoints(
+            f"no pose shows all {len(target)} markers of the body of unknown shape to three "
+            "sensors each; its first estimate needs one that does",
+            markers=len(target),
+        )
+    centred = complete - complete.mean(axis=1, keepdims=True)
+    known = target.distance
+    length = np.linalg.norm(centred[:, known.first] - centred[:, known.second], axis=1)
+    # Generalised Procrustes: turn all to their mean, again and again; the median pose first.
+    size = np.sqrt((centred**2).sum(axis=(1, 2)))
+    mean = centred[np.argsort(size, kind="stable")[len(size) // 2]]
+    for _ in range(PROCRUSTES_ITERATIONS):
+        rotations = _rotations(mean, centred)
+        mean = np.median(np.einsum("bji,bkj->bki", rotations, centred), axis=0)
+    return target.shape(mean * (known.length_mm / float(np.median(length))))
+
+
+def _scale(shape: TargetShape, marker_mm: Array) -> float:
+    first, second = np.triu_indices(len(shape), 1)
+    given = np.linalg.norm(shape.marker_mm[first] - shape.marker_mm[second], axis=1)
+    if shape.distances and not np.isfinite(shape.sigma_mm):
+        # The shape came from the same markers: only the known distance says something.
+        first, second = (
+            np.array([getattr(d, end) for d in shape.distances]) for end in ("first", "second")
+        )
+        given = np.array([known.length_mm for known in shape.distances])
+    seen = np.linalg.norm(marker_mm[:, first] - marker_mm[:, second], axis=2)
+    ratio = seen / given
+    return float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else np.nan
+
+
+def _fit_poses(shape: TargetShape, marker_mm: Array) -> tuple[Array, Array]:
+    """Fit rotations (B, 3, 3) and translations (B, 3) to markers (B, K, 3), NaN where missing."""
+    known = np.isfinite(marker_mm[..., :1])
+    count = known.sum(axis=1)
+    seen = np.where(known, marker_mm, 0.0)
+    centre = seen.sum(axis=1) / count
+    own = np.where(known, shape.marker_mm, 0.0)
+    own_middle = own.sum(axis=1) / count
+    away = np.where(known, marker_mm - centre[:, None], 0.0)
+    own = np.where(known, own - own_middle[:, None], 0.0)
+    rotation = _rotations(own, away)
+    return rotation, centre - np.einsum("bij,bj->bi", rotation, own_middle)
+
+
+def _rotations(own: Array, seen: Array) -> Array:
+    """Return R (B, 3, 3) with ``seen = R own`` in the least-squares sense (Kabsch)."""
+    cross = np.einsum("bki,...kj->bij" if own.ndim == 2 else "bki,bkj->bij", seen, own)
+    left, _, right = np.linalg.svd(cross)
+    sign = np.where(np.linalg.det(left @ right) < 0.0, -1.0, 1.0)
+    left[:, :, 2] *= sign[:, None]
+    rotation: Array = left @ right
+    return rotation

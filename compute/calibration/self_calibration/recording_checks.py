@@ -1,0 +1,181 @@
+"""Recordings that cannot calibrate, and why: too few poses, all alike, lengths in other units."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from compute.calibration.bundle_adjustment.pose_set import PoseSet
+from compute.calibration.self_calibration.targets import Recording
+from compute.camera.model import SensorGeometry, SensorModel
+from compute.camera.observation_checks import FLATNESS_LIMIT, check_inside
+from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
+
+Array = NDArray[np.float64]
+
+SCALE_LIMIT: Final = 1.6
+"""Ratio, either way, of the distances between the lenses as found to those of the start, that is
+no error of the start any more."""
+OBSERVED_SCALE_LIMIT: Final = 200.0
+"""Ratio, either way, of the lengths as the start's cameras see them to those given, from which a
+search is in vain; cameras that are 30 % wrong, with angles wrong by 5 degrees, reached 85."""
+UNITS: Final = {"m": 1000.0, "cm": 10.0, "inches": 25.4, "feet": 304.8}
+UNIT_TOLERANCE: Final = 1.6
+CONIC_LIMIT: Final = 0.01
+"""Smallest singular value, of the largest, of the squares and products of the directions of known
+lengths: directions in a plane or on a cone have 0, 200 random ones 0.3."""
+
+
+def check_recordings(models: Sequence[SensorModel], recordings: Sequence[Recording]) -> None:
+    """Check what can be told from the readings' shape and place.
+
+    Raises:
+        InvalidParameter, ReadingOutsideSensor, TooFewPoints: as they say.
+    """
+    if len(models) < 3:
+        raise TooFewPoints(
+            f"{len(models)} sensors make no points; a calibration without known coordinates "
+            "needs three, and four to notice what is wrong",
+            sensors=len(models),
+        )
+    if not recordings:
+        raise InvalidParameter("no recordings; give one at least")
+    geometry = [SensorGeometry(model.name, model.pixels) for model in models]
+    for number, recording in enumerate(recordings):
+        if recording.readings_px.shape[2] != len(models):
+            raise InvalidParameter(
+                f"recording {number + 1} has readings of {recording.readings_px.shape[2]} "
+                f"sensors; the device has {len(models)}"
+            )
+        check_inside(recording.readings_px.reshape(-1, len(models)), geometry)
+
+
+def check_scale(start: Sequence[SensorModel], found: Sequence[SensorModel]) -> None:
+    """Check that given lengths agree with the size of the device that the start knows.
+
+    Raises:
+        InvalidParameter: they contradict each other, most likely by a unit.
+    """
+    scale = device_scale(start, found)
+    if 1.0 / SCALE_LIMIT <= scale <= SCALE_LIMIT:
+        return
+    raise InvalidParameter(
+        f"the given lengths make the device {scale:.4g} times as large as the cameras to start "
+        f"from; {_unit_hint(1.0 / scale)}",
+        scale=scale,
+    )
+
+
+def check_observed_scale(scale: float) -> None:
+    """Check lengths as the start's cameras see them over those given, before anything else.
+
+    Raises:
+        InvalidParameter: they contradict each other by more than a start can be wrong.
+    """
+    if np.isfinite(scale) and not 1.0 / OBSERVED_SCALE_LIMIT <= scale <= OBSERVED_SCALE_LIMIT:
+        raise InvalidParameter(
+            f"the cameras to start from see the lengths {scale:.4g} times as long as given; "
+            f"{_unit_hint(scale)}",
+            scale=scale,
+        )
+
+
+def _unit_hint(factor: float) -> str:
+    for unit, size in UNITS.items():
+        if 1.0 / UNIT_TOLERANCE < factor / size < UNIT_TOLERANCE:
+            return f"were they given in {unit}? They must be in mm"
+    return "check their unit (mm) and that of the start's cameras"
+
+
+def device_scale(start: Sequence[SensorModel], found: Sequence[SensorModel]) -> float:
+    """Return the size of the device as found over that of the start, both about their middles.
+
+    From the lenses' places across their slits, where the found cameras are turned and shifted to
+    the start's as well as that goes: the factor is fitted along with the motion.
+    """
+    rotations = np.array(
+        [old.rotation.T @ new.rotation for old, new in zip(start, found, strict=True)]
+    )
+    rotation = Rotation.from_matrix(rotations).mean().as_matrix()
+    rows, right = [], []
+    for old, new in zip(start, found, strict=True):
+        turned = new.rotation @ rotation.T
+        # o_old = (o_new - R' t) / scale
+        rows += [(old.offset_x_mm, *turned[0]), (old.offset_z_mm, *turned[2])]
+        right += [new.offset_x_mm, new.offset_z_mm]
+    return float(np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0][0])
+
+
+def check_volume_coverage(pose_sets: Sequence[PoseSet]) -> None:
+    """Check that places fill a volume, and directions of known lengths determine all scales.
+
+    Lengths fix the six scales and shears of space (a symmetric matrix Q with ``d' Q d = 1`` for
+    the directions d) unless the directions lie on one cone or plane.
+
+    Raises:
+        DegeneratePoints: all in one plane, or all lengths parallel, in one plane or on a cone.
+    """
+    markers = np.concatenate([poses.marker_positions().reshape(-1, 3) for poses in pose_sets])
+    extent = np.linalg.svd(markers - markers.mean(axis=0), compute_uv=False)
+    if extent[2] < FLATNESS_LIMIT * extent[0]:
+        raise DegeneratePoints(
+            f"all {len(markers)} markers lie in one plane, which leaves the sensors' parameters "
+            "undetermined; move the target nearer and farther too"
+        )
+    directions = np.concatenate([_directions(poses) for poses in pose_sets])
+    if any(poses.shape.distances for poses in pose_sets):
+        # A rigid body of unknown shape says by itself that its lengths are the same all round.
+        return
+    x, y, z = directions.T
+    products = np.stack([x * x, y * y, z * z, x * y, y * z, z * x], axis=1)
+    singular = np.linalg.svd(products, compute_uv=False)
+    if len(products) >= 6 and singular[5] > CONIC_LIMIT * singular[0]:
+        return
+    direction_shares = np.linalg.svd(directions, compute_uv=False) / np.sqrt(len(directions))
+    alike = (
+        "all parallel"
+        if direction_shares[1] < 0.1
+        else "all in one plane"
+        if direction_shares[2] < 0.1
+        else "too few or all on a cone"
+    )
+    raise DegeneratePoints(
+        f"the {len(directions)} known lengths are {alike} (RMS shares {direction_shares[0]:.2f}, "
+        f"{direction_shares[1]:.2f}, {direction_shares[2]:.2f} of their directions), which leaves the scale in other "
+        "directions open; turn the target in all directions, towards the sensors too"
+    )
+
+
+def _directions(poses: PoseSet) -> Array:
+    marker = poses.marker_positions()
+    first, second = np.triu_indices(len(poses.shape), 1)
+    seen = poses.seen.sum(axis=2) >= 2
+    both = seen[:, first] & seen[:, second]
+    between = (marker[:, first] - marker[:, second])[both]
+    unit: Array = between / np.linalg.norm(between, axis=1, keepdims=True)
+    return unit
+
+
+def check_count(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> None:
+    """Check that there are more readings than unknowns.
+
+    Raises:
+        TooFewPoints: with how many poses would do.
+    """
+    unknown = sum(model.parameter_count for model in models) - 6
+    left = 0
+    for poses in pose_sets:
+        known = 0 if not np.isfinite(poses.shape.sigma_mm) else poses.shape.unknowns
+        unknown += poses.shape.unknowns - known - len(poses.shape.distances)
+        left += int((poses.seen.sum(axis=(1, 2)) - poses.unknowns).sum())
+    if left <= unknown:
+        count = sum(len(poses) for poses in pose_sets)
+        each = left / count
+        enough = "" if each <= 0 else f"; about {int(np.ceil(1.5 * unknown / each))} would do"
+        raise TooFewPoints(
+            f"{count} poses, whose readings are {left} more than their own unknowns, for "
+            f"{unknown} unknowns of the device{enough}",
+            poses=count,
+        )

@@ -1,0 +1,116 @@
+"""Named sets of distortion terms: the published polynomials and what a run chooses among."""
+
+from collections.abc import Sequence
+from typing import Final, Literal, get_args
+
+from compute.camera.field_distortion import (
+    Term,
+    all_terms,
+    check_terms,
+    power_terms,
+    symmetric_terms,
+)
+from compute.camera.model import PARAMETER_COUNT
+from compute.errors import InvalidParameter
+
+Preset = Literal[
+    "odd-powers",
+    "all-powers",
+    "symmetric-3",
+    "symmetric-5",
+    "symmetric-7",
+    "all-3",
+    "all-5",
+    "factory-19",
+]
+
+_FACTORY_19: Final[tuple[Term, ...]] = (
+    *all_terms(3),
+    (0, 4),
+    (2, 2),
+    (4, 0),
+    *(term for term in symmetric_terms(5) if sum(term) == 5),
+)
+
+PRESETS: Final[dict[Preset, tuple[Term, ...]]] = {
+    "odd-powers": power_terms(7, odd_only=True),
+    "all-powers": power_terms(5, odd_only=False),
+    "symmetric-3": symmetric_terms(3),
+    "symmetric-5": symmetric_terms(5),
+    "symmetric-7": symmetric_terms(7),
+    "all-3": all_terms(3),
+    "all-5": all_terms(5),
+    "factory-19": _FACTORY_19,
+}
+"""Sets by name.
+
+- odd-powers: u^3, u^5, u^7, the thesis's odd polynomial [2.12], [3.4]; K0 u of the balanced form
+  [3.6] is the principal distance.
+- all-powers: u^3, u^4, u^5, the thesis's polynomial of odd and even powers [2.13]; its u and u^2
+  are what the camera's own parameters do.
+- symmetric-3, -5, -7: odd in u and even in v, of a lens well centred.
+- all-3, all-5: any lens.
+- factory-19: eleven terms, which with seven camera parameters and the offset along the slit make
+  the nineteen parameters a sensor of a factory calibration of the Optotrak kind: all of the third
+  order, of the fourth those of a lens decentred along the row, and the symmetric ones of the
+  fifth. Which nineteen the manufacturer takes is not published; these are ours.
+"""
+
+MAX_ORDER: Final = 9
+"""Highest order i + j of a term to be fitted, two above the largest set's.
+
+Half the field of view is below 0.5 (a wide lens), and 0.5^9 = 0.002.
+"""
+
+AUTO_CANDIDATES: Final[tuple[Preset, ...]] = (
+    "odd-powers",
+    "symmetric-3",
+    "all-3",
+    "symmetric-5",
+    "symmetric-7",
+    "factory-19",
+    "all-5",
+)
+"""What "auto" chooses among, besides no distortion, in the order of their parameters."""
+
+
+def preset_terms(name: str) -> tuple[Term, ...]:
+    """Return the terms of a named set.
+
+    Raises:
+        InvalidParameter: no set has this name.
+    """
+    for known in get_args(Preset):
+        if known == name:
+            return PRESETS[known]
+    raise InvalidParameter(
+        f'distortion is "{name}"; it must be "none", "auto", a list of terms, or one of '
+        f"{', '.join(get_args(Preset))}",
+        distortion=name,
+    )
+
+
+def check_order(terms: Sequence[Term]) -> None:
+    """Refuse a term that no data can determine: its values vanish over any field of view.
+
+    Raises:
+        InvalidParameter: a term of an order i + j above MAX_ORDER.
+    """
+    for term in terms:
+        if sum(term) > MAX_ORDER:
+            raise InvalidParameter(
+                f"distortion has u^{term[0]} v^{term[1]}, of the order {sum(term)}; the powers of "
+                f"a term may add up to {MAX_ORDER}",
+                terms=term,
+            )
+
+
+def depends_on_v(terms: tuple[Term, ...]) -> bool:
+    """Whether any term depends on v, so that the offset along the slit is observable."""
+    return any(j > 0 for _, j in terms)
+
+
+def free_parameters(terms: tuple[Term, ...]) -> int:
+    """Return how many parameters of a sensor are fitted with these terms."""
+    check_terms(terms)
+    return PARAMETER_COUNT + len(terms) + int(depends_on_v(terms))

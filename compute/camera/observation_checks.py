@@ -1,0 +1,140 @@
+"""Known points and what sensors read of them, checked: shapes, values, places, deviations."""
+
+from collections.abc import Sequence
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from compute.errors import DuplicatePoint, InvalidParameter, NonFiniteValue, ReadingOutsideSensor
+
+Array = NDArray[np.float64]
+
+FLATNESS_LIMIT: Final = 1e-3
+"""Smallest extent of points, as a fraction of their largest, that is not flat."""
+MIN_POINT_DISTANCE_MM: Final = 1e-6
+SIGMA_RANGE_PX: Final = (1e-6, 1e4)
+"""Standard deviations that mean something, and whose squares keep their digits."""
+
+
+class NamedPixelRow(Protocol):
+    """What is asked of a sensor here: ``SensorGeometry`` and ``SensorModel`` have it."""
+
+    @property
+    def name(self) -> str:
+        """The sensor's name."""
+
+    @property
+    def pixels(self) -> int:
+        """Number of its pixels."""
+
+
+def check_observations(
+    points_mm: Array, readings_px: Array, sensors: Sequence[NamedPixelRow], sigma_px: Array | None
+) -> None:
+    """Check known points and the readings of them, whatever they are for.
+
+    Args:
+        points_mm: shape (N, 3) [mm].
+        readings_px: shape (N, S) [px]; NaN where not seen.
+        sensors: the S sensors.
+        sigma_px: standard deviations of the readings, shape (N, S) [px]; None: not known.
+
+    Raises:
+        InvalidParameter: shapes that do not fit, or a standard deviation that means nothing.
+        NonFiniteValue, DuplicatePoint, ReadingOutsideSensor: as they say; each names the point,
+            counted from 1.
+    """
+    if points_mm.ndim != 2 or points_mm.shape[1] != 3:
+        raise InvalidParameter(f"points_mm has the shape {points_mm.shape}; it must be (N, 3)")
+    right = (len(points_mm), len(sensors))
+    if readings_px.shape != right:
+        raise InvalidParameter(
+            f"readings_px has the shape {readings_px.shape}; {right[0]} points and {right[1]} "
+            f"sensors make {right}"
+        )
+    bad = np.argwhere(~np.isfinite(points_mm))
+    if len(bad):
+        row, axis = bad[0]
+        raise NonFiniteValue(
+            f"point {row + 1} has {'XYZ'[axis]} = {points_mm[row, axis]}; it must be finite",
+            point=int(row) + 1,
+        )
+    infinite = np.argwhere(np.isinf(readings_px))
+    if len(infinite):
+        row, column = infinite[0]
+        raise NonFiniteValue(
+            f"the reading of point {row + 1} by sensor {sensors[column].name} is "
+            f"{readings_px[row, column]}; it must be finite (leave out what was not seen, in an "
+            "array as NaN)",
+            point=int(row) + 1,
+            sensor=sensors[column].name,
+        )
+    if sigma_px is not None:
+        _check_sigma(sigma_px, readings_px, sensors)
+    _check_distinct(points_mm)
+    check_inside(readings_px, sensors)
+
+
+def check_inside(readings_px: Array, sensors: Sequence[NamedPixelRow]) -> None:
+    """Check that readings (N, S) [px] lie on the sensors' pixels; NaN counts as not seen.
+
+    Raises:
+        ReadingOutsideSensor: the first reading outside, with its point, counted from 1.
+    """
+    pixels = np.array([sensor.pixels for sensor in sensors])
+    with np.errstate(invalid="ignore"):
+        outside = np.argwhere((readings_px < -0.5) | (readings_px > pixels - 0.5))
+    if len(outside):
+        row, column = outside[0]
+        sensor = sensors[column]
+        raise ReadingOutsideSensor(
+            f"the reading {readings_px[row, column]:g} px of point {row + 1} lies outside "
+            f"sensor {sensor.name}, whose {sensor.pixels} pixels reach from -0.5 to "
+            f"{sensor.pixels - 0.5:g} px",
+            point=int(row) + 1,
+            sensor=sensor.name,
+            reading_px=float(readings_px[row, column]),
+        )
+
+
+def _check_sigma(sigma_px: Array, readings_px: Array, sensors: Sequence[NamedPixelRow]) -> None:
+    if sigma_px.shape != readings_px.shape:
+        raise InvalidParameter(
+            f"sigma_px has the shape {sigma_px.shape}; the readings have {readings_px.shape}"
+        )
+    low, high = SIGMA_RANGE_PX
+    with np.errstate(invalid="ignore"):
+        wrong = np.argwhere(np.isfinite(readings_px) & ~((sigma_px >= low) & (sigma_px <= high)))
+    if len(wrong):
+        row, column = wrong[0]
+        raise InvalidParameter(
+            f"the standard deviation of the reading of point {row + 1} by sensor "
+            f"{sensors[column].name} is {sigma_px[row, column]} px; it must lie in {low:g} .. "
+            f"{high:g} px",
+            point=int(row) + 1,
+            sensor=sensors[column].name,
+        )
+
+
+def _check_distinct(points_mm: Array) -> None:
+    if len(points_mm) < 2:
+        return
+    # Equal points are neighbours in any order by coordinates; first, as a tree of many equal ones
+    # is slow. Points that all but meet need not be.
+    order = np.lexsort(points_mm.T)
+    apart = np.abs(np.diff(points_mm[order], axis=0)).max(axis=1)
+    pairs = np.stack([order[:-1], order[1:]], axis=1)[apart <= MIN_POINT_DISTANCE_MM]
+    if not len(pairs):
+        distance, nearest = cKDTree(points_mm).query(points_mm, k=[2], p=np.inf)
+        near = np.flatnonzero(np.asarray(distance).ravel() <= MIN_POINT_DISTANCE_MM)
+        pairs = np.stack([near, np.asarray(nearest).ravel()[near]], axis=1)
+    if len(pairs):
+        first, second = min(sorted(pair) for pair in pairs.tolist())
+        raise DuplicatePoint(
+            f"points {first + 1} and {second + 1} have the same position "
+            f"{tuple(points_mm[first].tolist())} mm; give each point once, with the mean of its "
+            "readings",
+            points=(first + 1, second + 1),
+        )

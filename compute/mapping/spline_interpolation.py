@@ -1,0 +1,61 @@
+"""Splines through values at nodes: coefficients of tensor B-splines that interpolate."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.mapping.b_spline_basis import b_spline_basis
+from compute.mapping.grid import VoxelGrid
+
+Array = NDArray[np.float64]
+
+
+def interpolate_corners(values: Array) -> Array:
+    """Return cubic coefficients (nx + 3, ...) through values at the cells' corners (nx + 1, ...).
+
+    Along each axis the spline is "not-a-knot": its third derivative does not jump at the first
+    and last inner knot (C. de Boor, A Practical Guide to Splines, chapter IV); over one or two
+    cells it is the straight line or the parabola.
+    """
+    coefficients = values
+    for axis in range(3):
+        cells = values.shape[axis] - 1
+        matrix = np.zeros((cells + 3, cells + 3))
+        for corner in range(cells + 1):
+            matrix[corner, corner : corner + 3] = (1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0)
+        ends = np.diff(np.eye(cells + 3), n=min(cells, 3) + 1, axis=0)
+        matrix[cells + 1 :] = ends[[0, -1]]
+        right = np.zeros((cells + 3, cells + 1))
+        right[: cells + 1] = np.eye(cells + 1)
+        coefficients = _apply_along_axis(np.linalg.solve(matrix, right), coefficients, axis)
+    return coefficients
+
+
+def interpolate_function(grid: VoxelGrid, function: Callable[[Array], Array]) -> Array:
+    """Return cubic coefficients of a smooth function of space, shape (nx + 3, ny + 3, nz + 3).
+
+    It is met at nx + 3 equal steps along each axis.
+
+    Args:
+        grid: the voxels.
+        function: of points (N, 3) [mm], returns (N,).
+    """
+    inverses, axes = [], []
+    for origin, pitch, cells in zip(grid.origin_mm, grid.pitch_mm, grid.cells, strict=True):
+        cell_coordinate = np.linspace(0.0, cells, cells + 3)
+        cell = np.minimum(cell_coordinate.astype(np.intp), cells - 1)
+        weights, _ = b_spline_basis(cell_coordinate - cell, 3)
+        matrix = np.zeros((cells + 3, cells + 3))
+        np.put_along_axis(matrix, cell[:, None] + np.arange(4), weights, axis=1)
+        inverses.append(np.asarray(np.linalg.inv(matrix), dtype=np.float64))
+        axes.append(origin + pitch * cell_coordinate)
+    sites = np.stack([one.ravel() for one in np.meshgrid(*axes, indexing="ij")], axis=1)
+    coefficients = function(sites).reshape([len(axis) for axis in axes])
+    for axis, inverse in enumerate(inverses):
+        coefficients = _apply_along_axis(inverse, coefficients, axis)
+    return coefficients
+
+
+def _apply_along_axis(matrix: Array, values: Array, axis: int) -> Array:
+    return np.moveaxis(np.tensordot(matrix, values, axes=(1, axis)), 0, axis)

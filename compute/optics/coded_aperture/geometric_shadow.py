@@ -1,0 +1,85 @@
+"""Shadow: how much light a coded mask lets fall on a stretch behind it; without diffraction."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.optics.coded_aperture.coded_window import CodedWindow
+
+Array = NDArray[np.float64]
+
+_LEAST_BLUR_MM = 1e-4  # a narrower one, below the wavelength, shows nowhere
+
+
+class Shadow(Protocol):
+    """Mean transmission over a stretch of the mask, blurred."""
+
+    def mean_transmission(
+        self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
+    ) -> Array:
+        """Return the light on stretches relative to that without a mask, all of one shape.
+
+        Args:
+            centre_mm: middle of the stretch, along the readings from the middle of the code
+                [mm].
+            width_mm: its width, a pixel's, seen on the mask [mm].
+            blur_mm: width of the penumbra, the emitter's seen on the mask [mm].
+            curvature_per_mm: curvature of the optical path, as of ``WindowPaths`` [1/mm].
+        """
+        ...
+
+
+class GeometricShadow:
+    """Shadow without diffraction: exact overlaps of pixel, penumbra and bars.
+
+    Args:
+        window: the window.
+    """
+
+    def __init__(self, window: CodedWindow) -> None:
+        self._bar_mm = window.bar_mm
+        self._start_mm = -window.length_mm / 2.0
+        # One opaque bar on each side carries the integrals on beyond the ends.
+        self._code = np.array((0, *window.code, 0), dtype=np.float64)
+        # In bars these are whole and half numbers, exact however long the code.
+        self._once = np.concatenate([[0.0], np.cumsum(self._code)[:-1]])
+        self._twice = np.concatenate([[0.0], np.cumsum(self._once + self._code / 2.0)[:-1]])
+
+    def mean_transmission(
+        self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
+    ) -> Array:
+        """Return the light on stretches relative to that without a mask; see ``Shadow``."""
+        del curvature_per_mm
+        centre = self._bar(centre_mm)
+
+        def integral(place_mm: Array) -> Array:
+            """Integrate twice, less what is linear: it cancels, and would cost digits."""
+            bar = self._bar(place_mm)
+            rest = (place_mm - self._start_mm) / self._bar_mm + 1.0 - bar
+            bars = bar - centre
+            once, twice = self._once[bar], self._twice[bar]
+            constant = twice - self._twice[centre] - self._once[centre] * bars
+            slope = once - self._once[centre]
+            return np.asarray(
+                (constant + (slope + self._code[bar] * rest / 2.0) * rest) * self._bar_mm**2
+            )
+
+        return second_difference(integral, centre_mm, width_mm, blur_mm)
+
+    def _bar(self, place_mm: Array) -> NDArray[np.int64]:
+        """Return the number of the bar at a place, the frame's counting as one on each side."""
+        bar = np.floor((place_mm - self._start_mm) / self._bar_mm) + 1.0
+        return np.clip(bar, 0, len(self._code) - 1).astype(np.int64)
+
+
+def second_difference(
+    integral: Callable[[Array], Array], centre_mm: Array, width_mm: Array, blur_mm: Array
+) -> Array:
+    """Average over a stretch and a penumbra what ``integral`` is the second integral of."""
+    blur = np.maximum(blur_mm, _LEAST_BLUR_MM)
+    far, near = (width_mm + blur) / 2.0, (width_mm - blur) / 2.0
+    outer = integral(centre_mm + far) + integral(centre_mm - far)
+    inner = integral(centre_mm + near) + integral(centre_mm - near)
+    return (outer - inner) / (width_mm * blur)

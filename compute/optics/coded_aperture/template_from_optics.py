@@ -1,0 +1,98 @@
+"""Templates of coded windows' shadows on a grid finer than pixels, from their optics."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from compute.errors import InvalidParameter
+from compute.optics.coded_aperture.mask_optics import MaskOptics
+from compute.signal.coded_aperture.shadow_template import ShadowTemplate, interleave_scans
+
+Array = NDArray[np.float64]
+
+_STEPS: Final = 4  # of Newton's method; the reading is nearly linear in the point
+_REACHED_PX: Final = 1e-3
+_PROBE_MM: Final = 1.0
+
+
+def template_from_optics(
+    optics: MaskOptics,
+    point_mm: ArrayLike,
+    *,
+    sensor: int,
+    direction: ArrayLike,
+    per_px: int = 4,
+    far_px: Sequence[int] = (0,),
+    dark_beyond: bool = False,
+) -> ShadowTemplate:
+    """Return the template of a reference point for ``compute.signal.coded_aperture``.
+
+    Its shadow is worked out for points displaced along a direction, whose readings are parts of
+    a pixel apart, and woven into one pattern: what a pixel gets that lies anywhere in it.
+
+    Args:
+        optics: the windows.
+        point_mm: the reference point in the world, shape (3,) [mm]; the middle of the working
+            volume, best near the sensor's axis.
+        sensor: number of the sensor, from 0.
+        direction: world direction in which the sensor's readings change, any length, shape (3,).
+        per_px: cells of the template per pixel.
+        far_px: whole shifts at which the shadow is taken too, 0 among them; where the pattern is
+            longer than the line, these tell more of it. Far from the reference point it is that
+            of other angles, so more of the pattern is not always a better template.
+        dark_beyond: nothing but ambient light beyond the pattern; False where it goes on.
+
+    Raises:
+        InvalidParameter: no such sensor, a point that throws no shadow, or a direction in which
+            the readings do not change.
+    """
+    point, way = (np.asarray(values, dtype=np.float64) for values in (point_mm, direction))
+    for name, values in (("point_mm", point), ("direction", way)):
+        if values.shape != (3,):
+            raise InvalidParameter(
+                f"{name} has the shape {values.shape}; it must be (3,)", **{name: values.shape}
+            )
+    readings = optics.readings(point[None])[0]
+    if not 0 <= sensor < len(readings):
+        raise InvalidParameter(
+            f"sensor is {sensor}; it must be 0 to {len(readings) - 1}", sensor=sensor
+        )
+    shifts = np.array([far - cell / per_px for far in far_px for cell in range(per_px)])
+    points = _displaced(optics, point, way, sensor, shifts)
+    light = optics.solid_angles(points).solid_angle_sr[:, sensor]
+    reading = float(readings[sensor])
+    return interleave_scans(
+        light, shifts, reading_px=reading, per_px=per_px, dark_beyond=dark_beyond
+    )
+
+
+def _displaced(
+    optics: MaskOptics, point: Array, direction: Array, sensor: int, shifts_px: Array
+) -> Array:
+    """Return points whose readings are so much from the point's, shape (K, 3) [mm]."""
+    length = float(np.linalg.norm(direction))
+    probe = point + direction * (_PROBE_MM / length) if length > 0.0 else point
+    start, moved = (float(optics.readings(one[None])[0, sensor]) for one in (point, probe))
+    per_mm = (moved - start) / _PROBE_MM
+    if not (np.isfinite(per_mm) and per_mm != 0.0):
+        raise InvalidParameter(
+            f"point_mm is {point.tolist()} and direction {direction.tolist()}; the readings of "
+            f"sensor {sensor} must change from a point in front of it along the direction",
+            point_mm=point.tolist(),
+            direction=direction.tolist(),
+        )
+    unit, wanted, way = direction / length, start + shifts_px, np.zeros(len(shifts_px))
+    for _ in range(_STEPS):
+        reached = optics.readings(point + way[:, None] * unit)[:, sensor]
+        way += (wanted - reached) / per_mm
+    points = point + way[:, None] * unit
+    left = np.abs(optics.readings(points)[:, sensor] - wanted)
+    if not (left <= _REACHED_PX).all():
+        raise InvalidParameter(
+            f"far_px reaches to {float(np.abs(shifts_px).max())} px, where no point in front of "
+            f"sensor {sensor} along the direction has its shadow; give smaller shifts",
+            far_px=float(np.abs(shifts_px).max()),
+        )
+    return np.asarray(points)

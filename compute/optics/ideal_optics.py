@@ -1,0 +1,72 @@
+"""Ideal cylindrical lenses: the perspective of the camera model, one width, light by distance."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter
+from compute.optics.gaussian_stripes import GaussianStripes
+from compute.optics.sensor_placement import PlacedSensor
+
+
+class IdealOptics:
+    """Lenses without aberration in front of S placed sensors.
+
+    The light that a lens collects falls with the square of the distance r to its centre:
+    ``electrons = signal_electrons (reference_distance_mm / r)^2``.
+
+    Args:
+        sensors: the placed sensors, in the device's order.
+        spot_sigma_px: standard deviation of every line's shape [px].
+        signal_electrons: mean electrons of a line at the reference distance.
+        reference_distance_mm: that distance [mm]; None: as bright at every distance.
+
+    Raises:
+        InvalidParameter: a width, signal or distance is not positive (a signal may be zero).
+    """
+
+    def __init__(
+        self,
+        sensors: Sequence[PlacedSensor],
+        *,
+        spot_sigma_px: float,
+        signal_electrons: float,
+        reference_distance_mm: float | None,
+    ) -> None:
+        if not 0.0 < spot_sigma_px < np.inf:
+            raise InvalidParameter(
+                f"spot_sigma_px is {spot_sigma_px}; it must be positive",
+                spot_sigma_px=spot_sigma_px,
+            )
+        if not 0.0 <= signal_electrons < np.inf:
+            raise InvalidParameter(
+                f"signal_electrons is {signal_electrons}; it must be zero or positive",
+                signal_electrons=signal_electrons,
+            )
+        if reference_distance_mm is not None and not 0.0 < reference_distance_mm < np.inf:
+            raise InvalidParameter(
+                f"reference_distance_mm is {reference_distance_mm}; it must be positive, or None",
+                reference_distance_mm=reference_distance_mm,
+            )
+        self._cameras = CameraStack.of([sensor.model for sensor in sensors])
+        self._lenses_mm = np.array([sensor.lens_position_mm for sensor in sensors]).reshape(-1, 3)
+        self._sigma_px = spot_sigma_px
+        self._signal_electrons = signal_electrons
+        self._reference_mm = reference_distance_mm
+
+    def stripes(self, points_mm: NDArray[np.float64]) -> GaussianStripes:
+        """Return the spots of points (N, 3) in the world frame [mm].
+
+        A point in the lens's plane or behind it has the position NaN and no light.
+        """
+        position = self._cameras.project(points_mm)
+        electrons = np.full_like(position, self._signal_electrons)
+        if self._reference_mm is not None:
+            towards = points_mm[:, None, :] - self._lenses_mm
+            # In front of a lens r > 0, but the square may underflow: floored at a micrometre.
+            squared = np.maximum((towards**2).sum(axis=2), 1e-6)
+            electrons *= self._reference_mm**2 / squared
+        electrons[np.isnan(position)] = 0.0
+        return GaussianStripes(position, np.full_like(position, self._sigma_px), electrons)

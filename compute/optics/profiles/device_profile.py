@@ -1,0 +1,154 @@
+"""DeviceProfile: a tracking device as published, ready to be built and traced."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from compute.camera.model import Vector3
+from compute.errors import InvalidParameter
+from compute.optics.coded_aperture.coded_window import CodedWindow
+from compute.optics.coded_aperture.gray_plate import GrayPlate
+from compute.optics.pixel_row import PixelRow
+from compute.optics.profiles.profile_sections import (
+    DetectorProfile,
+    Markers,
+    PublishedFigure,
+    Rates,
+    Volume,
+)
+from compute.optics.tracing.assembly import Assembly
+
+
+@dataclass(frozen=True)
+class PlateOptics:
+    """Lenses that throw a line of light across a plate with Gray tracks (section 2.3).
+
+    Args:
+        assembly: the lenses; its sensor stands for the plate.
+        plate: the tracks, a detector behind each.
+    """
+
+    assembly: Assembly
+    plate: GrayPlate
+
+
+Optics = Assembly | CodedWindow | PlateOptics
+
+
+@dataclass(frozen=True)
+class SensorProfile:
+    """Where one line sensor is and where it looks.
+
+    The frame of its assembly has its origin at ``position_mm``, its z axis, which goes with the
+    light, away from ``aim_mm``, and its x axis along ``measured_direction`` made perpendicular
+    to z. The image is upside down, so the pixels are counted against x.
+    A coded window has its own frame: the origin in the middle of the code, z towards the aim.
+
+    Args:
+        name: the sensor's name in its device.
+        position_mm: origin of its optics' frame in the world [mm].
+        aim_mm: a point on its optical axis, in front of it [mm].
+        measured_direction: world direction along which readings grow; any length.
+        optics: name of its optics in the profile.
+
+    Raises:
+        InvalidParameter: it is aimed at itself, or measures along its own axis.
+    """
+
+    name: str
+    position_mm: Vector3
+    aim_mm: Vector3
+    measured_direction: Vector3
+    optics: str
+
+    def __post_init__(self) -> None:
+        axis = np.subtract(self.aim_mm, self.position_mm)
+        if not np.linalg.norm(axis) > 0.0:
+            raise InvalidParameter(
+                f"aim_mm is {self.aim_mm}, which is the sensor's own position; aim it at a point "
+                "in front of it",
+                aim_mm=self.aim_mm,
+            )
+        direction = np.asarray(self.measured_direction, dtype=np.float64)
+        across = np.linalg.norm(np.cross(axis, direction))
+        if not across > 1e-6 * np.linalg.norm(axis) * np.linalg.norm(direction):
+            raise InvalidParameter(
+                f"measured_direction is {self.measured_direction}; it must not be zero, nor the "
+                f"sensor's viewing direction {tuple(axis.tolist())}",
+                measured_direction=self.measured_direction,
+            )
+
+
+@dataclass(frozen=True)
+class DeviceProfile:
+    """A device: geometry, optics, detector, markers, rates, volume, published figures.
+
+    The world frame is right-handed with its origin in the middle of the device: X along the bar,
+    Y up, Z from the device into the volume.
+
+    Args:
+        name: short name.
+        title: what it is, in words.
+        sources: where it is described.
+        sensors: its line sensors, in the order of the device's lines.
+        optics: by name, what stands before the sensors.
+        pixels: of every sensor.
+        detector: of every sensor.
+        markers: what it tracks.
+        rates: of its lines.
+        volume: where it tracks.
+        year: of its publication, where known.
+        published: published figures; none where none were.
+        notes: what else must be known, such as how the source's axes map to ours.
+        assumed: dotted paths of what the sources leave open, each with the reason for its value.
+
+    Raises:
+        InvalidParameter: no sensor, a name given twice, optics that are not there or not used,
+            another number of pixels than a plate has tracks.
+    """
+
+    name: str
+    title: str
+    sources: tuple[str, ...]
+    sensors: tuple[SensorProfile, ...]
+    optics: Mapping[str, Optics]
+    pixels: PixelRow
+    detector: DetectorProfile
+    markers: Markers
+    rates: Rates
+    volume: Volume
+    year: int | None = None
+    published: tuple[PublishedFigure, ...] = ()
+    notes: tuple[str, ...] = ()
+    assumed: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.sensors:
+            raise InvalidParameter("sensors is empty; give at least one", sensors=())
+        names = [sensor.name for sensor in self.sensors]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise InvalidParameter(
+                f"sensors has two named {', '.join(twice)}; each needs a name of its own",
+                sensors=names,
+            )
+        used = {sensor.optics for sensor in self.sensors}
+        if missing := sorted(used - set(self.optics)):
+            raise InvalidParameter(
+                f"sensors use the optics {', '.join(missing)}; the profile has "
+                f"{', '.join(sorted(self.optics)) or 'none'}",
+                sensors=missing,
+            )
+        if unused := sorted(set(self.optics) - used):
+            raise InvalidParameter(
+                f"optics has {', '.join(unused)}, which no sensor uses; leave it out",
+                optics=unused,
+            )
+        for name, one in self.optics.items():
+            if isinstance(one, PlateOptics) and one.plate.tracks != self.pixels.count:
+                raise InvalidParameter(
+                    f"pixels has the count {self.pixels.count}; the plate of the optics {name} has "
+                    f"{one.plate.tracks} tracks, with a detector behind each",
+                    pixels=self.pixels.count,
+                )

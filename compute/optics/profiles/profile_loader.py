@@ -1,0 +1,100 @@
+"""Reads profiles: the built-in ones by name, a user's own by path."""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+from compute.errors import InvalidParameter
+from compute.optics.profiles.device_profile import DeviceProfile
+
+_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+
+
+@cache
+def profile_names() -> tuple[str, ...]:
+    """Return the names of the built-in profiles, in alphabetical order."""
+    files = (resources.files("compute.optics.profiles") / "devices").iterdir()
+    return tuple(sorted(file.name[:-5] for file in files if file.name.endswith(".toml")))
+
+
+def load_profile(name_or_path: str | Path) -> DeviceProfile:
+    """Return a built-in profile by its name, or one's own by the path of its file.
+
+    A text that is the name of a built-in profile means that one; "./name" is a file.
+
+    Raises:
+        InvalidParameter: there is no such profile or file, or it is not a profile; see
+            ``parse_profile``.
+    """
+    if str(name_or_path) in profile_names():
+        name = str(name_or_path)
+        file = resources.files("compute.optics.profiles") / "devices" / f"{name}.toml"
+        return parse_profile(file.read_text("utf-8"), origin=name)
+    path = Path(name_or_path)
+    try:
+        text = path.read_text("utf-8")
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a NUL in the path
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InvalidParameter(
+            f'profile "{name_or_path}" cannot be read ({reason}); give the path of a profile, or '
+            f"one of {', '.join(profile_names())}",
+            profile=str(name_or_path),
+        ) from None
+    return parse_profile(text, origin=str(path))
+
+
+def parse_profile(text: str, origin: str) -> DeviceProfile:
+    """Return the profile that a TOML text describes.
+
+    Args:
+        text: the profile.
+        origin: what errors call it: a name or a path.
+
+    Raises:
+        InvalidParameter: it is not TOML, or a field is missing, unknown, without its unit, of
+            another kind or out of range. The message names every such field by its dotted path
+            (``optics.main.elements[1].z``, counted from 0); ``context`` has the first as
+            ``field`` and all as ``problems``.
+    """
+    # Here, so that nobody pays for pint who loads no profile.
+    from compute.optics.profiles.deserialisation import Problem, build_profile
+
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidParameter(f"profile {origin} is not TOML: {error}", origin=origin) from None
+    profile, problems = build_profile(document)
+    assumed = document.get("assumed")
+    if isinstance(assumed, Mapping):
+        problems += [
+            Problem(f'assumed."{path}"', "the profile has no such field")
+            for path in assumed
+            if not _exists(document, path)
+        ]
+    if profile is None or problems:
+        raise InvalidParameter(
+            f"profile {origin}: " + "; ".join(map(str, problems)),
+            origin=origin,
+            field=problems[0].path,
+            problems=[str(problem) for problem in problems],
+        )
+    return profile
+
+
+def _exists(document: object, path: str) -> bool:
+    """Tell whether a dotted path leads to something in a document."""
+    steps = _STEP.findall(path)
+    if "".join(f".{key}" if key else f"[{number}]" for key, number in steps).lstrip(".") != path:
+        return False
+    here = document
+    for key, number in steps:
+        if key and isinstance(here, Mapping) and key in here:
+            here = here[key]
+        elif number and isinstance(here, list) and int(number) < len(here):
+            here = here[int(number)]
+        else:
+            return False
+    return True

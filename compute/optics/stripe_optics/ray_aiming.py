@@ -1,0 +1,367 @@
+"""Rays from points of light to a row of pixels: which reach it, where, with how much light.
+
+A cylindrical lens draws a point out into a line, and the row of pixels meets that line at one
+place only. Of all rays of a point, those that end on the row form a fan, one ray for each place
+in the pupil along x; its partner in y is found by aiming. Integrating over this fan instead of
+over the whole pupil wastes no ray on what passes beside the row.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebval, chebvander
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from compute.errors import InvalidParameter
+from compute.optics.tracing.assembly import Assembly
+from compute.optics.tracing.elements import Lens
+from compute.optics.tracing.reference_tracer import trace_rays
+from compute.optics.tracing.shapes import sag
+from compute.optics.tracing.surfaces import SurfaceStack
+from compute.optics.tracing.traced_rays import RayStatus, TracedRays
+
+Array = NDArray[np.float64]
+Tracer = Callable[[SurfaceStack, Array, Array], TracedRays]
+
+_COARSE: Final = 33  # places in the pupil looked at to find the fan's ends, at least
+_MOST_COARSE: Final = 1025
+_GUIDES: Final = 9  # aimed rays that all others start from
+_FEW_TERMS: Final = 4  # of a guide where rays are lost
+_NODES: Final = np.cos(np.pi * (np.arange(_GUIDES) + 0.5) / _GUIDES)
+_AIM_ITERATIONS: Final = 8
+_AIM_TOLERANCE_MM: Final = 1e-9
+_HIT_MM: Final = 1e-4  # a ray that passes its height on the row by more was not aimed
+_BISECTIONS: Final = 22  # of a 33rd of the pupil: to 1e-8 of its width
+_STEEPEST: Final = 1.0  # tangent of the most slanting light along x
+_CORNERS: Final = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
+_CHUNK: Final = 400_000  # rays traced at once, to bound the memory
+
+
+@dataclass(frozen=True, eq=False)
+class RayFans:
+    """Fans of M rays from N points to T heights on a row of pixels.
+
+    Args:
+        pupil_mm: where the rays pass the plane of the first element, shape (N, T, M) [mm], evenly
+            spaced from one end of the fan to the other.
+        position_mm: where they meet the row, x in the sensor's frame, shape (N, T, M) [mm].
+        solid_angle_sr_per_mm2: solid angle at the point, losses included, per mm of pupil and
+            per mm of height on the row, shape (N, T, M); zero for a ray that is lost.
+        sine: x component of their directions at the row, shape (N, T, M).
+        lit: whether any light of the point reaches the row at that height, shape (N, T).
+    """
+
+    pupil_mm: Array
+    position_mm: Array
+    solid_angle_sr_per_mm2: Array
+    sine: Array
+    lit: NDArray[np.bool_]
+
+    def of_points(self, which: NDArray[np.bool_]) -> "RayFans":
+        """Return the fans of some of the points."""
+        return RayFans(
+            self.pupil_mm[which],
+            self.position_mm[which],
+            self.solid_angle_sr_per_mm2[which],
+            self.sine[which],
+            self.lit[which],
+        )
+
+
+class RayAimer:
+    """Aims rays of points at a row behind an assembly.
+
+    Args:
+        assembly: the optics.
+        tracer: what traces; NumPy's by default.
+
+    Raises:
+        InvalidParameter: the first element is infinitely wide, so that it has no pupil.
+    """
+
+    def __init__(self, assembly: Assembly, tracer: Tracer = trace_rays) -> None:
+        first = assembly.elements[0]
+        if not np.isfinite(first.aperture.width_mm):
+            raise InvalidParameter(
+                "width_mm of the first element is infinite; give it the size of its opening",
+                width_mm=first.aperture.width_mm,
+            )
+        self._tracer = tracer
+        self._stack = assembly.stack()
+        # Aiming goes on behind the edges of lenses and stops, where the last trace will not.
+        self._open = replace(
+            self._stack,
+            surfaces=tuple(replace(surface, aperture=None) for surface in self._stack.surfaces),
+        )
+        self._sensor_z_mm = assembly.sensor_z_mm
+        self._plane_z_mm = assembly.front_z_mm
+        self._centre_mm = first.alignment.decentre_mm[0]
+        self._reach_mm = _reach(assembly)
+        # Fine enough to meet the narrowest opening, wherever it is.
+        narrowest = min(element.aperture.width_mm for element in assembly.elements)
+        steps = np.ceil(
+            (_COARSE - 1) * self._reach_mm / min(first.aperture.width_mm, narrowest * 4)
+        )
+        self._coarse = int(np.clip(2 * steps + 1, _COARSE, _MOST_COARSE))
+
+    def fans(self, points_mm: Array, heights_mm: Array, samples: int) -> RayFans:
+        """Return the fans of points (N, 3) [mm] in the optics' frame to heights (T,) [mm]."""
+        shape = (len(points_mm), len(heights_mm), samples)
+        source = np.repeat(points_mm, len(heights_mm), axis=0)
+        height = np.tile(heights_mm, len(points_mm))
+        guide = self._guide(source, height)
+        first, last, lit = self._ends(source, height, guide)
+        share = np.linspace(0.0, 1.0, samples)
+        pupil = first[:, None] + (last - first)[:, None] * share
+        aim = _Aim.of(source, height, pupil)
+        y, slope = (values.ravel() for values in guide.at(pupil))
+        y, slope = self._aim_rays(aim, y, slope)
+        # Where a ray would end is known behind the edge of a lens as well; whether it does is not.
+        rays = self._through(aim, y, self._open)
+        status = self._through(aim, y, self._stack).status
+        arrived = ((status == RayStatus.ARRIVED) & _hit(rays, aim)).reshape(shape)
+        # The ends lie on an edge, and the rounding decides to which side.
+        arrived[..., 0], arrived[..., -1] = arrived[..., 1], arrived[..., -2]
+        light = self._density(aim, y, slope) * rays.transmittance.mean(axis=1)
+        light = np.where(arrived, light.reshape(shape), 0.0)
+        return RayFans(
+            pupil.reshape(shape),
+            rays.position_mm[:, 0].reshape(shape),
+            light,
+            rays.direction[:, 0].reshape(shape),
+            lit.reshape(shape[:2]) & (light > 0.0).any(axis=2),
+        )
+
+    def row_positions_mm(self, points_mm: Array, pupil_mm: Array) -> Array:
+        """Return where single rays meet the middle of the row, shape (N,) [mm].
+
+        Edges are not heeded; NaN for a ray that misses a surface.
+
+        Args:
+            points_mm: where they start, in the optics' frame, shape (N, 3) [mm].
+            pupil_mm: where they pass the plane of the first element, shape (N,) [mm].
+        """
+        aim = _Aim(points_mm, np.zeros(len(points_mm)), pupil_mm)
+        y, _ = self._aim_rays(aim)
+        return self._through(aim, y, self._open).position_mm[:, 0]
+
+    def _guide(self, source_mm: Array, height_mm: Array) -> "_Guide":
+        """Aim a few rays of each fan, to start all others from."""
+        pupil = np.broadcast_to(
+            self._centre_mm + self._reach_mm * _NODES, (len(source_mm), _GUIDES)
+        )
+        aim = _Aim.of(source_mm, height_mm, pupil)
+        y, slope = self._aim_rays(aim)
+        found = _hit(self._through(aim, y, self._open), aim)
+        found &= np.isfinite(y) & np.isfinite(slope) & (slope != 0.0)
+        by_fan = found.reshape(pupil.shape)
+        return _Guide(
+            self._centre_mm,
+            self._reach_mm,
+            _series(y.reshape(pupil.shape), by_fan, 0.0),
+            _series(slope.reshape(pupil.shape), by_fan, 1.0),
+            ~np.asarray(by_fan.all(axis=1)),
+        )
+
+    def _ends(
+        self, source_mm: Array, height_mm: Array, guide: "_Guide"
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Find the ends of each fan in the pupil, shape (R,), and whether there is one."""
+
+        def passes(pupil: Array) -> NDArray[np.bool_]:
+            y, slope = (values.ravel() for values in guide.at(pupil))
+            aim = _Aim.of(source_mm, height_mm, pupil)
+            if guide.unreliable.any():
+                unreliable = np.repeat(guide.unreliable, pupil.shape[1])
+                y[unreliable], _ = self._aim_rays(
+                    aim.part(unreliable), y[unreliable], slope[unreliable]
+                )
+            rays = self._through(aim, y, self._stack)
+            good = rays.status == RayStatus.ARRIVED
+            if guide.unreliable.any():
+                # The search may end beside a fold of the optics, where no ray meets the row.
+                good &= ~unreliable | _hit(rays, aim)
+            return np.asarray(good).reshape(pupil.shape)
+
+        count = self._coarse
+        coarse = self._centre_mm + self._reach_mm * np.linspace(-1.0, 1.0, count)
+        seen = passes(np.broadcast_to(coarse, (len(source_mm), count)))
+        lit = np.asarray(seen.any(axis=1))
+        low = seen.argmax(axis=1)
+        high = count - 1 - seen[:, ::-1].argmax(axis=1)
+        # Inside and outside of the two ends; at the ends of the pupil both are the end.
+        inside = np.stack([coarse[low], coarse[high]], axis=1)
+        beyond = np.stack(
+            [coarse[np.maximum(low - 1, 0)], coarse[np.minimum(high + 1, count - 1)]], axis=1
+        )
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (inside + beyond)
+            good = passes(middle)
+            inside = np.where(good, middle, inside)
+            beyond = np.where(good, beyond, middle)
+        return inside[:, 0], inside[:, 1], lit
+
+    def _aim_rays(
+        self, aim: "_Aim", y_mm: Array | None = None, slope: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Find where rays must pass the pupil along y to meet the row at their heights.
+
+        Args:
+            aim: the rays.
+            y_mm: where to start the search, shape (R,) [mm]; None: as if nothing stood in the way.
+            slope: height on the row by y in the pupil there, shape (R,).
+
+        Returns:
+            y and slope, both (R,).
+        """
+        if y_mm is None:
+            depth = self._plane_z_mm - aim.source_mm[:, 2]
+            share = depth / (self._sensor_z_mm - aim.source_mm[:, 2])
+            y_mm = aim.source_mm[:, 1] + share * (aim.height_mm - aim.source_mm[:, 1])
+        y = y_mm.copy()
+        miss = self._miss(aim, y)
+        if slope is None:
+            step = 1e-3 * (1.0 + np.abs(aim.height_mm - y))
+            slope = (self._miss(aim, y + step) - miss) / step
+        for _ in range(_AIM_ITERATIONS):
+            with np.errstate(invalid="ignore", divide="ignore"):
+                change = -miss / slope
+            change[~np.isfinite(change)] = 0.0
+            y += change
+            if not (np.abs(change) > _AIM_TOLERANCE_MM).any():
+                break
+            before, miss = miss, self._miss(aim, y)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                secant = (miss - before) / change
+            # A secant over a tiny step is all rounding: keep the slope then.
+            slope = np.where(np.abs(change) > 1e-4, secant, slope)
+        return y, slope
+
+    def _miss(self, aim: "_Aim", y_mm: Array) -> Array:
+        return self._through(aim, y_mm, self._open).position_mm[:, 1] - aim.height_mm
+
+    def _through(self, aim: "_Aim", y_mm: Array, stack: SurfaceStack) -> TracedRays:
+        depth = self._plane_z_mm - aim.source_mm[:, 2]
+        towards = np.stack(
+            [aim.pupil_mm - aim.source_mm[:, 0], y_mm - aim.source_mm[:, 1], depth], axis=1
+        )
+        return self._in_chunks(stack, aim.source_mm, towards)
+
+    def _density(self, aim: "_Aim", y_mm: Array, slope: Array) -> Array:
+        """Return the solid angle per mm of pupil and mm of height, without losses, shape (R,)."""
+        depth = self._plane_z_mm - aim.source_mm[:, 2]
+        x, y = aim.pupil_mm - aim.source_mm[:, 0], y_mm - aim.source_mm[:, 1]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            density = np.abs(depth) / (x**2 + y**2 + depth**2) ** 1.5 / np.abs(slope)
+        return np.nan_to_num(density)
+
+    def _in_chunks(self, stack: SurfaceStack, origins: Array, directions: Array) -> TracedRays:
+        if len(origins) <= _CHUNK:
+            return self._tracer(stack, origins, directions)
+        parts = [
+            self._tracer(stack, origins[start : start + _CHUNK], directions[start : start + _CHUNK])
+            for start in range(0, len(origins), _CHUNK)
+        ]
+        return TracedRays(
+            *(
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in (
+                    "position_mm", "direction", "path_mm", "transmittance", "status", "lost_at"
+                )
+            )
+        )  # fmt: skip
+
+
+def _hit(rays: TracedRays, aim: "_Aim") -> NDArray[np.bool_]:
+    """Whether rays meet the row at their heights: the search for one may end elsewhere."""
+    return np.asarray(np.abs(rays.position_mm[:, 1] - aim.height_mm) <= _HIT_MM)
+
+
+def _reach(assembly: Assembly) -> float:
+    """Return how far from its middle the plane of the first vertex lets light in along x [mm].
+
+    A turned opening reaches farther than half its width, and one that lies before or behind the
+    plane, being tilted or the edge of a curved face, is passed by slanting light elsewhere in it.
+    """
+    first = assembly.elements[0]
+    heights = [element.aperture.height_mm for element in assembly.elements]
+    finite = [height for height in heights if np.isfinite(height)]
+    half = 0.5 * np.array([first.aperture.width_mm, min(heights[0], max(finite, default=100.0))])
+    x, y = (signs.ravel() * size for signs, size in zip(_CORNERS, half, strict=True))
+    depth = np.zeros_like(x)
+    if isinstance(first, Lens):
+        # Only the corners of a round lens may lie beyond where its face ends.
+        depth = np.nan_to_num(sag(first.shapes[0], x, y))
+    corners = Rotation.from_rotvec(first.alignment.tilt_rad).apply(np.stack([x, y, depth], axis=1))
+    return float((np.abs(corners[:, 0]) + _STEEPEST * np.abs(corners[:, 2])).max())
+
+
+@dataclass(frozen=True, eq=False)
+class _Aim:
+    """R rays to aim: where they start (R, 3), the height on the row and the pupil's x (R,)."""
+
+    source_mm: Array
+    height_mm: Array
+    pupil_mm: Array
+
+    @classmethod
+    def of(cls, source_mm: Array, height_mm: Array, pupil_mm: Array) -> "_Aim":
+        """Return the rays of fans: sources (R, 3) and heights (R,) through places (R, M)."""
+        samples = pupil_mm.shape[1]
+        return cls(
+            np.repeat(source_mm, samples, axis=0), np.repeat(height_mm, samples), pupil_mm.ravel()
+        )
+
+    def part(self, which: NDArray[np.bool_]) -> "_Aim":
+        """Return some of the rays."""
+        return _Aim(self.source_mm[which], self.height_mm[which], self.pupil_mm[which])
+
+
+@dataclass(frozen=True, eq=False)
+class _Guide:
+    """Chebyshev series through aimed rays of N points: y in the pupil, and slope, over x.
+
+    Args:
+        centre_mm: middle of the pupil [mm].
+        reach_mm: half its width [mm].
+        y_mm: coefficients, shape (K, N, 1).
+        slope: coefficients, shape (K, N, 1).
+        unreliable: fans of which rays are lost or not aimed, so that the series is not to be relied on,
+            shape (N,).
+    """
+
+    centre_mm: float
+    reach_mm: float
+    y_mm: Array
+    slope: Array
+    unreliable: NDArray[np.bool_]
+
+    def at(self, pupil_mm: Array) -> tuple[Array, Array]:
+        """Return y and slope at places (N, M) in the pupil, both (N, M)."""
+        x = (pupil_mm - self.centre_mm) / self.reach_mm
+        return (
+            np.asarray(chebval(x, self.y_mm, tensor=False), dtype=np.float64),
+            np.asarray(chebval(x, self.slope, tensor=False), dtype=np.float64),
+        )
+
+
+def _series(values: Array, found: NDArray[np.bool_], otherwise: float) -> Array:
+    """Return Chebyshev coefficients (K, N, 1) of values (N, K) at the nodes.
+
+    Where rays are lost the series is a low one, fitted to those that are found.
+    """
+    basis = chebvander(_NODES, _GUIDES - 1)
+    series = np.linalg.solve(basis, np.where(found, values, 0.0).T)
+    for row in np.flatnonzero(~found.all(axis=1)):
+        series[:, row] = 0.0
+        known = found[row]
+        terms = min(_FEW_TERMS, int(known.sum()))
+        if terms == 0:
+            series[0, row] = otherwise
+            continue
+        fitted, *_ = np.linalg.lstsq(basis[known, :terms], values[row, known], rcond=None)
+        series[:terms, row] = fitted
+    return np.asarray(series[:, :, None], dtype=np.float64)

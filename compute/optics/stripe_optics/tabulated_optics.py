@@ -1,0 +1,95 @@
+"""TabulatedOptics: the light lines of points on real sensors, from tables of exact traces."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.optics.pixel_row import PixelRow
+from compute.optics.pixel_solid_angles import PixelSolidAngles
+from compute.optics.stripe_optics.field_of_view import FieldOfView, TableNodes
+from compute.optics.stripe_optics.optical_sensor import OpticalSensor
+from compute.optics.stripe_optics.ray_aiming import Tracer
+from compute.optics.stripe_optics.stripe_profile import Blur
+from compute.optics.stripe_optics.stripe_quantiles import pixel_windows
+from compute.optics.stripe_optics.stripe_table import StripeTable
+from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
+from compute.optics.tracing.assembly import Assembly
+from compute.optics.tracing.reference_tracer import trace_rays
+
+Array = NDArray[np.float64]
+
+TABLE_SAMPLING: Final = RaySampling(17)
+"""Rays of a fan for a table: within 1e-4 px of 257 for the built-in devices."""
+
+_Kind = tuple[Assembly, PixelRow]  # sensors of one kind share a table
+
+
+class TabulatedOptics:
+    """The optics of S sensors by tables of exact traces: for live simulation.
+
+    Points outside of a table's field, and at the edge of what the row can see, are traced.
+
+    Args:
+        sensors: the sensors, in the device's order; those of one kind share a table.
+        blur: emitter and wavelength.
+        field: the part of each sensor's field of view to tabulate.
+        nodes: how finely to tabulate.
+        sampling: how finely to trace; None: TABLE_SAMPLING.
+        tracer: what traces; NumPy's by default.
+    """
+
+    def __init__(
+        self,
+        sensors: Sequence[OpticalSensor],
+        blur: Blur,
+        field: FieldOfView,
+        nodes: TableNodes | None = None,
+        sampling: RaySampling | None = None,
+        tracer: Tracer = trace_rays,
+    ) -> None:
+        self._sensors = tuple(sensors)
+        self._tables: dict[_Kind, StripeTable] = {}
+        self._of_kind: dict[_Kind, list[int]] = {}
+        for number, sensor in enumerate(self._sensors):
+            kind = (sensor.assembly, sensor.row)
+            self._of_kind.setdefault(kind, []).append(number)
+            if kind not in self._tables:
+                self._tables[kind] = _table(
+                    *kind, blur, sampling or TABLE_SAMPLING, tracer, field, nodes
+                )
+
+    def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
+        """Return the footprints of points (N, 3) in the world frame [mm]."""
+        count, total = len(points_mm), len(self._sensors)
+        levels, light = [], []
+        for kind, numbers in self._of_kind.items():
+            seen = np.concatenate(
+                [self._sensors[number].to_sensor_frame(points_mm) for number in numbers]
+            )
+            found, strength = self._tables[kind](seen)
+            levels.append(found)
+            light.append(strength)
+        first, window = pixel_windows(np.concatenate(levels), np.concatenate(light))
+        # The sensors of a kind stand together: back into the device's order.
+        order = np.argsort(np.concatenate(list(self._of_kind.values())))
+        return PixelSolidAngles(
+            first.reshape(total, count)[order].T,
+            window.reshape(total, count, -1)[order].transpose(1, 0, 2),
+        )
+
+
+@lru_cache(maxsize=8)
+def _table(
+    assembly: Assembly,
+    row: PixelRow,
+    blur: Blur,
+    sampling: RaySampling,
+    tracer: Tracer,
+    field: FieldOfView,
+    nodes: TableNodes | None,
+) -> StripeTable:
+    """Return a table, kept for the next device of the kind: making one takes seconds."""
+    return StripeTable(TracedStripes(assembly, row, blur, sampling, tracer), field, nodes)

@@ -1,0 +1,269 @@
+"""Line bound: how precisely a line's position can be read at best, and by centre of gravity."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter
+from compute.optics.detector import Detector
+from compute.optics.pixel_solid_angles import PixelSolidAngles, SolidAngleOptics
+from compute.optics.stripe_optics.stripe_profile import CELLS, StripeProfiles
+from compute.signal.centroid_reference import find_peaks_reference
+from compute.signal.centroid_settings import GROUP_PIXELS, SAMPLE_GROUPS, CentroidSettings
+from compute.signal.sensor_noise import SensorNoise
+
+Array = NDArray[np.float64]
+
+SHIFT_PX = 0.05
+"""By how much lines are moved, both ways, to take the derivative of what each pixel gets. The
+error of the central difference is about (SHIFT_PX / s)^2 / 6 of it for a line of deviation s:
+0.2 % for 0.5 px."""
+
+_DIRECTION_ANGLES = np.pi * np.arange(24) / 24.0
+
+
+@dataclass(frozen=True)
+class PixelNoise:
+    """Noise of a pixel apart from the signal's own.
+
+    Args:
+        read_noise_electrons: standard deviation of the amplifier's noise.
+        electrons_per_count: gain of the conversion; rounding to counts has the variance
+            gain^2 / 12.
+        background_electrons: mean electrons of ambient light and dark current.
+
+    Raises:
+        InvalidParameter: a value is negative, or all are zero.
+    """
+
+    read_noise_electrons: float
+    electrons_per_count: float
+    background_electrons: float = 0.0
+
+    @classmethod
+    def of(cls, detector: Detector) -> "PixelNoise":
+        """Return the noise of a detector's nominal pixel; its dark signal is background."""
+        return cls(
+            detector.read_noise_electrons,
+            detector.electrons_per_count,
+            detector.ambient_electrons + detector.dark_electrons,
+        )
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 <= value < np.inf:
+                raise InvalidParameter(
+                    f"{name} is {value}; it must be zero or positive", **{name: value}
+                )
+        if self.variance_electrons2 == 0.0:
+            raise InvalidParameter(
+                "read_noise_electrons, electrons_per_count and background_electrons are all 0; "
+                "a pixel without light needs some noise"
+            )
+
+    @property
+    def variance_electrons2(self) -> float:
+        """Variance of a pixel without signal [electrons^2]."""
+        return (
+            self.background_electrons
+            + self.read_noise_electrons**2
+            + self.electrons_per_count**2 / 12.0
+        )
+
+
+def position_bound(mean_electrons: Array, slope_per_px: Array, noise: PixelNoise) -> Array:
+    """Return the Cramer-Rao bound of a line's position, its brightness unknown too.
+
+    With a_i = d mu_i / dx and b_i = mu_i (the derivative by the relative brightness),
+    ``1 / bound^2 = A - B^2 / C`` where A, B, C are the sums of a a, a b and b b over pixels,
+    each over the pixel's variance ``mu + background + read^2 + gain^2 / 12`` (S. M. Kay,
+    Fundamentals of Statistical Signal Processing I, 1993, section 3.7). A alone is the
+    information where the brightness is known, which is ``compute.optics.coded_aperture.cramer_rao``'s
+    ``shift_bound_px`` of the same pixels; B is zero for a symmetric line. The variances are
+    taken as known: their own dependence on the position, of order 1 / electrons, is left out.
+
+    This is the noise only. An error that is the same in every exposure, such as distortion, the
+    shape's dependence on the place, or an estimator's error within a pixel, is not in it.
+
+    Args:
+        mean_electrons: signal of each pixel of the window, shape (..., W).
+        slope_per_px: derivative by the line's position, shape (..., W) [electrons/px].
+        noise: what is noise besides the signal's own.
+
+    Returns:
+        Standard deviation, shape (...) [px]; infinite where there is no light.
+    """
+    variance = np.maximum(mean_electrons, 0.0) + noise.variance_electrons2
+    own = (slope_per_px**2 / variance).sum(axis=-1)
+    mixed = (slope_per_px * mean_electrons / variance).sum(axis=-1)
+    bright = (mean_electrons**2 / variance).sum(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        information = own - np.where(bright > 0.0, mixed**2 / bright, 0.0)
+        bound: Array = np.where(information > 0.0, information, 0.0) ** -0.5
+    return bound
+
+
+@dataclass(frozen=True, eq=False)
+class Stripes:
+    """The lines of N points on S sensors, and how each pixel's light changes as they move.
+
+    Args:
+        first_px: number of the windows' first pixels, int64, shape (N, S).
+        mean_sr: light of the pixels [sr], shape (N, S, W); zero beyond the sensor's ends.
+        slope_sr_per_px: its derivative by the line's position, shape (N, S, W).
+    """
+
+    first_px: NDArray[np.int64]
+    mean_sr: Array
+    slope_sr_per_px: Array
+
+
+def displaced_stripes(
+    optics: SolidAngleOptics,
+    cameras: CameraStack,
+    points_mm: Array,
+    pixels: int,
+    here: PixelSolidAngles | None = None,
+) -> Stripes:
+    """Move each point a little, and see how the light of each pixel changes.
+
+    The derivative is taken from lines that were formed anew, so it holds for any shape, however
+    narrow against a pixel. All points move in one direction, along which every sensor measures.
+
+    Args:
+        optics: forms the lines.
+        cameras: where the lines are, near enough for their slopes; S of them.
+        points_mm: shape (N, 3) [mm].
+        pixels: pixels of a line.
+        here: the points' footprints, where they are known already.
+
+    Raises:
+        InvalidParameter: no sensor sees the middle of the points.
+    """
+    direction, step = _displacement(cameras, points_mm)
+    shift = step * direction
+    both = optics.solid_angles(np.concatenate([points_mm + shift, points_mm - shift]))
+    half = len(points_mm)
+    lines = [
+        optics.solid_angles(points_mm) if here is None else here,
+        PixelSolidAngles(both.first_px[:half], both.solid_angle_sr[:half]),
+        PixelSolidAngles(both.first_px[half:], both.solid_angle_sr[half:]),
+    ]
+    first = np.min([line.first_px for line in lines], axis=0)
+    last = np.max([line.first_px + line.solid_angle_sr.shape[2] for line in lines], axis=0)
+    width = int((last - first).max(initial=1))
+    mean, ahead, behind = (_in_window(line, first, width, pixels) for line in lines)
+    moved = 2.0 * step * (cameras.linearise(points_mm)[1] @ direction)
+    moved = np.where(np.isfinite(moved) & (moved != 0.0), moved, np.inf)
+    return Stripes(first, mean, (ahead - behind) / moved[..., None])
+
+
+def shifted_stripes(shapes: Sequence[StripeProfiles], pixels: int) -> Stripes:
+    """Shift lines that are known on a grid finer than pixels, and see what each pixel gains.
+
+    One cell of the grid, 1/16 px, both ways: as ``displaced_stripes``, with no line formed anew.
+
+    Args:
+        shapes: of the same N points on each of S sensors.
+        pixels: pixels of a line.
+    """
+    width = max(shape.cell_sr.shape[1] for shape in shapes) // CELLS + 2
+    cells = np.zeros((len(shapes[0].first_px), len(shapes), width * CELLS))
+    for sensor, shape in enumerate(shapes):
+        # A dark pixel before and after, for what is shifted out.
+        cells[:, sensor, CELLS : CELLS + shape.cell_sr.shape[1]] = shape.cell_sr
+    first = np.stack([shape.first_px - 1 for shape in shapes], axis=1)
+    mean = cells.reshape(*first.shape, width, CELLS).sum(axis=3)
+    # Moved up by a cell, a pixel loses its last cell and gains its neighbour's; down, likewise.
+    foremost, last = cells[..., ::CELLS], cells[..., CELLS - 1 :: CELLS]
+    slope = foremost - last
+    slope[..., 1:] += last[..., :-1]
+    slope[..., :-1] -= foremost[..., 1:]
+    slope *= CELLS / 2.0
+    place = first[..., None] + np.arange(width)
+    beyond = (place < 0) | (place >= pixels)
+    mean[beyond], slope[beyond] = 0.0, 0.0
+    return Stripes(first, mean, slope)
+
+
+def _displacement(cameras: CameraStack, points_mm: Array) -> tuple[Array, float]:
+    """Return a direction that moves all sensors' lines, and a step that does by SHIFT_PX.
+
+    Raises:
+        InvalidParameter: no sensor sees the middle of the points.
+    """
+    middle = points_mm.mean(axis=0)
+    per_mm = cameras.linearise(middle[None])[1][0]
+    per_mm = per_mm[np.isfinite(per_mm).all(axis=1)]
+    if len(per_mm) == 0:
+        raise InvalidParameter(
+            f"no sensor sees the middle of the points, {middle.tolist()} mm; they must lie in "
+            "front of the sensors",
+            points_mm=middle.tolist(),
+        )
+    # No sensor may measure across the direction: of many in a plane that all see well, the best.
+    _, _, axes = np.linalg.svd(per_mm)
+    directions = np.column_stack([np.cos(_DIRECTION_ANGLES), np.sin(_DIRECTION_ANGLES)]) @ axes[:2]
+    moved = np.abs(directions @ per_mm.T)
+    best = int(moved.min(axis=1).argmax())
+    return directions[best], SHIFT_PX / float(moved[best].max())
+
+
+def centroids(lines: PixelSolidAngles, pixels: int) -> tuple[Array, Array]:
+    """Return whole lines' centres of gravity [px] and the light on the pixels [sr], both (N, S).
+
+    The centre of a line that reaches over the sensor's end counts what is beyond it; NaN
+    without light.
+    """
+    place = lines.first_px[..., None] + np.arange(lines.solid_angle_sr.shape[2])
+    light = lines.solid_angle_sr.sum(axis=2)
+    inside = (lines.solid_angle_sr * ((place >= 0) & (place < pixels))).sum(axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        position = (lines.solid_angle_sr * place).sum(axis=2) / light
+    return position, inside
+
+
+def _in_window(lines: PixelSolidAngles, first: NDArray[np.int64], width: int, pixels: int) -> Array:
+    """Return the lines in windows that begin at ``first``, zero beyond the sensor's ends."""
+    points, sensors, own = lines.solid_angle_sr.shape
+    window = np.zeros((points, sensors, width))
+    column = (lines.first_px - first)[..., None] + np.arange(own)
+    np.put_along_axis(window, column, lines.solid_angle_sr, axis=2)
+    place = first[..., None] + np.arange(width)
+    window[(place < 0) | (place >= pixels)] = 0.0
+    return window
+
+
+def centre_of_gravity_sigma(
+    mean_electrons: Array, noise: PixelNoise, settings: CentroidSettings
+) -> Array:
+    """Return the standard deviation that ``compute.signal`` gives for lines, shape (L,) [px].
+
+    That of threshold and centre of gravity (thesis [4.1]): noise, and the error by where the
+    line falls within the pixels, which more light does not make smaller. NaN where the line is
+    too faint to be found, or is cut by the sensor's end into something else.
+
+    Args:
+        mean_electrons: mean signal, shape (L, W).
+        noise: what is noise besides.
+        settings: what counts as a peak, and where it is cut.
+    """
+    if noise.electrons_per_count <= 0.0:
+        raise InvalidParameter(
+            f"electrons_per_count is {noise.electrons_per_count}; it must be positive to count",
+            electrons_per_count=noise.electrons_per_count,
+        )
+    width = mean_electrons.shape[-1]
+    # Enough dark groups beside the line for the finder's background.
+    length = max(4 * width, SAMPLE_GROUPS * GROUP_PIXELS)
+    counts = np.full((len(mean_electrons), length), float(noise.background_electrons))
+    start = (length - width) // 2
+    counts[:, start : start + width] += mean_electrons
+    counts = np.rint(counts / noise.electrons_per_count).clip(0, 65535)
+    model = SensorNoise.of(noise.electrons_per_count, noise.read_noise_electrons)
+    found = find_peaks_reference(counts.astype(np.uint16), settings, model)
+    brightest = np.argmax(np.nan_to_num(found.amplitude, nan=-1.0), axis=1)
+    return np.take_along_axis(found.sigma_px, brightest[:, None], axis=1)[:, 0].astype(np.float64)

@@ -1,0 +1,340 @@
+"""Strobed start: a tool found from exposures of its markers one after the other.
+
+While the markers are lit in turn the tool moves: its last readings fit no single pose. They tell
+one roughly, with a deviation that grows with their age; from there a filter runs over the
+exposures, from a start that says next to nothing, until it comes to rest.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.pose.centred_markers import CentredMarkers
+from compute.pose.estimation.observability import missing_readings
+from compute.pose.estimation.pose_equations import PoseCandidates, PoseEquations
+from compute.pose.estimation.pose_fit import solutions
+from compute.pose.estimation.pose_initialisation import initial_poses_from_readings, rough_position
+from compute.pose.filtering.association import common_jacobian, robust_update
+from compute.pose.filtering.pose_filter import (
+    STATES,
+    FilterUpdate,
+    PoseState,
+    initial_state,
+    predict,
+    predict_measurement,
+    update,
+)
+from compute.pose.measurement_model import MeasurementModel
+from compute.pose.settings import ToolTrackerSettings
+from compute.pose.so3 import exp_so3
+from compute.reconstruction.triangulation import chi2_limit
+
+Array = NDArray[np.float64]
+
+PASSES: Final = 4
+MAX_CANDIDATES: Final = 4
+INITIAL_ROTATION_SIGMA_RAD: Final = 0.2
+INITIAL_POSITION_SIGMA_FRACTION: Final = 0.5
+"""Deviation of a start's place as a share of the markers' radius, besides what the motion adds."""
+MIN_CONSISTENT_FRACTION: Final = 0.8
+"""Of the readings, that must fit: with more left out the rest may fit by chance."""
+MIN_SENSORS: Final = 3
+"""That find a moving tool whatever the sensors' places; two do only of some."""
+SAME_POSE_FRACTION: Final = 0.02
+"""States whose markers lie nearer than this share of the radius are one: passes end near, not at,
+the same place."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerExposure:
+    """Readings of one lit marker.
+
+    Args:
+        time_ns: middle of the exposure [ns].
+        marker: index of the marker in its tool.
+        readings_px: shape (S,) [px]; NaN where a sensor saw nothing, or more than one peak.
+        sigma_px: shape (S,) [px].
+    """
+
+    time_ns: int
+    marker: int
+    readings_px: Array
+    sigma_px: Array
+
+    @property
+    def any_reading(self) -> bool:
+        """Whether any sensor saw the marker."""
+        return bool(np.isfinite(self.readings_px).any())
+
+
+@dataclass(frozen=True, eq=False)
+class StrobedAcquisition:
+    """A tool found, or why it was not.
+
+    Args:
+        state: at the last exposure; None: not found.
+        reason: why not; None if it was.
+        inconsistent: whether there were readings enough and they did not fit.
+        nis: normalised innovation squared of all readings.
+        readings: their number.
+        searched: whether it was looked for all over, which takes long.
+    """
+
+    state: PoseState | None
+    reason: str | None
+    inconsistent: bool = False
+    nis: float = 0.0
+    readings: int = 0
+    searched: bool = False
+
+
+def acquire_strobed(
+    model: MeasurementModel,
+    centred: CentredMarkers,
+    exposures: Sequence[MarkerExposure],
+    common_errors: int,
+    settings: ToolTrackerSettings,
+) -> StrobedAcquisition:
+    """Find a tool from the last exposures of its markers, oldest first.
+
+    Args:
+        model: the cameras.
+        centred: the tool's markers.
+        exposures: of its markers only.
+        common_errors: number of common errors that the state is to carry.
+        settings: of fits and motion.
+    """
+    count = sum(int(np.isfinite(one.readings_px).sum()) for one in exposures)
+    if count < STATES + settings.fit.min_redundancy:
+        return StrobedAcquisition(
+            None,
+            f"{count} readings so far; pose and velocity take {STATES} and "
+            f"{settings.fit.min_redundancy} more to check them",
+        )
+    readings, sigma, age_s = _latest_per_marker(exposures, len(centred.markers_mm), model.sensors)
+    reason = missing_readings(centred, np.isfinite(readings), settings.fit)
+    if reason is not None:
+        return StrobedAcquisition(None, reason)
+    inflated_sigma = _motion_inflated_sigma(
+        model, readings, sigma, age_s, settings.motion.velocity_sigma_mm_s
+    )
+    if inflated_sigma is None:
+        return StrobedAcquisition(None, "the readings' planes tell no place")
+    starts = initial_poses_from_readings(model, centred, readings, inflated_sigma)
+    if not len(starts[0]):
+        reason = _too_few_sensors(exposures) or "the readings tell no turn"
+        return StrobedAcquisition(None, reason, searched=True)
+    equations = PoseEquations(model, centred, readings, inflated_sigma)
+    found = _best_candidate(
+        model, centred, exposures, solutions(equations, *starts), common_errors, settings
+    )
+    return replace(found, searched=True)
+
+
+def _best_candidate(
+    model: MeasurementModel,
+    centred: CentredMarkers,
+    exposures: Sequence[MarkerExposure],
+    found: PoseCandidates,
+    common_errors: int,
+    settings: ToolTrackerSettings,
+) -> StrobedAcquisition:
+    """Return what the likeliest of the rough poses come to, if it is one."""
+    accepted: list[StrobedAcquisition] = []
+    for candidate in range(min(MAX_CANDIDATES, len(found.chi2))):
+        one = _iterate_filter(
+            model,
+            centred,
+            exposures,
+            found.rotation[candidate],
+            found.centroid_mm[candidate],
+            common_errors,
+            settings,
+        )
+        if one is not None:
+            accepted.append(one)
+    if not accepted:
+        reason = _too_few_sensors(exposures)
+        if reason is not None:
+            return StrobedAcquisition(None, reason)
+        count = sum(int(np.isfinite(one.readings_px).sum()) for one in exposures)
+        return StrobedAcquisition(
+            None,
+            f"{count} readings of {len(exposures)} exposures do not fit the tool",
+            inconsistent=True,
+        )
+    accepted.sort(key=lambda one: one.nis)
+    best = accepted[0]
+    rivals = [
+        one
+        for one in accepted[1:]
+        if one.nis <= best.nis + settings.fit.ambiguity_chi2_margin and _differ(centred, best, one)
+    ]
+    if rivals:
+        return StrobedAcquisition(
+            None,
+            f"the readings fit the tool in {1 + len(rivals)} ways: chi2 is {best.nis:.4g} and "
+            f"{rivals[0].nis:.4g}",
+            inconsistent=True,
+        )
+    return best
+
+
+def _too_few_sensors(exposures: Sequence[MarkerExposure]) -> str | None:
+    """Return that no more than two sensors saw the tool, if so.
+
+    A moving tool of which two sensors see each marker is often not found, right as its readings
+    are: what it did between the exposures is too much beside what they tell.
+    """
+    readings = np.array([one.readings_px for one in exposures])
+    seen: NDArray[np.bool_] = np.isfinite(readings).any(axis=0)
+    which = np.flatnonzero(seen) + 1
+    if len(which) > MIN_SENSORS - 1:
+        return None
+    names = " and ".join(str(one) for one in which)
+    return (
+        f"only sensor{'' if len(which) == 1 else 's'} {names} of {len(seen)} saw it; its readings "
+        f"do not tell where it is, {MIN_SENSORS} sensors are needed to find it"
+    )
+
+
+def _latest_per_marker(
+    exposures: Sequence[MarkerExposure], markers: int, sensors: int
+) -> tuple[Array, Array, Array]:
+    """Return the last readings and deviations of each marker (M, S), and their age (M, 1) [s]."""
+    readings, sigma = np.full((markers, sensors), np.nan), np.full((markers, sensors), np.nan)
+    age = np.zeros((markers, 1))
+    for one in exposures:
+        readings[one.marker], sigma[one.marker] = one.readings_px, one.sigma_px
+        age[one.marker] = 1e-9 * (exposures[-1].time_ns - one.time_ns)
+    return readings, sigma, age
+
+
+def _motion_inflated_sigma(
+    model: MeasurementModel,
+    readings_px: Array,
+    sigma_px: Array,
+    age_s: Array,
+    velocity_sigma_mm_s: float,
+) -> Array | None:
+    """Return deviations that hold what the tool may have moved since each reading, (M, S)."""
+    place = rough_position(model, readings_px, sigma_px)
+    if place is None:
+        return None
+    slope = np.linalg.norm(model.expected(place[None])[1][0], axis=1)
+    slope = np.where(np.isfinite(slope), slope, 0.0)
+    found: Array = np.hypot(sigma_px, velocity_sigma_mm_s * age_s * slope)
+    return found
+
+
+def _iterate_filter(
+    model: MeasurementModel,
+    centred: CentredMarkers,
+    exposures: Sequence[MarkerExposure],
+    rotation: Array,
+    centroid_mm: Array,
+    common_errors: int,
+    settings: ToolTrackerSettings,
+) -> StrobedAcquisition | None:
+    """Filter the exposures from a start, again and again; None where they do not fit."""
+    motion = settings.motion
+    span_s = 1e-9 * (exposures[-1].time_ns - exposures[0].time_ns)
+    place_sd = (
+        INITIAL_POSITION_SIGMA_FRACTION * centred.radius_mm + motion.velocity_sigma_mm_s * span_s
+    )
+    broad = np.diag([INITIAL_ROTATION_SIGMA_RAD**2] * 3 + [place_sd**2] * 3)
+    begin, end = exposures[0].time_ns, exposures[-1].time_ns
+    state = initial_state(begin, rotation, centroid_mm, broad, motion, common_errors)
+    offered = sum(int(np.isfinite(one.readings_px).sum()) for one in exposures)
+    probability = settings.fit.false_rejection_probability
+    for iteration in range(PASSES):
+        last = iteration == PASSES - 1
+        # No more than all that is offered can fit: what is beyond that is not waited for.
+        max_nis = chi2_limit(offered - 6, probability) if last else np.inf
+        max_excluded = (1.0 - MIN_CONSISTENT_FRACTION) * offered if last else np.inf
+        filtered = _filter_pass(
+            model,
+            centred,
+            exposures,
+            state,
+            settings,
+            robust=iteration > 1,
+            max_nis=max_nis,
+            max_excluded=max_excluded,
+        )
+        found = None if filtered is None else filtered.state
+        if filtered is None or found is None:
+            return None
+        if last:
+            limit = chi2_limit(filtered.readings - 6, probability)
+            enough = filtered.readings >= STATES + settings.fit.min_redundancy
+            enough &= filtered.readings >= MIN_CONSISTENT_FRACTION * offered
+            return filtered if enough and filtered.nis <= limit else None
+        # Where the next pass is linearised; what is known in advance stays next to nothing.
+        state = replace(
+            state,
+            rotation=exp_so3(-1e-9 * (end - begin) * found.angular_velocity_rad_s) @ found.rotation,
+            centroid_mm=found.centroid_mm - 1e-9 * (end - begin) * found.velocity_mm_s,
+            velocity_mm_s=found.velocity_mm_s,
+            angular_velocity_rad_s=found.angular_velocity_rad_s,
+        )
+    return None
+
+
+def _filter_pass(
+    model: MeasurementModel,
+    centred: CentredMarkers,
+    exposures: Sequence[MarkerExposure],
+    state: PoseState,
+    settings: ToolTrackerSettings,
+    *,
+    robust: bool,
+    max_nis: float,
+    max_excluded: float,
+) -> StrobedAcquisition | None:
+    """Filter the exposures once; None where one does not fit at all, or all fit too badly."""
+    nis, count, excluded = 0.0, 0, 0
+    taken: FilterUpdate | None
+    for one in exposures:
+        state = predict(state, one.time_ns, settings.motion)
+        seen = np.flatnonzero(np.isfinite(one.readings_px))
+        if len(seen) == 0:
+            continue
+        lit = np.array([one.marker])
+        arms = centred.markers_mm[lit] @ state.rotation.T
+        expected = model.full(arms + state.centroid_mm)
+        if not np.isfinite(expected.value_px[0, seen]).all():
+            return None
+        common = common_jacobian(expected, lit, state.common.shape[1])
+        prediction = predict_measurement(state, arms, expected, common)
+        if len(seen) < model.sensors:
+            prediction = prediction.of(seen)
+        residual = one.readings_px[seen] - prediction.value_px
+        if robust:
+            taken = robust_update(
+                state, prediction, residual, one.sigma_px[seen], settings.gate_probability
+            )
+            if taken is None:
+                return None
+        else:
+            taken = update(state, prediction, residual, one.sigma_px[seen])
+        state = taken.state
+        nis += taken.nis
+        count += len(taken.kept)
+        excluded += len(seen) - len(taken.kept)
+        if nis > max_nis or excluded > max_excluded + 0.5:
+            return None
+    return StrobedAcquisition(state, None, False, nis, count)
+
+
+def _differ(centred: CentredMarkers, first: StrobedAcquisition, second: StrobedAcquisition) -> bool:
+    """Return whether two states have a marker at different places."""
+    assert first.state is not None
+    assert second.state is not None
+    distance = np.abs(
+        first.state.marker_positions(centred) - second.state.marker_positions(centred)
+    ).max()
+    return bool(distance > SAME_POSE_FRACTION * centred.radius_mm)

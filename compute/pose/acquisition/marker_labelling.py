@@ -1,0 +1,266 @@
+"""Identify: which points are the markers of which tools, by the tools' geometry."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from compute.camera.rotation import rotation_matrix
+from compute.pose.centred_markers import CentredMarkers
+from compute.pose.estimation.pose_initialisation import initial_pose_from_points
+from compute.pose.rigid_body import RigidBody
+from compute.pose.settings import LabellingSettings
+from compute.pose.transform import cross_matrix
+from compute.reconstruction.triangulation import chi2_limit
+
+Array = NDArray[np.float64]
+
+GAUSS_NEWTON_STEPS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerLabelling:
+    """A way to lay a tool over points.
+
+    Args:
+        points: index of each marker's point, -1: none, shape (M,).
+        rotation: R_world_tool, shape (3, 3).
+        centroid_mm: of the tool's markers in the world, shape (3,) [mm].
+        covariance: of turn [rad] and centroid [mm] by that of the points, shape (6, 6).
+        chi2: misfit of the points, with 3 n - 6 degrees of freedom.
+    """
+
+    points: NDArray[np.intp]
+    rotation: Array
+    centroid_mm: Array
+    covariance: Array
+    chi2: float
+
+    @property
+    def markers(self) -> int:
+        """How many markers have a point."""
+        return int((self.points >= 0).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedTool:
+    """A tool that was found among points.
+
+    Args:
+        tool: its index in the list of tools.
+        labelling: how it lies.
+        ambiguity: why it may be another tool, or lie otherwise; None: neither.
+    """
+
+    tool: int
+    labelling: MarkerLabelling
+    ambiguity: str | None
+
+
+def identify_tools(
+    tools: Sequence[RigidBody],
+    points_mm: Array,
+    covariance_mm2: Array,
+    settings: LabellingSettings | None = None,
+) -> list[IdentifiedTool]:
+    """Find tools among points by the distances between their markers, each point used once.
+
+    For each tool all ways are tried in which as many of its markers as possible have a point and
+    all distances agree within the points' covariances. Of these, ways in which the tool itself,
+    turned and shifted but not mirrored, fits the points, compete for the points: more markers
+    first, then the better fit. A tool is in doubt where another way, of it or of another tool, is
+    as good: it is not guessed which.
+
+    Args:
+        tools: with their markers.
+        points_mm: shape (N, 3) [mm]; NaN rows are nothing.
+        covariance_mm2: shape (N, 3, 3) [mm^2].
+        settings: tolerances.
+
+    Returns:
+        The tools found, at most one of each.
+    """
+    settings = settings or LabellingSettings()
+    all_labellings = [
+        (index, labelling)
+        for index, tool in enumerate(tools)
+        for labelling in find_labellings(tool, points_mm, covariance_mm2, settings)
+    ]
+    all_labellings.sort(key=lambda one: (-one[1].markers, one[1].chi2))
+    chosen: list[tuple[int, MarkerLabelling]] = []
+    free = np.ones(len(points_mm), dtype=np.bool_)
+    for index, labelling in all_labellings:
+        own = labelling.points[labelling.points >= 0]
+        if any(index == other for other, _ in chosen) or not free[own].all():
+            continue
+        free[own] = False
+        chosen.append((index, labelling))
+    return [
+        IdentifiedTool(
+            index, labelling, _ambiguity(tools, index, labelling, all_labellings, chosen, settings)
+        )
+        for index, labelling in chosen
+    ]
+
+
+def _ambiguity(
+    tools: Sequence[RigidBody],
+    index: int,
+    labelling: MarkerLabelling,
+    all_labellings: list[tuple[int, MarkerLabelling]],
+    chosen: list[tuple[int, MarkerLabelling]],
+    settings: LabellingSettings,
+) -> str | None:
+    """Return which other way is as good as the chosen one."""
+    better = [one for other, one in chosen if other != index and one.markers > labelling.markers]
+    for other, rival in all_labellings:
+        if rival is labelling or rival.markers < labelling.markers:
+            continue
+        if rival.chi2 > labelling.chi2 + settings.ambiguity_chi2_margin:
+            continue
+        if any(_shared_points(rival, one) for one in better):
+            continue
+        if other == index:
+            return (
+                f'{labelling.markers} points fit tool "{tools[index].name}" in more than one way: chi2 '
+                f"is {labelling.chi2:.3g} and {rival.chi2:.3g}"
+            )
+        if _shared_points(rival, labelling) >= settings.min_markers:
+            return (
+                f'the same {_shared_points(rival, labelling)} points fit tool "{tools[index].name}" and tool '
+                f'"{tools[other].name}": chi2 is {labelling.chi2:.3g} and {rival.chi2:.3g}'
+            )
+    return None
+
+
+def _shared_points(first: MarkerLabelling, second: MarkerLabelling) -> int:
+    """Return how many points two ways have in common."""
+    return len(np.intersect1d(first.points[first.points >= 0], second.points[second.points >= 0]))
+
+
+def find_labellings(
+    tool: RigidBody, points_mm: Array, covariance_mm2: Array, settings: LabellingSettings
+) -> list[MarkerLabelling]:
+    """Return the ways to lay a tool over points that have the most markers, best first.
+
+    Empty where none has ``min_markers`` that are not on a line, or where the search would have to
+    try more than ``max_search_steps``.
+    """
+    known = np.flatnonzero(np.isfinite(points_mm).all(axis=1))
+    places, spread = points_mm[known], covariance_mm2[known]
+    if len(known) < settings.min_markers:
+        return []
+    fits = _compatible_distances(tool, places, spread, settings)
+    found: list[MarkerLabelling] = []
+    most = settings.min_markers
+    for points in _assignments(fits, settings.min_markers, settings.max_search_steps):
+        if points is None:
+            return []
+        count = int((points >= 0).sum())
+        if count < most:
+            continue
+        labelling = _fit_labelling(tool, points, places, spread, settings)
+        if labelling is None:
+            continue
+        if count > most:
+            most, found = count, []
+        found.append(labelling)
+    found = [_renumber(labelling, known) for labelling in found]
+    found.sort(key=lambda labelling: labelling.chi2)
+    return found
+
+
+def _compatible_distances(
+    tool: RigidBody, points_mm: Array, covariance_mm2: Array, settings: LabellingSettings
+) -> NDArray[np.bool_]:
+    """Return whether markers i, j may be points a, b by their distance, shape (M, M, N, N)."""
+    markers = np.asarray(tool.markers_mm, dtype=np.float64)
+    wanted = np.linalg.norm(markers[:, None] - markers[None], axis=-1)
+    apart = points_mm[:, None] - points_mm[None]
+    distance = np.linalg.norm(apart, axis=-1)
+    along = apart / np.maximum(distance, 1e-9)[..., None]
+    both = covariance_mm2[:, None] + covariance_mm2[None]
+    variance = np.einsum("abi,abij,abj->ab", along, both, along) + 2.0 * settings.marker_sigma_mm**2
+    tolerance = -float(ndtri(0.5 * settings.gate_probability)) * np.sqrt(variance)
+    fits: NDArray[np.bool_] = np.abs(distance - wanted[:, :, None, None]) <= tolerance
+    fits &= ~np.eye(len(points_mm), dtype=np.bool_)
+    return fits
+
+
+def _assignments(
+    fits: NDArray[np.bool_], least: int, max_steps: int
+) -> Iterator[NDArray[np.intp] | None]:
+    """Yield points of markers, -1: none, such that all distances agree; more markers first tried.
+
+    Those with fewer markers than an earlier one are not gone into. After too many steps None comes,
+    and nothing more.
+    """
+    markers, points = len(fits), fits.shape[2]
+    most, steps = least, 0
+    assigned = np.full(markers, -1, dtype=np.intp)
+
+    def extend(marker: int, count: int, open_points: NDArray[np.bool_]) -> Iterator[None]:
+        nonlocal most, steps
+        steps += 1
+        if steps > max_steps or count + markers - marker < most:
+            return
+        if marker == markers:
+            most = max(most, count)
+            yield None
+            return
+        candidates = open_points[marker]
+        for point in np.flatnonzero(candidates):
+            assigned[marker] = point
+            # Later markers: those points whose distance from this one agrees.
+            left = open_points & fits[marker, :, point, :]
+            yield from extend(marker + 1, count + 1, left)
+        assigned[marker] = -1
+        yield from extend(marker + 1, count, open_points)
+
+    for _ in extend(0, 0, np.ones((markers, points), dtype=np.bool_)):
+        yield assigned.copy()
+    if steps > max_steps:
+        yield None
+
+
+def _fit_labelling(
+    tool: RigidBody,
+    points: NDArray[np.intp],
+    places_mm: Array,
+    covariance_mm2: Array,
+    settings: LabellingSettings,
+) -> MarkerLabelling | None:
+    """Lay the tool over its points, each weighted by its covariance; None where it does not fit."""
+    centred = CentredMarkers.of(tool)
+    own = np.flatnonzero(points >= 0)
+    markers, target = centred.markers_mm[own], places_mm[points[own]]
+    start = initial_pose_from_points(markers, target)
+    if start is None:
+        return None
+    rotation, centroid = start
+    inverse = np.linalg.inv(covariance_mm2[points[own]] + settings.marker_sigma_mm**2 * np.eye(3))
+    jacobian = np.empty((len(own), 3, 6))
+    jacobian[..., 3:] = np.eye(3)
+    for _ in range(GAUSS_NEWTON_STEPS):
+        arms = markers @ rotation.T
+        jacobian[..., :3] = -cross_matrix(arms)
+        weighted = jacobian.transpose(0, 2, 1) @ inverse
+        normal = (weighted @ jacobian).sum(axis=0)
+        rest = target - arms - centroid
+        step = np.linalg.solve(normal, np.einsum("nij,nj->i", weighted, rest))
+        rotation, centroid = rotation_matrix(step[:3]) @ rotation, centroid + step[3:]
+    rest = target - markers @ rotation.T - centroid
+    chi2 = float(np.einsum("ni,nij,nj->", rest, inverse, rest))
+    if not chi2 <= chi2_limit(3 * len(own) - 6, settings.gate_probability):
+        return None
+    return MarkerLabelling(points, rotation, centroid, np.linalg.inv(normal), chi2)
+
+
+def _renumber(labelling: MarkerLabelling, known: NDArray[np.intp]) -> MarkerLabelling:
+    """Return the way with the points' numbers among all points."""
+    points = np.where(labelling.points >= 0, known[labelling.points], -1)
+    return MarkerLabelling(
+        points, labelling.rotation, labelling.centroid_mm, labelling.covariance, labelling.chi2
+    )

@@ -1,0 +1,327 @@
+"""Pose fit: a tool's pose directly from the readings of all sensors, or why there is none."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter
+from compute.mapping.table import CorrectionTable
+from compute.pose.centred_markers import CentredMarkers
+from compute.pose.estimation.observability import missing_readings, observability
+from compute.pose.estimation.pose_equations import PoseCandidates, PoseEquations
+from compute.pose.estimation.pose_initialisation import (
+    initial_pose_from_points,
+    initial_poses_from_readings,
+)
+from compute.pose.measurement_model import MeasurementModel
+from compute.pose.rigid_body import RigidBody
+from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
+from compute.pose.tool_pose import PoseStatus
+from compute.pose.transform import Transform
+from compute.reconstruction.triangulation import chi2_limit
+
+Array = NDArray[np.float64]
+
+UNCORRELATED_ITERATIONS = 3
+"""Before the readings are weighted by what the calibration leaves open at the place."""
+MAX_SUSPECTS = 4
+"""Readings that are each left out on trial when one is wrong."""
+SAME_POSE_FRACTION = 1e-3
+"""Solutions whose markers lie nearer than this share of the tool's radius are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFit:
+    """A pose from readings, or why there is none.
+
+    Args:
+        status: OK; MISSING: the readings do not tell the pose; INVALID: they do not fit the tool,
+            or fit it in two ways.
+        reason: why it is not OK; of an OK one, what was left out; None: nothing.
+        rotation: R_world_tool, shape (3, 3); None without a pose, like all that follows.
+        translation_mm: the tool's origin, shape (3,) [mm].
+        covariance: of a small turn [rad] about the world's axes, on the left, and of the
+            translation [mm], shape (6, 6).
+        tip_mm: shape (3,) [mm].
+        tip_covariance_mm2: shape (3, 3) [mm^2].
+        chi2: weighted sum of squares of the residuals.
+        used: which readings it comes from, shape (M, S).
+        excluded: marker and sensor of readings that were left out as wrong.
+    """
+
+    status: PoseStatus
+    reason: str | None
+    used: NDArray[np.bool_]
+    rotation: Array | None = None
+    translation_mm: Array | None = None
+    covariance: Array | None = None
+    tip_mm: Array | None = None
+    tip_covariance_mm2: Array | None = None
+    chi2: float | None = None
+    excluded: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def dof(self) -> int:
+        """Readings beyond the six that a pose takes."""
+        return self.readings_used - POSE_PARAMETERS
+
+    @property
+    def readings_used(self) -> int:
+        """How many readings it comes from."""
+        return int(self.used.sum())
+
+    @property
+    def markers_used(self) -> int:
+        """How many markers it comes from."""
+        return int(self.used.any(axis=1).sum())
+
+    @property
+    def residual_sigma(self) -> float | None:
+        """Root of chi2 per degree of freedom; None without a pose or without redundancy."""
+        if self.chi2 is None or self.dof < 1:
+            return None
+        return float(np.sqrt(self.chi2 / self.dof))
+
+
+def fit_pose(
+    model: MeasurementModel | CameraStack | Sequence[SensorModel],
+    tool: RigidBody,
+    readings_px: Array,
+    sigma_px: Array,
+    *,
+    start: Transform | None = None,
+    points_mm: Array | None = None,
+    parameter_covariance: Array | None = None,
+    corrections: CorrectionTable | None = None,
+    settings: PoseFitSettings | None = None,
+) -> PoseFit:
+    """Fit a tool's pose to the readings of its markers; none needs to be reconstructed first.
+
+    Minimises r' S^-1 r over SE(3): r are readings less projections of the markers, S the readings'
+    noise plus what the calibration's covariance does to all of them together, plus the table's
+    variance. The pose is reported where the readings tell all six motions, are explained by the
+    tool (all, or all but one that is named), and have no second solution that is as good.
+
+    Args:
+        model: calibrated cameras, or their ``MeasurementModel`` when it is used again and again; it
+            brings its own ``parameter_covariance`` and ``corrections``.
+        tool: M markers; which reading is whose must be known.
+        readings_px: shape (M, S) [px]; NaN where a sensor did not see the marker.
+        sigma_px: their standard deviations, shape (M, S) or (S,) [px].
+        start: T_world_tool to search from. Without it, or where it leads nowhere, ``points_mm``
+            give one; without these, all rotations are tried on the readings.
+        points_mm: reconstructed markers, shape (M, 3) [mm]; NaN where there is none.
+        parameter_covariance: joint covariance of the cameras' parameters; None: exact.
+        corrections: correction table of the readings; None: none.
+        settings: when a fit is a pose.
+
+    Raises:
+        InvalidParameter: shapes that do not fit.
+    """
+    if not isinstance(model, MeasurementModel):
+        model = MeasurementModel.of(model, parameter_covariance, corrections)
+    settings = settings or PoseFitSettings()
+    readings, sigma = _validate(model, tool, readings_px, sigma_px)
+    centred = CentredMarkers.of(tool)
+    equations = PoseEquations(model, centred, readings, sigma)
+    reason = missing_readings(centred, equations.used, settings)
+    if reason is not None:
+        return PoseFit(PoseStatus.MISSING, reason, equations.used)
+    first = _initial_pose(centred, tool, start, points_mm)
+    found = _fit_from_start(equations, first, settings)
+    if found.status is PoseStatus.INVALID and found.chi2 is not None:
+        found = _exclude_outlier(equations, found, settings)
+    return found
+
+
+def _validate(
+    model: MeasurementModel, tool: RigidBody, readings_px: Array, sigma_px: Array
+) -> tuple[Array, Array]:
+    """Return readings and deviations (M, S), both NaN where either is of no use."""
+    readings = np.asarray(readings_px, dtype=np.float64)
+    shape = (len(tool), model.sensors)
+    if readings.shape != shape:
+        raise InvalidParameter(
+            f'readings of tool "{tool.name}" have the shape {readings.shape}; {shape[0]} markers '
+            f"and {shape[1]} sensors need {shape}",
+            shape=readings.shape,
+        )
+    sigma = np.asarray(sigma_px, dtype=np.float64)
+    if sigma.shape not in (shape, shape[1:]):
+        raise InvalidParameter(
+            f"sigma_px has the shape {sigma.shape}; it must be {shape} or {shape[1:]}",
+            shape=sigma.shape,
+        )
+    sigma = np.broadcast_to(sigma, shape)
+    known = np.isfinite(readings) & np.isfinite(sigma) & (sigma > 0.0)
+    return np.where(known, readings, np.nan), np.where(known, sigma, np.nan)
+
+
+def _initial_pose(
+    centred: CentredMarkers, tool: RigidBody, start: Transform | None, points_mm: Array | None
+) -> tuple[Array, Array] | None:
+    """Return rotations (1, 3, 3) and centroids (1, 3) to begin with, if any are known."""
+    if start is not None:
+        rotation, translation = start.rotation, start.translation_mm
+    else:
+        initial = (
+            None if points_mm is None else initial_pose_from_points(tool.markers_mm, points_mm)
+        )
+        if initial is None:
+            return None
+        rotation, translation = initial
+    return rotation[None], centred.centroid(rotation, translation)[None]
+
+
+def _fit_from_start(
+    equations: PoseEquations, first: tuple[Array, Array] | None, settings: PoseFitSettings
+) -> PoseFit:
+    """Fit from a start; where there is none, or it leads to no good fit, from all rotations."""
+    limit = chi2_limit(
+        len(equations.independent_whitening) - 6, settings.false_rejection_probability
+    )
+    poses = None
+    if first is not None:
+        poses = solutions(equations, *first)
+        if not (poses.chi2 <= limit).any():
+            poses = None
+    if poses is None:
+        starts = initial_poses_from_readings(
+            equations.model, equations.centred, equations.readings_px, equations.sigma_px
+        )
+        poses = solutions(equations, *starts)
+    used = equations.used
+    if len(poses.chi2) == 0 or not np.isfinite(poses.chi2[0]):
+        reason = "the readings' planes tell no place, or the search for one did not come to rest"
+        return PoseFit(PoseStatus.MISSING, reason, used)
+    judged = observability(poses.gram[0, :6, :6], equations.centred, used, settings)
+    if not judged.observable:
+        return PoseFit(PoseStatus.MISSING, judged.reason, used)
+    best = float(poses.chi2[0])
+    if best > limit:
+        reason = (
+            f"the readings do not fit the tool: chi2 is {best:.4g} where {limit:.4g} is the most "
+            f"of {int(used.sum()) - 6} degrees of freedom"
+        )
+        return replace(_pose(equations, poses), status=PoseStatus.INVALID, reason=reason)
+    rivals = poses.chi2[1:] <= best + settings.ambiguity_chi2_margin
+    if rivals.any():
+        reason = (
+            f"the readings fit the tool in {1 + int(rivals.sum())} ways: chi2 is {best:.4g} and "
+            f"{poses.chi2[1]:.4g}"
+        )
+        return PoseFit(PoseStatus.INVALID, reason, used)
+    return _pose(equations, poses)
+
+
+def solutions(equations: PoseEquations, rotation: Array, centroid_mm: Array) -> PoseCandidates:
+    """Return the distinct solutions that K starts (3, 3) and (3,) lead to, best first."""
+    if equations.has_independent_noise:
+        found = equations.refine(rotation, centroid_mm, equations.independent_whitening)
+    else:
+        near = equations.refine(
+            rotation, centroid_mm, equations.independent_whitening, UNCORRELATED_ITERATIONS
+        )
+        value = near.gram[:, 6, 6]
+        if not np.isfinite(value).any():
+            return near.of(np.empty(0, dtype=np.intp))
+        best = int(np.nanargmin(value))
+        whitening = equations.whitening(near.rotation[best], near.centroid_mm[best])
+        found = equations.refine(near.rotation, near.centroid_mm, whitening)
+    order = np.argsort(found.chi2, kind="stable")
+    if len(order) == 1:
+        return found
+    places = equations.lever_arms(found.rotation) + found.centroid_mm[:, None, :]
+    same = SAME_POSE_FRACTION * equations.centred.radius_mm
+    kept: list[int] = []
+    for index in order:
+        if np.isfinite(found.chi2[index]) and all(
+            np.abs(places[index] - places[other]).max() > same for other in kept
+        ):
+            kept.append(int(index))
+    return found.of(np.array(kept, dtype=np.intp))
+
+
+def _pose(equations: PoseEquations, poses: PoseCandidates) -> PoseFit:
+    """Return the first of the poses with its covariance."""
+    centred = equations.centred
+    rotation, centroid = poses.rotation[0], poses.centroid_mm[0]
+    scaled = np.linalg.inv(poses.gram[0, :6, :6])
+    radius = np.array([centred.radius_mm] * 3 + [1.0] * 3)
+    here = scaled / (radius[:, None] * radius)
+    origin, tip = centred.origin_jacobian(rotation), centred.tip_jacobian(rotation)
+    return PoseFit(
+        PoseStatus.OK,
+        None,
+        equations.used,
+        rotation,
+        centred.translation(rotation, centroid),
+        origin @ here @ origin.T,
+        centroid + rotation @ centred.tip_mm,
+        tip @ here @ tip.T,
+        float(poses.gram[0, 6, 6]),
+    )
+
+
+def _exclude_outlier(
+    equations: PoseEquations, whole: PoseFit, settings: PoseFitSettings
+) -> PoseFit:
+    """Leave out the one wrong reading, if one explains the misfit and it is clear which.
+
+    Suspects are the readings whose absence would lower chi2 most (W. Baarda's data snooping, 1968:
+    ``w^2 = (Q r)^2 / Q_ii`` with ``Q = S^-1 - S^-1 J (J' S^-1 J)^-1 J' S^-1``); each is left out.
+    """
+    count = int(equations.used.sum())
+    nothing = replace(PoseFit(PoseStatus.INVALID, whole.reason, equations.used), chi2=whole.chi2)
+    if settings.max_excluded < 1 or count - 1 < settings.min_readings:
+        return nothing
+    suspects = _suspects(equations, whole)
+    trials: list[tuple[float, PoseFit]] = []
+    for marker, sensor in suspects:
+        readings = equations.readings_px.copy()
+        readings[marker, sensor] = np.nan
+        fewer = replace(equations, readings_px=readings)
+        if missing_readings(equations.centred, fewer.used, settings) is not None:
+            continue
+        trial = _fit_from_start(fewer, None, settings)
+        if trial.status is PoseStatus.OK:
+            assert trial.chi2 is not None
+            trials.append((trial.chi2, replace(trial, excluded=((marker, sensor),))))
+    trials.sort(key=lambda one: one[0])
+    if not trials:
+        return nothing
+    if len(trials) > 1 and trials[1][0] <= trials[0][0] + settings.ambiguity_chi2_margin:
+        names = " or ".join(
+            f"sensor {sensor + 1} of marker {marker + 1}"
+            for _, trial in trials
+            for marker, sensor in trial.excluded
+        )
+        return replace(
+            nothing,
+            reason=f"one reading is wrong, and it is not clear which: {names}",
+        )
+    marker, sensor = trials[0][1].excluded[0]
+    return replace(
+        trials[0][1],
+        reason=f"the reading of marker {marker + 1} by sensor {sensor + 1} was left out as wrong",
+    )
+
+
+def _suspects(equations: PoseEquations, whole: PoseFit) -> list[tuple[int, int]]:
+    """Return marker and sensor of the readings that chi2 blames most, worst first."""
+    assert whole.rotation is not None
+    assert whole.translation_mm is not None
+    centroid = equations.centred.centroid(whole.rotation, whole.translation_mm)
+    whitening = equations.whitening(whole.rotation, centroid)
+    rows = whitening @ equations.rows(whole.rotation[None], centroid[None])[0]
+    basis, _ = np.linalg.qr(rows[:, :6])
+    rest = whitening.T @ (np.eye(len(rows)) - basis @ basis.T)
+    weight = (rest @ whitening).diagonal()
+    lowered = np.where(weight > 0.0, (rest @ rows[:, 6]) ** 2 / np.maximum(weight, 1e-300), 0.0)
+    marker, sensor = np.nonzero(equations.used)
+    worst = np.argsort(-lowered, kind="stable")[:MAX_SUSPECTS]
+    return [(int(marker[index]), int(sensor[index])) for index in worst]

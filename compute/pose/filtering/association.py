@@ -1,0 +1,453 @@
+"""Association: which peaks of a frame are which markers of the tools that are being tracked.
+
+All markers of a tool move as one, so its peaks are found jointly: first those that only one marker
+of one tool can have made, which update the tool's pose; then, with the narrower expectations of
+that pose, the others. A peak that still has two owners, or a marker that still has two peaks, is
+left alone: merged lines and false peaks are never guessed at.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.pose.centred_markers import CentredMarkers
+from compute.pose.filtering.imm_state import ImmState
+from compute.pose.filtering.pose_filter import (
+    FilterUpdate,
+    MeasurementPrediction,
+    PoseState,
+    predict_measurement,
+    update,
+)
+from compute.pose.filtering.second_order import needs_second_order, second_order_prediction
+from compute.pose.measurement_model import ExpectedReadings, MeasurementModel
+from compute.reconstruction.triangulation import chi2_limit
+from compute.signal.peaks import PeakFlag
+
+if TYPE_CHECKING:
+    from compute.pose.filtering.native.strobed_step import Step
+
+Array = NDArray[np.float64]
+
+ASSOCIATION_ROUNDS: Final = 3
+RIVAL_VARIANCE_RATIO: Final = 16.0
+"""Of two markers that expect a peak, the one with so many times the variance does not count."""
+UNUSABLE_FLAGS: Final = PeakFlag.CLIPPED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
+"""Peaks that may be anywhere: drawn inwards, of two maxima, or of a pattern that fits elsewhere."""
+SUSPECT_FLAGS: Final = PeakFlag.SATURATED | PeakFlag.JOINT | PeakFlag.POOR_FIT
+"""Peaks whose standard deviation is too small: their shape is not what was fitted to them, or a
+neighbour's light is in it."""
+NEAR_MISS_PX: Final = 8.0
+"""A peak that nothing explains so near to where a marker must be is likely the marker's: farther
+off a false peak beside a hidden marker is more likely."""
+MAX_EXCLUDED_NIS: Final = 25.0
+"""Square that a reading that was left out counts with at most: one alone may be anything."""
+SUSPECT_SIGMA_FACTOR: Final = 3.0
+"""On the standard deviations of these."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """The peaks of one frame that poses may rest on.
+
+    Args:
+        position_px: shape (S, K) [px].
+        variance_px2: of the positions, shape (S, K).
+        usable: which of them there are, and are not in doubt, shape (S, K).
+        all_px: all peaks, those in doubt as well, shape (S, K) [px].
+    """
+
+    position_px: Array
+    variance_px2: Array
+    usable: NDArray[np.bool_]
+    all_px: Array
+
+    @classmethod
+    def of(
+        cls, position_px: Array, sigma_px: Array, peak_flags: NDArray[np.int32]
+    ) -> "Measurements":
+        """Return the peaks of a frame, all of shape (S, K), NaN where there are fewer than K."""
+        position = np.asarray(position_px, dtype=np.float64)
+        sigma = np.asarray(sigma_px, dtype=np.float64)
+        usable = np.isfinite(position) & np.isfinite(sigma) & (sigma > 0.0)
+        flags = np.asarray(peak_flags)
+        variance = sigma**2
+        if np.count_nonzero(flags):
+            usable &= (flags & int(UNUSABLE_FLAGS)) == 0
+            variance = np.where(
+                flags & int(SUSPECT_FLAGS), SUSPECT_SIGMA_FACTOR**2 * variance, variance
+            )
+        if np.count_nonzero(usable) == usable.size:
+            return cls(position, variance, usable, position)
+        return cls(
+            np.where(usable, position, np.nan), np.where(usable, variance, 1.0), usable, position
+        )
+
+    def unambiguous_readings(self) -> tuple[Array, Array]:
+        """Return readings and deviations of sensors with one peak, NaN of others, (S,) each."""
+        one = self.usable.sum(axis=1) == 1
+        peak = self.usable.argmax(axis=1)
+        row = np.arange(len(peak))
+        reading = np.where(one, self.position_px[row, peak], np.nan)
+        return reading, np.where(one, np.sqrt(self.variance_px2[row, peak]), np.nan)
+
+    def without(self, observations: Sequence["ToolObservation"]) -> "Measurements":
+        """Return the peaks that tools have not taken."""
+        usable = self.usable.copy()
+        for observation in observations:
+            row, sensor = np.nonzero(observation.peaks >= 0)
+            usable[sensor, observation.peaks[row, sensor]] = False
+        return replace(self, usable=usable)
+
+
+@dataclass(eq=False)
+class ToolObservation:
+    """What a frame shows of one tool; filled in round by round.
+
+    Args:
+        centred: the tool's markers.
+        lit: indices of the markers that this exposure lights, shape (m,).
+        state: the tool, predicted to the exposure; updated by what is found. Of a tool with
+            modes, under the widest.
+        imm: likewise; None: the tool has a single one.
+        step: what a kernel made of the exposure, for a tool that is the only one it lights.
+        peaks: which peak of each sensor is which marker's, -1: none, shape (m, S).
+        merged: readings that were not looked for, as their lines may be merged, shape (m, S).
+        nis: normalised innovation squared of what was found.
+        readings: how many readings were found.
+        whitened: innovations and their slopes by the common errors, of a tool with modes.
+        misfit: readings that were where the tool was expected did not fit it.
+    """
+
+    centred: CentredMarkers
+    lit: NDArray[np.intp]
+    state: PoseState
+    imm: ImmState | None = None
+    step: "Step | None" = None
+    peaks: NDArray[np.intp] = field(init=False)
+    merged: NDArray[np.bool_] = field(init=False)
+    nis: float = 0.0
+    readings: int = 0
+    whitened: list[Array] = field(default_factory=list)
+    misfit: bool = False
+
+    def __post_init__(self) -> None:
+        self._predicted = self.state, self.imm
+
+    def accept_step(self) -> None:
+        """Take what the kernel found."""
+        step = self.step
+        assert step is not None
+        assert step.imm is not None
+        self.peaks, self.readings, self.nis = step.peaks, step.readings, step.nis
+        if step.readings:
+            self.imm, self.state = step.imm, step.imm.widest_state
+            self.whitened.append(step.whitened)
+
+    def roll_back(self) -> None:
+        """Go back to what was predicted: what was found does not fit."""
+        self.state, self.imm = self._predicted
+        self.nis, self.readings, self.misfit = 0.0, 0, True
+        self.whitened.clear()
+        self.peaks[:] = -1
+
+    def excluded_nis(
+        self, model: MeasurementModel, free: Measurements, gate_probability: float
+    ) -> Array:
+        """Return the squares by which readings that were left out are off, shape (m, S).
+
+        That is where nothing was taken for a marker though a peak that nothing explains lies near
+        where it must be; in units of its variance, MAX_EXCLUDED_NIS at most, 0 elsewhere.
+
+        Args:
+            model: the cameras.
+            free: the peaks that are no tool's.
+            gate_probability: chance that a right reading is not taken.
+        """
+        off = np.zeros(self.peaks.shape)
+        asked = (self.peaks < 0) & ~self.merged & free.usable.any(axis=1)
+        if not asked.any():
+            return off
+        (prediction,) = _predict_observed(
+            model, [self], float(np.sqrt(free.variance_px2[free.usable].min()))
+        )
+        value = prediction.value_px.reshape(*off.shape, 1)
+        variance = prediction.covariance.diagonal().reshape(*off.shape, 1) + free.variance_px2
+        distance = np.where(free.usable, np.abs(free.position_px - value), np.inf)
+        square = np.where(distance <= NEAR_MISS_PX, distance**2 / variance, np.inf).min(axis=2)
+        # One within the gate fits: it was only not clear whose it is.
+        near = asked & (square < np.inf) & (square > chi2_limit(1, gate_probability))
+        off[near] = np.minimum(square[near], MAX_EXCLUDED_NIS)
+        return off
+
+    def count_contradictions(self, free: NDArray[np.intp]) -> int:
+        """Return how many peaks that nothing explains might be markers that were not found.
+
+        A marker that is hidden leaves nothing. A tool that is believed elsewhere than it is finds
+        some readings by chance, or on the sensors that see no difference, and leaves its true
+        peaks unexplained on the others.
+
+        Args:
+            free: number of unexplained peaks of each sensor, shape (S,).
+        """
+        missed = ((self.peaks < 0) & ~self.merged).sum(axis=0)
+        return int(np.minimum(missed, free).sum())
+
+    def readings_px(self, measurements: Measurements) -> tuple[Array, Array]:
+        """Return what was found as readings and deviations of all markers, shapes (M, S)."""
+        shape = (len(self.centred.markers_mm), len(measurements.position_px))
+        readings, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+        row, sensor = np.nonzero(self.peaks >= 0)
+        peak = self.peaks[row, sensor]
+        readings[self.lit[row], sensor] = measurements.position_px[sensor, peak]
+        sigma[self.lit[row], sensor] = np.sqrt(measurements.variance_px2[sensor, peak])
+        return readings, sigma
+
+
+def associate(
+    model: MeasurementModel,
+    observations: list[ToolObservation],
+    measurements: Measurements,
+    gate_probability: float,
+    resolution_px: float,
+) -> None:
+    """Find the peaks of several tools in one frame and update their states; fills ``observations``.
+
+    Args:
+        model: the cameras.
+        observations: the tools; peaks that they have found before are taken.
+        measurements: the frame's peaks.
+        gate_probability: chance that a right reading is not taken.
+        resolution_px: lines nearer to one another may be one peak.
+    """
+    active = [observation for observation in observations if len(observation.lit)]
+    alone = active[0] if len(active) == 1 else None
+    ready = alone is not None and alone.step is not None and alone.step.imm is not None
+    for observation in observations:
+        shape = (len(observation.lit), model.sensors)
+        observation.merged = np.zeros(shape, dtype=np.bool_)
+        if ready and observation is alone:
+            observation.accept_step()
+        else:
+            observation.peaks = np.full(shape, -1, dtype=np.intp)
+    if ready or not np.count_nonzero(measurements.usable):
+        return
+    free = measurements.usable.copy()
+    gate = chi2_limit(1, gate_probability)
+    sigma = float(np.sqrt(measurements.variance_px2[free].min()))
+    if len(active) == 1 and len(active[0].lit) == 1 and free.shape[1] == 1:
+        # A strobed exposure with one peak on each sensor: there is nothing to choose.
+        (one,) = _predict_observed(model, active, sigma)
+        row, sensor, peak = np.nonzero(
+            _gated_variances(active[0], one, measurements, free, gate) < np.inf
+        )
+        if len(row):
+            _update_from_peaks(active[0], one, measurements, row, sensor, peak, gate_probability)
+        return
+    for _ in range(ASSOCIATION_ROUNDS if active else 0):
+        prediction = _predict_observed(model, active, sigma)
+        offers = [
+            _gated_variances(*pair, measurements, free, gate)
+            for pair in zip(active, prediction, strict=True)
+        ]
+        if len(offers) > 1 or len(offers[0]) > 1:
+            _withdraw_merged(active, prediction, offers, measurements, resolution_px)
+        # A tool that is hardly known any more offers for peaks all over: that does not keep one
+        # from its peaks whose gates are narrow.
+        every = offers[0] if len(offers) == 1 else np.concatenate(offers)
+        strong = RIVAL_VARIANCE_RATIO * every.min(axis=0)
+        wanted = (every <= strong) & (every < np.inf)
+        claims = wanted.sum(axis=0)
+        found, open_still = False, bool((claims > 1).any())
+        for observation, one, offer in zip(active, prediction, offers, strict=True):
+            known = offer < np.inf
+            number = known.sum(axis=2, keepdims=True)
+            single = known & (offer <= strong) & (claims == 1) & (number == 1)
+            row, sensor, peak = np.nonzero(single)
+            if len(row) and not observation.misfit:
+                found |= _update_from_peaks(
+                    observation, one, measurements, row, sensor, peak, gate_probability
+                )
+                taken, where = np.nonzero(observation.peaks >= 0)
+                free[where, observation.peaks[taken, where]] = False
+            open_still |= bool((number > 1).any())
+        if not found or not open_still:
+            return
+
+
+def _predict_observed(
+    model: MeasurementModel, observations: list[ToolObservation], sigma_px: float
+) -> list[MeasurementPrediction]:
+    """Return what is expected of the lit markers of all tools, in one call of the cameras."""
+    arms = [
+        observation.centred.markers_mm[observation.lit] @ observation.state.rotation.T
+        for observation in observations
+    ]
+    marker_positions = np.concatenate(
+        [
+            arm + observation.state.centroid_mm
+            for arm, observation in zip(arms, observations, strict=True)
+        ]
+    )
+    whole = model.full(marker_positions)
+    focal = float(model.cameras.principal_distance_px.min())
+    found = []
+    first = 0
+    for arm, observation in zip(arms, observations, strict=True):
+        part = whole.part(first, first + len(arm))
+        first += len(arm)
+        common = common_jacobian(part, observation.lit, observation.state.common.shape[1])
+        prediction = predict_measurement(observation.state, arm, part, common)
+        if needs_second_order(observation.state, observation.centred, prediction, focal, sigma_px):
+            prediction = second_order_prediction(
+                model, observation.centred, observation.lit, observation.state, prediction
+            )
+        found.append(prediction)
+    return found
+
+
+def common_jacobian(expected: ExpectedReadings, lit: NDArray[np.intp], common_errors: int) -> Array:
+    """Return the readings' slopes by all common errors, shape (m, S, errors).
+
+    First the calibration's, then, where there is a correction table, one for each of the tool's
+    markers and sensors: the table's deviation at the place, which is the same in every frame.
+    """
+    own = expected.common_px
+    markers, sensors, count = own.shape
+    if common_errors == count:
+        return own
+    common = np.zeros((markers, sensors, common_errors))
+    common[..., :count] = own
+    row, sensor = np.meshgrid(np.arange(markers), np.arange(sensors), indexing="ij")
+    common[row, sensor, count + lit[row] * sensors + sensor] = np.sqrt(expected.table_variance_px2)
+    return common
+
+
+def _gated_variances(
+    observation: ToolObservation,
+    prediction: MeasurementPrediction,
+    measurements: Measurements,
+    free: NDArray[np.bool_],
+    gate: float,
+) -> Array:
+    """Return the variance with which each marker expects each peak, shape (m, S, K) [px^2].
+
+    Infinite where the peak is not free or beyond the gate, and for markers that were found.
+    """
+    shape = observation.peaks.shape
+    value = prediction.value_px.reshape(shape)[..., None]
+    variance = (
+        prediction.covariance.diagonal().reshape(shape)[..., None] + measurements.variance_px2
+    )
+    with np.errstate(invalid="ignore"):
+        offer = (measurements.position_px - value) ** 2 <= gate * variance
+    offer &= free & (observation.peaks < 0)[..., None]
+    return np.where(offer, variance, np.inf)
+
+
+def _withdraw_merged(
+    observations: list[ToolObservation],
+    prediction: list[MeasurementPrediction],
+    offers: list[Array],
+    measurements: Measurements,
+    resolution_px: float,
+) -> None:
+    """Withdraw the offers of markers whose lines may be one peak with another marker's.
+
+    Two lines a tenth of a pixel apart are one peak between them that nothing marks as such: it is
+    off by ten times what it states, and still near enough to pass for either. So where more markers
+    than peaks are expected within the width of a line, none of them is read.
+    """
+    sensors = len(measurements.all_px)
+    value = np.concatenate([one.value_px.reshape(-1, sensors) for one in prediction])
+    markers = (np.abs(value[:, None] - value[None]) <= resolution_px).sum(axis=1)
+    crowded = markers > 1
+    if not crowded.any():
+        return
+    peaks = (np.abs(measurements.all_px - value[..., None]) <= resolution_px).sum(axis=2)
+    merged = crowded & (markers > peaks)
+    first = 0
+    for observation, offer in zip(observations, offers, strict=True):
+        observation.merged = merged[first : first + len(offer)]
+        offer[observation.merged] = np.inf
+        first += len(offer)
+
+
+def _update_from_peaks(
+    observation: ToolObservation,
+    prediction: MeasurementPrediction,
+    measurements: Measurements,
+    row: NDArray[np.intp],
+    sensor: NDArray[np.intp],
+    peak: NDArray[np.intp],
+    probability: float,
+) -> bool:
+    """Update a tool by peaks that are its alone; return whether it was."""
+    some = prediction.of(row * observation.peaks.shape[1] + sensor)
+    residual = measurements.position_px[sensor, peak] - some.value_px
+    deviation = np.sqrt(measurements.variance_px2[sensor, peak])
+    if observation.imm is None:
+        found = robust_update(observation.state, some, residual, deviation, probability)
+    else:
+        found = _update_imm(observation, some, residual, deviation, probability)
+    if found is None:
+        observation.misfit = True
+        return False
+    observation.state = found.state
+    observation.nis += found.nis
+    if found.whitened is not None:
+        observation.whitened.append(found.whitened)
+    observation.readings += len(found.kept)
+    observation.peaks[row[found.kept], sensor[found.kept]] = peak[found.kept]
+    return True
+
+
+def _update_imm(
+    observation: ToolObservation,
+    prediction: MeasurementPrediction,
+    residual_px: Array,
+    sigma_px: Array,
+    probability: float,
+) -> FilterUpdate | None:
+    """Update a tool's modes by n readings, of which those count that fit the widest."""
+    assert observation.imm is not None
+    found = observation.imm.update(prediction, residual_px, sigma_px)
+    kept = np.arange(len(residual_px))
+    if not found.widest_nis <= chi2_limit(len(kept), probability):
+        robust = robust_update(observation.state, prediction, residual_px, sigma_px, probability)
+        if robust is None:
+            return None
+        kept = robust.kept
+        found = observation.imm.update(prediction.of(kept), residual_px[kept], sigma_px[kept])
+    observation.imm = found.imm
+    return FilterUpdate(found.imm.widest_state, found.nis, kept, found.whitened)
+
+
+def robust_update(
+    state: PoseState,
+    prediction: MeasurementPrediction,
+    residual_px: Array,
+    sigma_px: Array,
+    probability: float,
+) -> FilterUpdate | None:
+    """Update a state by n readings, without those that contradict the others.
+
+    The reading that the misfit blames most, by ``(S^-1 r)^2 / (S^-1)_ii``, is left out until the
+    rest fit; None where that takes more than a quarter of them (but one of three).
+    """
+    found = update(state, prediction, residual_px, sigma_px)
+    if found.nis <= chi2_limit(len(residual_px), probability):
+        return found
+    index = np.arange(len(residual_px))
+    for _ in range((len(index) + 1) // 4):
+        whole = prediction.covariance[np.ix_(index, index)] + np.diag(sigma_px[index] ** 2)
+        inverse = np.linalg.inv(whole)
+        blame = (inverse @ residual_px[index]) ** 2 / inverse.diagonal()
+        index = np.delete(index, np.argmax(blame))
+        found = update(state, prediction.of(index), residual_px[index], sigma_px[index])
+        if found.nis <= chi2_limit(len(index), probability):
+            return replace(found, kept=index)
+    return None

@@ -1,0 +1,310 @@
+"""Pose filter: a tool's pose, velocity and angular velocity, straight from readings of any time.
+
+An error-state Kalman filter on SE(3) x R^6 with constant velocity (J. Sola, arXiv:1711.02508),
+which a single reading can update: the markers of a strobed tool are never seen at one instant, and
+no pose is fitted to readings of different times.
+
+The calibration's error is the same in every frame. A filter that took it for noise would average it
+away and state a covariance that shrinks with the number of frames. Here it is *considered*
+(S. F. Schmidt, Advances in Control Systems 3, 1966, doi:10.1016/B978-1-4831-6716-9.50011-4): the
+state's correlation with the common errors is carried along, and they are never estimated. What the
+correction table leaves open is one more common error for each marker and sensor.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dtrtrs
+
+from compute.pose.centred_markers import CentredMarkers
+from compute.pose.estimation.pose_equations import rotation_jacobian
+from compute.pose.measurement_model import ExpectedReadings
+from compute.pose.settings import MotionSettings
+from compute.pose.so3 import exp_so3
+
+Array = NDArray[np.float64]
+
+STATES = 12
+ROTATION, POSITION, VELOCITY, ANGULAR_VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+_IDENTITY = np.eye(STATES)
+_ROTATION_BY_ANGULAR_VELOCITY = (np.arange(3), np.arange(9, 12))
+_POSITION_BY_VELOCITY = (np.arange(3, 6), np.arange(6, 9))
+
+
+@dataclass(frozen=True, eq=False)
+class ReportedPose:
+    """What is reported of a tool's pose.
+
+    Args:
+        rotation: R_world_tool, shape (3, 3).
+        angular_velocity_rad_s: about the world's axes, shape (3,) [rad/s].
+        translation_mm: the tool's origin in the world, shape (3,) [mm].
+        covariance: of turn (left) and translation, shape (6, 6).
+        tip_mm: in the world, shape (3,) [mm].
+        tip_covariance_mm2: shape (3, 3) [mm^2].
+        velocity_mm_s: of the tool's origin, shape (3,) [mm/s].
+    """
+
+    rotation: Array
+    angular_velocity_rad_s: Array
+    translation_mm: Array
+    covariance: Array
+    tip_mm: Array
+    tip_covariance_mm2: Array
+    velocity_mm_s: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PoseState:
+    """A moving tool at an instant.
+
+    Args:
+        time_ns: the instant [ns].
+        rotation: R_world_tool, shape (3, 3).
+        centroid_mm: of the markers in the world, shape (3,) [mm].
+        velocity_mm_s: of the centroid, shape (3,) [mm/s].
+        angular_velocity_rad_s: angular velocity about the world's axes, shape (3,) [rad/s].
+        covariance: of turn (left, about the centroid), place, velocity and angular velocity,
+            shape (12, 12).
+        common: covariance of these with the common errors, shape (12, E).
+    """
+
+    time_ns: int
+    rotation: Array
+    centroid_mm: Array
+    velocity_mm_s: Array
+    angular_velocity_rad_s: Array
+    covariance: Array
+    common: Array
+
+    def marker_positions(self, centred: CentredMarkers) -> Array:
+        """Return the markers in the world, shape (M, 3) [mm]."""
+        found: Array = centred.markers_mm @ self.rotation.T + self.centroid_mm
+        return found
+
+    def reported_pose(self, centred: CentredMarkers) -> ReportedPose:
+        """Return what is reported of a tool with these markers."""
+        here = self.covariance[:6, :6]
+        origin, tip = centred.origin_jacobian(self.rotation), centred.tip_jacobian(self.rotation)
+        return ReportedPose(
+            self.rotation,
+            self.angular_velocity_rad_s,
+            centred.translation(self.rotation, self.centroid_mm),
+            origin @ here @ origin.T,
+            self.centroid_mm + self.rotation @ centred.tip_mm,
+            tip @ here @ tip.T,
+            origin_velocity(self, centred),
+        )
+
+
+def initial_state(
+    time_ns: int,
+    rotation: Array,
+    centroid_mm: Array,
+    pose_covariance: Array,
+    motion: MotionSettings,
+    common_errors: int,
+) -> PoseState:
+    """Return a state of which only the pose is known, with its covariance (6, 6)."""
+    covariance = np.zeros((STATES, STATES))
+    covariance[:6, :6] = pose_covariance
+    covariance[VELOCITY, VELOCITY] = motion.velocity_sigma_mm_s**2 * np.eye(3)
+    covariance[ANGULAR_VELOCITY, ANGULAR_VELOCITY] = (
+        motion.angular_velocity_sigma_rad_s** 2 * np.eye(3)
+    )
+    return PoseState(
+        time_ns,
+        rotation,
+        centroid_mm,
+        np.zeros(3),
+        np.zeros(3),
+        covariance,
+        np.zeros((STATES, common_errors)),
+    )
+
+
+def predict(
+    state: PoseState, time_ns: int, motion: MotionSettings, manoeuvre_factor: float = 1.0
+) -> PoseState:
+    """Move a state on to a later instant.
+
+    Args:
+        state: where it was.
+        time_ns: when it is wanted, not earlier.
+        motion: how the velocities change.
+        manoeuvre_factor: factor on the accelerations.
+    """
+    step = 1e-9 * (time_ns - state.time_ns)
+    if step == 0.0:
+        return state
+    turned = exp_so3(state.angular_velocity_rad_s * step)
+    jacobian = _IDENTITY.copy()
+    jacobian[ROTATION, ROTATION] = turned
+    jacobian[_ROTATION_BY_ANGULAR_VELOCITY] = jacobian[_POSITION_BY_VELOCITY] = step
+    covariance = jacobian @ state.covariance @ jacobian.T
+    covariance += _process_noise(motion, manoeuvre_factor, step)
+    common = jacobian @ state.common if state.common.shape[1] else state.common
+    return propagate(state, time_ns, turned, covariance, common)
+
+
+def propagate(
+    state: PoseState, time_ns: int, turned: Array, covariance: Array, common: Array
+) -> PoseState:
+    """Return a state gone on at its velocities, turned (3, 3) meanwhile, with what is uncertain."""
+    step = 1e-9 * (time_ns - state.time_ns)
+    return PoseState(
+        time_ns,
+        turned @ state.rotation,
+        state.centroid_mm + state.velocity_mm_s * step,
+        state.velocity_mm_s,
+        state.angular_velocity_rad_s,
+        covariance,
+        common,
+    )
+
+
+def retract(state: PoseState, step: Array, covariance: Array, common: Array) -> PoseState:
+    """Return a state that is off by a step (12,), with its covariance and that with the errors."""
+    return PoseState(
+        state.time_ns,
+        exp_so3(step[ROTATION]) @ state.rotation,
+        state.centroid_mm + step[POSITION],
+        state.velocity_mm_s + step[VELOCITY],
+        state.angular_velocity_rad_s + step[ANGULAR_VELOCITY],
+        covariance,
+        common,
+    )
+
+
+@lru_cache(maxsize=1024)
+def _process_noise(motion: MotionSettings, manoeuvre_factor: float, step_s: float) -> Array:
+    """Return the covariance that a time adds, shape (12, 12); not to be written to."""
+    noise = np.zeros((STATES, STATES))
+    same = np.eye(3)
+    for pose, rate, size in (
+        (POSITION, VELOCITY, motion.acceleration_mm_s2),
+        (ROTATION, ANGULAR_VELOCITY, motion.angular_acceleration_rad_s2),
+    ):
+        density = 2.0 * (size * manoeuvre_factor) ** 2 * motion.manoeuvre_time_constant_s
+        noise[pose, pose] = density * step_s**3 / 3.0 * same
+        noise[pose, rate] = noise[rate, pose] = density * step_s**2 / 2.0 * same
+        noise[rate, rate] = density * step_s * same
+    return noise
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementPrediction:
+    """What n readings could tell of a state, but for their values.
+
+    Args:
+        value_px: what is expected of them, shape (n,) [px].
+        jacobian: of the readings by turn and place, shape (n, 6).
+        common: of the readings by the common errors, shape (n, E).
+        cross_covariance: ``covariance slopes' + common_state common'``, shape (12, n).
+        covariance: of the expected values, without the readings' own noise, shape (n, n) [px^2].
+    """
+
+    value_px: Array
+    jacobian: Array
+    common: Array
+    cross_covariance: Array
+    covariance: Array
+
+    def of(self, rows: NDArray[np.intp]) -> "MeasurementPrediction":
+        """Return some of the readings."""
+        return MeasurementPrediction(
+            self.value_px[rows],
+            self.jacobian[rows],
+            self.common[rows],
+            self.cross_covariance[:, rows],
+            self.covariance[np.ix_(rows, rows)],
+        )
+
+
+def predict_measurement(
+    state: PoseState, arms_mm: Array, expected: ExpectedReadings, common: Array
+) -> MeasurementPrediction:
+    """Return what all S readings of m markers are expected to be, marker by marker.
+
+    Args:
+        state: the tool at the readings' instant.
+        arms_mm: the markers less the centroid, along the world's axes, shape (m, 3) [mm].
+        expected: of the markers there.
+        common: of their readings by all common errors, shape (m, S, E).
+    """
+    slope = expected.gradient_px_per_mm
+    jacobian = np.empty((*slope.shape[:2], 6))
+    rotation_jacobian(arms_mm[:, None, :], slope, jacobian)
+    jacobian[..., 3:] = slope
+    flat = jacobian.reshape(-1, 6)
+    by_common = common.reshape(len(flat), -1) if common.shape[2] else np.empty((len(flat), 0))
+    cross_covariance = state.covariance[:, :6] @ flat.T
+    covariance = flat @ cross_covariance[:6]
+    if by_common.shape[1]:
+        crossed = flat @ state.common[:6] @ by_common.T
+        cross_covariance = cross_covariance + state.common @ by_common.T
+        covariance = covariance + crossed + crossed.T + by_common @ by_common.T
+    return MeasurementPrediction(
+        expected.value_px.ravel(), flat, by_common, cross_covariance, covariance
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class FilterUpdate:
+    """A state after readings.
+
+    Args:
+        state: the tool now.
+        nis: normalised innovation squared of the readings that were used.
+        kept: which of the readings were used, as indices.
+        whitened: innovations of unit covariance and their slopes by the common errors, shape
+            (n, 1 + E); None: not kept.
+    """
+
+    state: PoseState
+    nis: float
+    kept: NDArray[np.intp]
+    whitened: Array | None = None
+
+
+def update(
+    state: PoseState, prediction: MeasurementPrediction, residual_px: Array, sigma_px: Array
+) -> FilterUpdate:
+    """Take in n readings; ``residual_px`` is what they are less what was expected, (n,) [px]."""
+    count = len(residual_px)
+    whole = prediction.covariance.copy()
+    whole.flat[:: count + 1] += sigma_px**2
+    common_errors = state.common.shape[1]
+    # One triangular solve for all: the residual, the gains and the common errors.
+    right = np.empty((count, 1 + STATES + common_errors), order="F")
+    right[:, 0] = residual_px
+    right[:, 1 : 1 + STATES] = prediction.cross_covariance.T
+    if common_errors:
+        right[:, 1 + STATES :] = prediction.jacobian @ state.common[:6] + prediction.common
+    root, failed = dpotrf(whole, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError("the readings' covariance is not positive definite")
+    solved, _ = dtrtrs(root, right, lower=1, overwrite_b=1)
+    residual, gain = solved[:, 0], solved[:, 1 : 1 + STATES]
+    step = residual @ gain
+    # Symmetric to the bit: it is a matrix times itself.
+    after = retract(
+        state,
+        step,
+        state.covariance - gain.T @ gain,
+        state.common - gain.T @ solved[:, 1 + STATES :] if common_errors else state.common,
+    )
+    return FilterUpdate(after, float(residual @ residual), np.arange(count))
+
+
+def origin_velocity(state: PoseState, centred: CentredMarkers) -> Array:
+    """Return the velocity of the tool's origin, shape (3,) [mm/s]."""
+    arm = state.rotation @ centred.centroid_mm
+    wx, wy, wz = state.angular_velocity_rad_s.tolist()
+    x, y, z = arm.tolist()
+    found: Array = state.velocity_mm_s - np.array(
+        [wy * z - wz * y, wz * x - wx * z, wx * y - wy * x]
+    )
+    return found

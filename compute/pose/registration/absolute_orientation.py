@@ -1,0 +1,194 @@
+"""Paired points: the rigid motion, or similarity, that takes one set of points to another."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.rotation import rotation_matrix
+from compute.errors import NoConvergence
+from compute.pose.transform import cross_matrix, nearest_rotation
+
+Array = NDArray[np.float64]
+
+_STEPS: Final = 200
+_HALVINGS: Final = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """``target = scale * rotation @ source + translation_mm``.
+
+    Args:
+        rotation: shape (3, 3).
+        translation_mm: shape (3,) [mm].
+        scale: 1 where none was asked for.
+    """
+
+    rotation: Array
+    translation_mm: Array
+    scale: float = 1.0
+
+    def apply(self, points_mm: Array) -> Array:
+        """Return points (..., 3) of the source in the target's frame [mm]."""
+        moved: Array = self.scale * (points_mm @ self.rotation.T) + self.translation_mm
+        return moved
+
+    def jacobian(self, points_mm: Array, scaled: bool) -> Array:
+        """Return d ``apply`` / d (turn on the left, translation, log scale), (..., 3, 6 or 7)."""
+        turned = self.scale * (points_mm @ self.rotation.T)
+        found = np.empty((*turned.shape, 7 if scaled else 6))
+        found[..., :3] = -cross_matrix(turned)
+        found[..., 3:6] = np.eye(3)
+        if scaled:
+            found[..., 6] = turned
+        return found
+
+    def residual_covariance(self, source_covariance: Array, target_covariance: Array) -> Array:
+        """Return the covariances of ``apply(source) - target``, shape (N, 3, 3) [mm^2]."""
+        turn = self.scale * self.rotation
+        found: Array = turn @ source_covariance @ turn.T + target_covariance
+        return found
+
+    def retract(self, step: Array) -> "Similarity":
+        """Return it after a step of 6 or 7 unknowns."""
+        scale = self.scale * float(np.exp(step[6])) if len(step) == 7 else self.scale
+        turn = rotation_matrix(step[:3])
+        return replace(
+            self,
+            rotation=nearest_rotation(turn @ self.rotation),
+            translation_mm=self.translation_mm + step[3:6],
+            scale=scale,
+        )
+
+
+def fit_isotropic_similarity(
+    source: Array, target: Array, weights: Array, scaled: bool = False
+) -> Similarity:
+    """Return the best motion where every point errs alike in all directions.
+
+    In closed form (Kabsch, doi:10.1107/S0567739478001680; Horn, doi:10.1364/JOSAA.4.000629; with
+    scale Umeyama, doi:10.1109/34.88573).
+
+    Args:
+        source: shape (N, 3) [mm].
+        target: shape (N, 3) [mm].
+        weights: shape (N,).
+        scaled: whether the scale is free.
+    """
+    share = weights / weights.sum()
+    centre, goal = share @ source, share @ target
+    x, y = source - centre, target - goal
+    cross_covariance = (share[:, None] * y).T @ x
+    rotation = nearest_rotation(cross_covariance)
+    scale = 1.0
+    if scaled:
+        scale = float(np.trace(rotation.T @ cross_covariance) / (share @ (x**2).sum(axis=1)))
+    return Similarity(rotation, goal - scale * rotation @ centre, scale)
+
+
+@dataclass(frozen=True, eq=False)
+class SimilarityFit:
+    """A fit of paired points.
+
+    Args:
+        similarity: the motion.
+        covariance: of turn, translation and, if it was free, log scale, shape (6, 6) or (7, 7).
+        residual_mm: ``apply(source) - target``, shape (N, 3) [mm].
+        chi2: of the residuals, by the covariances given.
+    """
+
+    similarity: Similarity
+    covariance: Array
+    residual_mm: Array
+    chi2: float
+
+
+def fit_weighted_similarity(
+    source: Array,
+    target: Array,
+    source_covariance: Array,
+    target_covariance: Array,
+    scaled: bool = False,
+) -> SimilarityFit:
+    """Return the motion of least chi2, each pair weighted by ``s^2 R Cs R' + Ct``.
+
+    Weights that turn with the motion, as in R. Balachandran and J. M. Fitzpatrick
+    (doi:10.1117/12.813874), and sources adjusted within their covariances, so that what is found
+    is the maximum of the likelihood. From the isotropic solution on.
+
+    Args:
+        source: shape (N, 3) [mm].
+        target: shape (N, 3) [mm].
+        source_covariance: shape (N, 3, 3) [mm^2]; may be zero.
+        target_covariance: shape (N, 3, 3) [mm^2]; the sum of both is positive definite.
+        scaled: whether the scale is free.
+
+    Raises:
+        NoConvergence: the steps did not end.
+    """
+    size = np.trace(source_covariance + target_covariance, axis1=1, axis2=2)
+    # About the middle turns and shifts are least coupled.
+    centre = source.mean(axis=0)
+    centred = source - centre
+    found = fit_isotropic_similarity(centred, target, 1.0 / size, scaled)
+    length = float(np.sqrt((centred**2).sum(axis=1).mean()))
+    chi2, information, residual = _misfit(found, centred, target, source_covariance,
+                                          target_covariance)  # fmt: skip
+    for _ in range(_STEPS):
+        turn = found.scale * found.rotation
+        pull = np.einsum("nij,nj->ni", information, residual)
+        adjusted = centred - np.einsum("nij,kj,nk->ni", source_covariance, turn.T, pull)
+        jacobian = found.jacobian(adjusted, scaled)
+        normal = np.einsum("nia,nij,njb->ab", jacobian, information, jacobian, optimize=True)
+        step = -np.linalg.solve(normal, np.einsum("nia,ni->a", jacobian, pull))
+        # Of exchanged points whole steps may go to and fro.
+        for _ in range(_HALVINGS):
+            tried = found.retract(step)
+            after = _misfit(tried, centred, target, source_covariance, target_covariance)
+            if after[0] <= chi2 * (1.0 + 1e-12) + 1e-15:
+                break
+            step = 0.5 * step
+        found, (chi2, information, residual) = tried, after
+        # In deviations of the result; where these are as small as rounding, in lengths.
+        size = np.abs(step[:3]).max() * length + np.abs(step[3:6]).max()
+        if step @ normal @ step < 1e-12 * (1.0 + chi2) or size < 1e-12 * length:
+            break
+    else:
+        raise NoConvergence(
+            f"the registration did not converge in {_STEPS} steps; the last turned it by "
+            f"{np.linalg.norm(step[:3]):.2g} rad and shifted it by "
+            f"{np.linalg.norm(step[3:6]):.2g} mm"
+        )
+    covariance = np.linalg.inv(normal)
+    # Back from the middle: t = t_middle - s R middle.
+    swept = -found.scale * found.rotation @ centre
+    shift = np.eye(len(covariance))
+    shift[3:6, :3] = -cross_matrix(swept)
+    if scaled:
+        shift[3:6, 6] = swept
+    return SimilarityFit(
+        replace(found, translation_mm=found.translation_mm + swept),
+        shift @ covariance @ shift.T,
+        residual,
+        chi2,
+    )
+
+
+def _misfit(
+    found: Similarity,
+    source: Array,
+    target: Array,
+    source_covariance: Array,
+    target_covariance: Array,
+) -> tuple[float, Array, Array]:
+    """Return chi2, the information of each pair (N, 3, 3), and the residuals (N, 3)."""
+    covariance = found.residual_covariance(source_covariance, target_covariance)
+    information = np.asarray(np.linalg.inv(covariance), np.float64)
+    residual = found.apply(source) - target
+    return (
+        float(np.einsum("ni,nij,nj->", residual, information, residual)),
+        information,
+        residual,
+    )

@@ -1,0 +1,364 @@
+"""Surface registration: points on a surface refine a registration (iterative closest points)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.rotation import rotation_matrix, rotation_vector
+from compute.errors import (
+    HighError,
+    InvalidParameter,
+    NoConvergence,
+    NonFiniteValue,
+    TooFewPoints,
+    UndeterminedParameters,
+)
+from compute.pose.registration.absolute_orientation import fit_isotropic_similarity
+from compute.pose.registration.surface import Surface
+from compute.pose.transform import Transform, cross_matrix, nearest_rotation
+
+Array = NDArray[np.float64]
+
+_NORMAL_MEDIAN: Final = 0.6745
+_HALVINGS: Final = 10
+_MIN_RESTART_POINTS: Final = 100
+"""Points, at least, by which other starts are tried: fewer than twice as many."""
+_MIN_RELATIVE_GAIN: Final = 1e-6
+"""A step that lessens the squares by no more is the last: some 1 % of the answer's deviation."""
+
+
+@dataclass(frozen=True)
+class IcpSettings:
+    """How points are brought onto a surface.
+
+    Args:
+        min_points: fewest points; a surface holds six unknowns only where it bends.
+        trim: share of the points, those furthest off, that are left out at every step, below a
+            half.
+        max_steps: before it is given up; halved ones count.
+        min_stiffness_ratio: smallest share of the best held motion's stiffness that the worst held one
+            may have: the square of the ratio of their deviations.
+        max_rms_mm: largest RMS distance of the points kept [mm].
+        start_turn_rad: how far the start may be turned from the truth [rad]: it is done again
+            from starts turned by as much to either side about three axes, to see whether there is
+            another answer; 0: it is not.
+        start_shift_mm: likewise shifted along three axes [mm].
+    """
+
+    min_points: int = 12
+    trim: float = 0.1
+    max_steps: int = 200
+    min_stiffness_ratio: float = 1e-3
+    max_rms_mm: float = 5.0
+    start_turn_rad: float = float(np.radians(5.0))
+    start_shift_mm: float = 5.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.trim < 0.5:
+            raise InvalidParameter(f"trim is {self.trim}; it must be from 0 to below 0.5")
+
+
+@dataclass(frozen=True, eq=False)
+class IcpRegistration:
+    """A registration by a surface.
+
+    Args:
+        transform: T_surface_points, with the covariance that the kept points' distances tell of
+            (independent, along the normals; a systematic gap such as skin adds to it).
+        distance_mm: of each point from the surface, shape (N,) [mm].
+        kept: which points were used, shape (N,).
+        rms_mm: of those [mm].
+        steps: how many it took.
+        stiffness_ratio: stiffness of the worst held motion over the best's, from 0 to 1; turns count by the
+            RMS distance of the points from their middle.
+        weakest_motion: that motion in words.
+        other: the answer nearest to as good that another start led to, if it differs; None: all
+            starts agree, or were not asked.
+        other_rms_mm: its RMS distance [mm].
+    """
+
+    transform: Transform
+    distance_mm: Array
+    kept: NDArray[np.bool_]
+    rms_mm: float
+    steps: int
+    stiffness_ratio: float
+    weakest_motion: str
+    other: Transform | None
+    other_rms_mm: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Alignment:
+    rotation: Array
+    translation: Array
+    moved: Array
+    places: Array
+    normals: Array
+    along: Array
+    off: Array
+    kept: NDArray[np.bool_]
+    misfit: float
+    rms: float
+    steps: int = 0
+
+
+def register_surface(
+    points_mm: Array,
+    surface: Surface,
+    start: Transform,
+    settings: IcpSettings | None = None,
+    tell: Callable[[], None] = lambda: None,
+) -> IcpRegistration:
+    """Refine a registration so that points come to lie on a surface.
+
+    Each step moves the points towards the places that are nearest to them: along the normals
+    where these are known (Y. Chen, G. Medioni, doi:10.1016/0262-8856(92)90066-C), else
+    altogether (P. J. Besl, N. D. McKay, doi:10.1109/34.121791), leaving out those furthest off
+    (D. Chetverikov and others, doi:10.1016/j.imavis.2005.05.007).
+
+    Args:
+        points_mm: shape (N, 3) [mm].
+        surface: a PointCloud or a TriangleMesh.
+        start: T_surface_points, such as that of paired points; the answer is the one near it.
+        settings: how it is done.
+        tell: called before every look at where the points lie; what it raises ends this.
+
+    Raises:
+        TooFewPoints: fewer than asked for.
+        UndeterminedParameters: the surface lets the points slide, as a sphere or a plane does.
+        HighError: the points do not come to lie on the surface.
+        NoConvergence: it did not end.
+        InvalidParameter, NonFiniteValue: the points are not what they should be.
+    """
+    wanted = settings or IcpSettings()
+    surface = _ReportingSurface(surface, tell)
+    points = np.asarray(points_mm, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InvalidParameter(f"the points have shape {points.shape}; it must be (N, 3)")
+    if not np.isfinite(points).all():
+        raise NonFiniteValue("the points have values that are not finite")
+    if len(points) < wanted.min_points:
+        raise TooFewPoints(
+            f"{len(points)} points on the surface; at least {wanted.min_points} are needed",
+            points=len(points),
+            needed=wanted.min_points,
+        )
+    alignment = _iterate(points, surface, start.rotation, start.translation_mm, wanted)
+    centre = alignment.moved[alignment.kept].mean(axis=0)
+    length, normal = _stiffness(alignment, centre)
+    values, axes = np.linalg.eigh(normal)
+    stiffness_ratio = float(max(values[0], 0.0) / values[-1])
+    weakest_motion = _describe_motion(axes[:, 0], centre)
+    if stiffness_ratio < wanted.min_stiffness_ratio:
+        raise UndeterminedParameters(
+            f"the surface does not hold {weakest_motion}: its stiffness is {stiffness_ratio:.1e} of the best held "
+            f"motion's; at least {wanted.min_stiffness_ratio:.0e} is needed. Take points where the surface "
+            "bends another way",
+            stiffness_ratio=stiffness_ratio,
+            needed=wanted.min_stiffness_ratio,
+            motion=weakest_motion,
+        )
+    if alignment.rms > wanted.max_rms_mm:
+        raise HighError(
+            f"the points are {alignment.rms:.3g} mm RMS off the surface; they must be within "
+            f"{wanted.max_rms_mm:g} mm: the start is too far off, or they are of another surface",
+            rms_mm=alignment.rms,
+            max_mm=wanted.max_rms_mm,
+        )
+    other = _alternative_minimum(points, surface, start, wanted, alignment, length)
+    return IcpRegistration(
+        Transform(
+            alignment.rotation,
+            alignment.translation,
+            _covariance(alignment, normal, centre, length),
+        ),
+        alignment.off,
+        alignment.kept,
+        alignment.rms,
+        alignment.steps,
+        stiffness_ratio,
+        weakest_motion,
+        None if other is None else Transform(other.rotation, other.translation),
+        None if other is None else other.rms,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _ReportingSurface:
+    """A surface that tells of every look at it."""
+
+    surface: Surface
+    tell: Callable[[], None]
+
+    @property
+    def exact_normals(self) -> bool:
+        return self.surface.exact_normals
+
+    def nearest(self, points_mm: Array) -> tuple[Array, Array]:
+        self.tell()
+        return self.surface.nearest(points_mm)
+
+
+def _iterate(
+    points: Array, surface: Surface, rotation: Array, translation: Array, wanted: IcpSettings
+) -> _Alignment:
+    """Return where steps end that bring the points nearer, whole or halved."""
+    spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    here = _align(points, surface, rotation, translation, wanted)
+    steps = 0
+    while steps < wanted.max_steps:
+        kept = here.kept
+        if surface.exact_normals:
+            step, centre = _point_to_plane_step(
+                here.moved[kept], here.normals[kept], here.along[kept]
+            )
+        else:
+            step, centre = _point_to_point_step(here.moved[kept], here.places[kept])
+        for _ in range(_HALVINGS):
+            steps += 1
+            turn = rotation_matrix(step[:3])
+            there = _align(
+                points,
+                surface,
+                nearest_rotation(turn @ here.rotation),
+                turn @ (here.translation - centre) + centre + step[3:],
+                wanted,
+            )
+            if there.misfit < here.misfit:
+                break
+            step = 0.5 * step
+        gained = here.misfit - there.misfit
+        if gained > 0.0:
+            here = there
+        size = float(spread * np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]))
+        if gained <= _MIN_RELATIVE_GAIN * here.misfit or size < 1e-9 * spread:
+            return replace(here, steps=steps)
+    raise NoConvergence(
+        f"the surface registration did not end in {wanted.max_steps} steps; the last moved the "
+        f"points by {size:.2g} mm, and they are {here.rms:.3g} mm RMS off the surface"
+    )
+
+
+def _align(
+    points: Array, surface: Surface, rotation: Array, translation: Array, wanted: IcpSettings
+) -> _Alignment:
+    """Return how the points lie beside the surface after a motion."""
+    moved = points @ rotation.T + translation
+    places, normals = surface.nearest(moved)
+    off = moved - places
+    along = (off * normals).sum(axis=1)
+    distance = np.linalg.norm(off, axis=1)
+    kept = np.zeros(len(points), bool)
+    keep = max(int(np.ceil((1.0 - wanted.trim) * len(points))), 6)
+    kept[np.argsort(distance, kind="stable")[:keep]] = True
+    counted = along if surface.exact_normals else distance
+    return _Alignment(
+        rotation,
+        translation,
+        moved,
+        places,
+        normals,
+        along,
+        distance,
+        kept,
+        float((counted[kept] ** 2).sum()),
+        float(np.sqrt((distance[kept] ** 2).mean())),
+    )
+
+
+def _point_to_point_step(moved: Array, places: Array) -> tuple[Array, Array]:
+    """Return the motion (turn, shift) about their middle that takes points to places."""
+    found = fit_isotropic_similarity(moved, places, np.ones(len(moved)))
+    centre = moved.mean(axis=0)
+    turn = rotation_vector(found.rotation)
+    return np.concatenate([turn, found.apply(centre) - centre]), centre
+
+
+def _point_to_plane_step(moved: Array, normals: Array, along: Array) -> tuple[Array, Array]:
+    """Return the small motion about their middle that takes points to planes at their places."""
+    centre = moved.mean(axis=0)
+    jacobian = np.concatenate([np.cross(moved - centre, normals), normals], axis=1)
+    # What the surface does not hold is left alone (and told afterwards).
+    return -np.linalg.lstsq(jacobian, along, rcond=1e-6)[0], centre
+
+
+def _stiffness(alignment: _Alignment, centre: Array) -> tuple[float, Array]:
+    """Return the points' RMS distance from their middle, and the normal matrix in units of it."""
+    kept = alignment.kept
+    centred = alignment.moved[kept] - centre
+    length = float(np.sqrt((centred**2).sum(axis=1).mean()))
+    normals = alignment.normals[kept]
+    jacobian = np.concatenate([np.cross(centred, normals) / length, normals], axis=1)
+    return length, jacobian.T @ jacobian
+
+
+def _covariance(alignment: _Alignment, normal: Array, centre: Array, length: float) -> Array:
+    """Return the covariance of turn and translation."""
+    # Trimming takes the tails off: the deviation comes from the median.
+    sigma = float(np.median(alignment.off)) / _NORMAL_MEDIAN
+    sigma *= float(np.sqrt(len(alignment.off) / (len(alignment.off) - 6.0)))
+    scale = np.diag([1.0 / length] * 3 + [1.0] * 3)
+    centred = sigma**2 * scale @ np.linalg.inv(normal) @ scale
+    back = np.eye(6)
+    # x = exp([w]x) (x - middle) + middle + d: seen from the origin t moves by -w x (middle - t).
+    back[3:, :3] = cross_matrix(centre - alignment.translation)
+    found: Array = back @ centred @ back.T
+    return found
+
+
+def _describe_motion(motion: Array, centre: Array) -> str:
+    turn, shift = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
+    way = motion[:3] / turn if turn > shift else motion[3:] / shift
+    told = ", ".join(f"{one:.2f}" for one in way)
+    if turn > shift:
+        place = ", ".join(f"{one:.1f}" for one in centre)
+        return f"a turn about ({told}) near ({place}) mm"
+    return f"a shift along ({told})"
+
+
+def _alternative_minimum(
+    points: Array,
+    surface: Surface,
+    start: Transform,
+    wanted: IcpSettings,
+    alignment: _Alignment,
+    length: float,
+) -> _Alignment | None:
+    """Return the best of the answers from other starts that is another one, and about as good."""
+    centre = start.apply(points.mean(axis=0))
+    # Some of the points tell where a start leads; all of them are brought there.
+    some = points[:: max(1, len(points) // _MIN_RESTART_POINTS)]
+    here = alignment
+    if len(some) < len(points):
+        try:
+            here = _iterate(some, surface, alignment.rotation, alignment.translation, wanted)
+        except NoConvergence:
+            some = points
+
+    def other(tried: _Alignment, here: _Alignment) -> bool:
+        apart = np.sqrt(((tried.moved - here.moved) ** 2).sum(axis=1).mean())
+        return bool(apart > max(here.rms, 1e-3 * length) and tried.rms <= 1.5 * here.rms)
+
+    found: list[_Alignment] = []
+    for axis in np.concatenate([np.eye(3), -np.eye(3)]):
+        starts = []
+        if wanted.start_turn_rad > 0.0:
+            turn = rotation_matrix(wanted.start_turn_rad * axis)
+            about = turn @ (start.translation_mm - centre) + centre
+            starts.append((turn @ start.rotation, about))
+        if wanted.start_shift_mm > 0.0:
+            starts.append((start.rotation, start.translation_mm + wanted.start_shift_mm * axis))
+        for rotation, translation in starts:
+            try:
+                tried = _iterate(some, surface, rotation, translation, wanted)
+                if other(tried, here) and here is not alignment:
+                    tried = _iterate(points, surface, tried.rotation, tried.translation, wanted)
+            except NoConvergence:
+                continue
+            if len(tried.moved) == len(points) and other(tried, alignment):
+                found.append(tried)
+    return min(found, key=lambda one: one.rms, default=None)

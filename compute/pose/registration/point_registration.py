@@ -1,0 +1,271 @@
+"""Registration by paired points: a transform, how well the fiducials fit, and what targets miss."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import (
+    CollinearPoints,
+    DuplicatePoint,
+    InvalidParameter,
+    NonFiniteValue,
+    TooFewPoints,
+)
+from compute.pose.registration.absolute_orientation import (
+    Similarity,
+    SimilarityFit,
+    fit_isotropic_similarity,
+    fit_weighted_similarity,
+)
+from compute.pose.registration.correspondence_errors import (
+    CorrespondenceErrors,
+    find_correspondence_errors,
+)
+from compute.pose.registration.registration_messages import (
+    collinearity_messages,
+    misfit_messages,
+    symmetry_messages,
+)
+from compute.pose.registration.tre import fiducial_localisation_error
+from compute.pose.transform import Transform
+
+Array = NDArray[np.float64]
+
+Weighting = Literal["covariances", "isotropic"]
+
+MIN_HEIGHT: Final = 0.01
+"""Fiducials flatter than this, RMS off their line over RMS along it, leave the turn open."""
+_MAX_ROTATION_SIGMA_RAD: Final = 1.0 / 3.0
+_UNIT: Final = np.eye(3)
+_DUPLICATE_TOLERANCE: Final = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Where a source frame, such as an image's, lies in a target frame, such as the patient's.
+
+    Args:
+        transform: T_target_source with its covariance; without the scale.
+        scale: lengths in the target over lengths in the source; 1 unless asked for.
+        parameter_covariance: of turn [rad], translation [mm] and, if it was free, log scale,
+            shape (6, 6) or (7, 7).
+        residual_mm: of each fiducial, shape (N, 3) [mm]; its length is the fiducial
+            registration error (FRE).
+        fre_mm: their RMS [mm].
+        fle_mm: the fiducial localisation error that the residuals tell of, both sides together,
+            RMS in space [mm].
+        stated_fle_mm: what the covariances say [mm]; None: there were none.
+        residual_sigma: root of chi2 per degree of freedom, about 1; None without covariances.
+        correspondence_errors: what pairs are wrong and what would mend it; None: nothing need be.
+        warnings: what to know before it is used, for a person.
+    """
+
+    transform: Transform
+    scale: float
+    parameter_covariance: Array
+    residual_mm: Array
+    fre_mm: float
+    fle_mm: float
+    stated_fle_mm: float | None
+    residual_sigma: float | None
+    correspondence_errors: CorrespondenceErrors | None
+    warnings: tuple[str, ...]
+
+    def apply(self, points_mm: Array) -> Array:
+        """Return points (..., 3) of the source in the target's frame [mm]."""
+        return self._similarity.apply(np.asarray(points_mm, dtype=np.float64))
+
+    def target_covariance(self, targets_mm: Array) -> Array:
+        """Return the covariance of ``apply`` at targets (..., 3), shape (..., 3, 3) [mm^2]."""
+        targets = np.asarray(targets_mm, dtype=np.float64)
+        jacobian = self._similarity.jacobian(targets, len(self.parameter_covariance) == 7)
+        found: Array = jacobian @ self.parameter_covariance @ jacobian.swapaxes(-1, -2)
+        return found
+
+    def target_error(self, targets_mm: Array) -> Array:
+        """Return the RMS target registration error (TRE) to expect, shape (...) [mm].
+
+        By the covariance of the transform; for errors that are the same everywhere it is
+        ``target_error.target_registration_error``.
+        """
+        covariance = self.target_covariance(targets_mm)
+        found: Array = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))
+        return found
+
+    @property
+    def _similarity(self) -> Similarity:
+        return Similarity(self.transform.rotation, self.transform.translation_mm, self.scale)
+
+
+def register_points(
+    source_mm: Array,
+    target_mm: Array,
+    source_covariance_mm2: Array | None = None,
+    target_covariance_mm2: Array | None = None,
+    *,
+    weighting: Weighting = "covariances",
+    scaled: bool = False,
+    names: Sequence[str] | None = None,
+) -> Registration:
+    """Return the motion that takes fiducials in the source to those in the target.
+
+    Args:
+        source_mm: shape (N, 3) [mm].
+        target_mm: the same fiducials in the same order, shape (N, 3) [mm].
+        source_covariance_mm2: of each, or one for all, shape (N, 3, 3) or (3, 3) [mm^2]; None:
+            exact, if the target has covariances.
+        target_covariance_mm2: likewise. Without either every fiducial errs alike in all
+            directions, by as much as the residuals tell.
+        weighting: ``covariances``, or ``fit_isotropic_similarity``: the closed form, which covariances do not
+            change; its own covariance is then what they make of it.
+        scaled: whether the scale is free as well.
+        names: of the fiducials, for messages; None: their numbers from 1.
+
+    Raises:
+        TooFewPoints: fewer than three fiducials.
+        DuplicatePoint: two fiducials are at one place.
+        CollinearPoints: they lie on one line, or no further from it than they err.
+        InvalidParameter, NonFiniteValue: the arrays are not what they should be.
+        NoConvergence: the weighted fit did not end.
+    """
+    source, target = _points(source_mm, "source"), _points(target_mm, "target")
+    count = len(source)
+    if len(target) != count:
+        raise InvalidParameter(f"{count} source points and {len(target)} target points; pair them")
+    if names is not None and len(names) != count:
+        raise InvalidParameter(f"{len(names)} names for {count} pairs; give one for each")
+    called = tuple(str(one + 1) for one in range(count)) if names is None else tuple(names)
+    if count < 3:
+        raise TooFewPoints(
+            f"{count} pairs of points; a registration needs at least 3 that are not on one line, "
+            "and 4 to be checked",
+            pairs=count,
+            needed=3,
+        )
+    known = source_covariance_mm2 is not None or target_covariance_mm2 is not None
+    source_covariances = _covariances(source_covariance_mm2, count, "source")
+    target_covariances = _covariances(target_covariance_mm2, count, "target")
+    _check_distinct(source, "source", called)
+    _check_distinct(target, "target", called)
+    variance = np.trace(source_covariances + target_covariances, axis1=1, axis2=2) / 3.0
+    if (
+        known
+        and not (np.linalg.eigvalsh(source_covariances + target_covariances)[:, 0] > 0.0).all()
+    ):
+        raise InvalidParameter("the covariances of a pair, both sides added, must be positive")
+    for points, side in ((source, "source"), (target, "target")):
+        _check_not_collinear(points, side, float(np.sqrt(variance.mean())) if known else 0.0)
+    fit = (
+        fit_weighted_similarity(source, target, source_covariances, target_covariances, scaled)
+        if known and weighting == "covariances"
+        else _closed_form(
+            source, target, scaled, source_covariances, target_covariances if known else _UNIT
+        )
+    )
+    parameters = 7 if scaled else 6
+    fle = fiducial_localisation_error(fit.residual_mm, parameters)
+    covariance = fit.covariance if known else fit.covariance * fle**2 / 3.0
+    dof = 3 * count - parameters
+    shrunk = fit.similarity.scale * source if scaled else source
+    correspondence_errors, others = find_correspondence_errors(
+        shrunk, target, variance if known else None
+    )
+    similarity = fit.similarity
+    warnings = [
+        *misfit_messages(fit.chi2 if known else None, dof, correspondence_errors, called),
+        *symmetry_messages(others, correspondence_errors, called),
+        *collinearity_messages(*principal_line(source), covariance, known),
+    ]
+    return Registration(
+        Transform(similarity.rotation, similarity.translation_mm, covariance[:6, :6]),
+        similarity.scale,
+        covariance,
+        fit.residual_mm,
+        float(np.sqrt((fit.residual_mm**2).sum(axis=1).mean())),
+        fle,
+        float(np.sqrt(3.0 * variance.mean())) if known else None,
+        float(np.sqrt(fit.chi2 / dof)) if known else None,
+        correspondence_errors,
+        tuple(warnings),
+    )
+
+
+def _points(given: Array, side: str) -> Array:
+    points = np.asarray(given, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InvalidParameter(f"the {side} has shape {points.shape}; it must be (N, 3)")
+    if not np.isfinite(points).all():
+        bad = int(np.argmin(np.isfinite(points).all(axis=1)))
+        raise NonFiniteValue(f"point {bad + 1} of the {side} is {points[bad].tolist()}")
+    return points
+
+
+def _covariances(given: Array | None, count: int, side: str) -> Array:
+    if given is None:
+        return np.zeros((count, 3, 3))
+    covariance = np.asarray(given, dtype=np.float64)
+    if covariance.shape not in ((3, 3), (count, 3, 3)):
+        raise InvalidParameter(
+            f"the {side}'s covariance has shape {covariance.shape}; it must be (3, 3) or "
+            f"({count}, 3, 3)"
+        )
+    if not np.isfinite(covariance).all():
+        raise NonFiniteValue(f"the {side}'s covariance has values that are not finite")
+    if np.linalg.eigvalsh(covariance).min() < -1e-9 * np.abs(covariance).max():
+        raise InvalidParameter(f"the {side}'s covariance is not positive")
+    return np.broadcast_to(covariance, (count, 3, 3))
+
+
+def _check_distinct(points: Array, side: str, names: Sequence[str]) -> None:
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    length = apart.max()
+    apart[np.tril_indices(len(points))] = np.inf
+    first, second = divmod(int(np.argmin(apart)), len(points))
+    if not apart[first, second] > _DUPLICATE_TOLERANCE * length:
+        raise DuplicatePoint(
+            f'fiducials "{names[first]}" and "{names[second]}" are at one place in the {side}, '
+            f"{np.round(points[first], 3).tolist()}; give each once, its measurements averaged",
+            pairs=[first, second],
+        )
+
+
+def principal_line(points: Array) -> tuple[float, float]:
+    """Return the RMS of points along their principal line, and off it [mm]."""
+    values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return float(values[0] / np.sqrt(len(points))), float(
+        np.hypot(values[1], values[2]) / np.sqrt(len(points))
+    )
+
+
+def _check_not_collinear(points: Array, side: str, sigma_mm: float) -> None:
+    along, off = principal_line(points)
+    turn = sigma_mm / (off * np.sqrt(len(points))) if off > 0.0 else np.inf
+    if off >= MIN_HEIGHT * along and turn <= _MAX_ROTATION_SIGMA_RAD:
+        return
+    needed = max(MIN_HEIGHT * along, sigma_mm / (_MAX_ROTATION_SIGMA_RAD * np.sqrt(len(points))))
+    raise CollinearPoints(
+        f"the fiducials in the {side} are {round(off, 9):.3g} mm RMS off one line, along which "
+        f"they are spread by {along:.4g} mm RMS: the turn about it is not known; they must be "
+        f"at least {needed:.3g} mm off it",
+        off_mm=off,
+        along_mm=along,
+        needed_mm=float(needed),
+    )
+
+
+def _closed_form(
+    source: Array, target: Array, scaled: bool, source_covariances: Array, target_covariances: Array
+) -> SimilarityFit:
+    """Return the closed form, its covariance propagated from that of the pairs."""
+    found = fit_isotropic_similarity(source, target, np.ones(len(source)), scaled)
+    residual = found.apply(source) - target
+    jacobian = found.jacobian(source, scaled)
+    inverse = np.linalg.inv(np.einsum("nia,nib->ab", jacobian, jacobian))
+    covariance = found.residual_covariance(source_covariances, target_covariances)
+    middle = np.einsum("nia,nij,njb->ab", jacobian, covariance, jacobian, optimize=True)
+    information = np.linalg.inv(covariance)
+    chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
+    return SimilarityFit(found, inverse @ middle @ inverse, residual, chi2)

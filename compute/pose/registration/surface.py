@@ -1,0 +1,258 @@
+"""Surfaces to register with: a cloud of points or a triangle mesh, and nearest places on it."""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from compute.errors import InvalidParameter, NonFiniteValue, TooFewPoints
+
+Array = NDArray[np.float64]
+
+_NEIGHBOURS: Final = 12
+_CANDIDATES: Final = 16
+_FIRST_CANDIDATES: Final = 3
+"""Candidates that are looked at before the others, most of which then cannot be nearer."""
+_MAX_SIZE_RATIO: Final = 4.0
+"""Largest ratio of the reaches of triangles that are searched together."""
+_BATCH_TRIANGLES: Final = 200_000
+"""Triangles that are looked at together, unless one point needs more."""
+
+
+class Surface(Protocol):
+    """Something with a nearest place to any point."""
+
+    @property
+    def exact_normals(self) -> bool:
+        """Whether normals are given, and not estimated from neighbours."""
+
+    def nearest(self, points_mm: Array) -> tuple[Array, Array]:
+        """Return the nearest places (N, 3) [mm] to points (N, 3), and the unit normals there."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points of a surface.
+
+    Args:
+        points_mm: shape (M, 3) [mm].
+        normals: shape (M, 3), of any length but zero; None: not known, and estimated as the
+            direction in which each point's neighbours spread least.
+
+    Raises:
+        TooFewPoints: fewer than twelve points, and no normals.
+        InvalidParameter, NonFiniteValue: an array is not what it should be.
+    """
+
+    points_mm: Array
+    normals: Array | None = None
+    _tree: cKDTree = field(init=False, repr=False)
+    _units: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        points = _checked(self.points_mm, "points_mm")
+        tree = cKDTree(points)
+        object.__setattr__(self, "points_mm", points)
+        object.__setattr__(self, "_tree", tree)
+        if self.normals is not None:
+            normals = _checked(self.normals, "normals")
+            length = np.linalg.norm(normals, axis=1, keepdims=True)
+            if normals.shape != points.shape or not (length > 0.0).all():
+                raise InvalidParameter(
+                    f"normals have shape {normals.shape}, some perhaps of no length; they must be "
+                    f"{points.shape}, one for each point"
+                )
+            object.__setattr__(self, "_units", normals / length)
+            return
+        if len(points) < _NEIGHBOURS:
+            raise TooFewPoints(
+                f"a cloud of {len(points)} points without normals; it needs {_NEIGHBOURS} or more",
+                points=len(points),
+                needed=_NEIGHBOURS,
+            )
+        near = points[tree.query(points, _NEIGHBOURS)[1]]
+        off = near - near.mean(axis=1, keepdims=True)
+        axes = np.linalg.eigh(off.swapaxes(1, 2) @ off)[1]
+        object.__setattr__(self, "_units", axes[..., 0])
+
+    @property
+    def exact_normals(self) -> bool:
+        """Whether normals were given."""
+        return self.normals is not None
+
+    def nearest(self, points_mm: Array) -> tuple[Array, Array]:
+        """Return the nearest points of the cloud, and their normals."""
+        found = self._tree.query(points_mm)[1]
+        return self.points_mm[found], self._units[found]
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """A surface of triangles.
+
+    Args:
+        vertices_mm: shape (V, 3) [mm].
+        faces: indices of vertices, shape (F, 3); triangles of no area are left out.
+
+    Raises:
+        TooFewPoints: no triangle has an area.
+        InvalidParameter, NonFiniteValue: an array is not what it should be.
+    """
+
+    vertices_mm: Array
+    faces: NDArray[np.intp]
+    _corners: Array = field(init=False, repr=False)
+    _units: Array = field(init=False, repr=False)
+    _reach: Array = field(init=False, repr=False)
+    _levels: "tuple[_Level, ...]" = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        vertices = _checked(self.vertices_mm, "vertices_mm")
+        faces = np.asarray(self.faces)
+        if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+            raise InvalidParameter(
+                f"faces have shape {faces.shape} and type {faces.dtype}; they must be whole "
+                "numbers, (F, 3)"
+            )
+        if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+            raise InvalidParameter(
+                f"faces name vertices {faces.min()} to {faces.max()}; there are {len(vertices)}"
+            )
+        corners = vertices[faces]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        size = np.linalg.norm(across, axis=1)
+        real = size > 1e-12 * max(float(size.max(initial=0.0)), 1e-300)
+        if not real.any():
+            raise TooFewPoints(f"none of {len(faces)} triangles has an area", triangles=len(faces))
+        corners, middles = corners[real], corners[real].mean(axis=1)
+        object.__setattr__(self, "_corners", corners)
+        object.__setattr__(self, "_units", across[real] / size[real, None])
+        reach = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+        object.__setattr__(self, "_reach", reach)
+        size_class = np.floor(np.log(reach / reach.max()) / np.log(_MAX_SIZE_RATIO)).astype(np.intp)
+        levels = []
+        for one in np.unique(size_class):
+            faces = np.flatnonzero(size_class == one)
+            levels.append(_Level(faces, float(reach[faces].max()), cKDTree(middles[faces])))
+        object.__setattr__(self, "_levels", tuple(levels))
+
+    @property
+    def exact_normals(self) -> bool:
+        """Triangles have normals."""
+        return True
+
+    def nearest(self, points_mm: Array) -> tuple[Array, Array]:
+        """Return the nearest places on the triangles, exactly, and the directions off them."""
+        points = np.asarray(points_mm, np.float64)
+        near = _Nearest(points, self._corners)
+        for level in self._levels:
+            level.search(near, self._reach)
+        # Beside an edge or a corner the distance grows along the way to it, not along a normal.
+        off = points - near.place
+        length = near.distance[:, None]
+        tiny = length <= 1e-9 * self._levels[-1].radius
+        return near.place, np.where(tiny, self._units[near.face], off / np.where(tiny, 1.0, length))
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """Triangles of about one size: among those of all sizes the large ones hide the small."""
+
+    faces: NDArray[np.intp]
+    radius: float
+    tree: cKDTree
+
+    def search(self, near: "_Nearest", reach: Array) -> None:
+        """Look at all of them that may be nearer; a triangle is by at most its own reach."""
+        few = min(_CANDIDATES, len(self.faces))
+        query = self.tree.query(near.points, np.arange(1, few + 1))
+        away, found = np.asarray(query[0], np.float64), self.faces[query[1]]
+        for start, end in pairwise(sorted({0, 1, min(_FIRST_CANDIDATES, few), few})):
+            closest = away[:, start:end] - reach[found[:, start:end]]
+            owner, which = np.nonzero(closest < near.distance[:, None])
+            near.update(owner, found[owner, start + which])
+        rows = np.flatnonzero((few < len(self.faces)) & (away[:, -1] - self.radius < near.distance))
+        if not len(rows):
+            return
+        most = near.distance[rows] + self.radius * (1.0 + 1e-9)
+        counts = self.tree.query_ball_point(near.points[rows], most, return_length=True)
+        # In parts: of points in the middle of a sphere all triangles are about the nearest.
+        for part in np.split(
+            np.arange(len(rows)),
+            np.flatnonzero(np.diff(np.cumsum(counts) // _BATCH_TRIANGLES)) + 1,
+        ):
+            lists = self.tree.query_ball_point(near.points[rows[part]], most[part])
+            owner = np.repeat(rows[part], [len(one) for one in lists])
+            near.update(owner, self.faces[np.concatenate(lists).astype(np.intp)])
+
+
+class _Nearest:
+    """The nearest places to points so far."""
+
+    def __init__(self, points: Array, corners: Array) -> None:
+        self.points = points
+        self.place = np.zeros_like(points)
+        self.distance = np.full(len(points), np.inf)
+        self.face = np.zeros(len(points), np.intp)
+        self._corners = corners
+
+    def update(self, owner: NDArray[np.intp], faces: NDArray[np.intp]) -> None:
+        """Put in what is nearer, of triangles ``faces`` to the points ``owner``."""
+        places = nearest_on_triangles(self.points[owner], self._corners[faces])
+        distance = np.linalg.norm(places - self.points[owner], axis=1)
+        # The nearest of each point comes first.
+        order = np.lexsort((distance, owner))
+        rows, first = np.unique(owner[order], return_index=True)
+        chosen = order[first]
+        nearer = distance[chosen] < self.distance[rows]
+        rows, chosen = rows[nearer], chosen[nearer]
+        self.place[rows], self.face[rows] = places[chosen], faces[chosen]
+        self.distance[rows] = distance[chosen]
+
+
+def nearest_on_triangles(points: Array, corners: Array) -> Array:
+    """Return the place on each triangle that is nearest to its point.
+
+    Args:
+        points: shape (..., 3).
+        corners: shape (..., 3, 3), a row for each corner.
+    """
+    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
+    first, second, off = b - a, c - a, points - a
+    # Barycentric coordinates of the foot on the plane.
+    ff, fs, ss = (_dot(first, first), _dot(first, second), _dot(second, second))
+    of, os = _dot(off, first), _dot(off, second)
+    area = ff * ss - fs * fs
+    u, v = (ss * of - fs * os) / area, (ff * os - fs * of) / area
+    outside = ~((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0))
+    place: Array = a + u[..., None] * first + v[..., None] * second
+    if outside.any():
+        points, a, b, c = (np.broadcast_to(one, place.shape)[outside] for one in (points, a, b, c))
+        edges = np.stack([_on_edge(points, a, b), _on_edge(points, b, c), _on_edge(points, c, a)])
+        nearest = ((edges - points) ** 2).sum(axis=-1).argmin(axis=0)
+        place[outside] = edges[nearest, np.arange(len(nearest))]
+    return place
+
+
+def _on_edge(points: Array, start: Array, end: Array) -> Array:
+    along = end - start
+    share = np.clip(_dot(points - start, along) / _dot(along, along), 0.0, 1.0)
+    found: Array = start + share[..., None] * along
+    return found
+
+
+def _dot(one: Array, other: Array) -> Array:
+    found: Array = np.einsum("...i,...i->...", one, other)
+    return found
+
+
+def _checked(given: Array, name: str) -> Array:
+    array = np.asarray(given, np.float64)
+    if array.ndim != 2 or array.shape[1] != 3 or not len(array):
+        raise InvalidParameter(f"{name} has shape {array.shape}; it must be (N, 3)")
+    if not np.isfinite(array).all():
+        raise NonFiniteValue(f"{name} has values that are not finite")
+    return array

@@ -1,0 +1,318 @@
+"""Spin calibration: the long axis of a tool, from poses turned about it."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from compute.camera.rotation import rotation_matrix
+from compute.errors import (
+    HighError,
+    InvalidParameter,
+    NoConvergence,
+    TooFewPoses,
+    TooLittleRotation,
+)
+from compute.pose.tool_calibration.orientation_coverage import OrientationCoverage
+from compute.pose.tool_calibration.pose_validation import validate_poses
+from compute.pose.tool_calibration.spin_axis import (
+    ROWS,
+    UNKNOWNS,
+    SpinAxis,
+    axis_design,
+    axis_differences,
+    linear_axis,
+    pose_jacobian,
+)
+
+Array = NDArray[np.float64]
+
+_OUTLIER_THRESHOLD: Final = float(np.sqrt(chi2.isf(1e-4, ROWS)))
+_MEDIAN_SIGMAS: Final = float(np.sqrt(chi2.median(ROWS)))
+_GROSS: Final = 5.0
+_MAX_ITERATIONS: Final = 50
+
+
+@dataclass(frozen=True)
+class SpinSettings:
+    """What a spin calibration asks of its poses.
+
+    Args:
+        min_poses: fewest poses that have to agree.
+        min_swing_rad: least RMS angle by which directions across the axis have to swing [rad].
+        max_tilt_rad: largest RMS angle of the axis off its mean direction [rad].
+        max_rms_mm: largest RMS distance of the axis from where it is [mm].
+        max_outlier_fraction: largest share of poses that may be left out, below a half.
+    """
+
+    min_poses: int = 10
+    min_swing_rad: float = float(np.radians(20.0))
+    max_tilt_rad: float = float(np.radians(1.0))
+    max_rms_mm: float = 1.0
+    max_outlier_fraction: float = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class SpinResult:
+    """An axis, and how well it is known.
+
+    Args:
+        direction: of the axis in the tool's coordinates, of length 1, shape (3,).
+        direction_covariance: shape (3, 3), of rank 2: nothing along the direction.
+        point_mm: of the axis, the nearest to the tool's origin, shape (3,) [mm].
+        point_covariance_mm2: shape (3, 3) [mm^2]; along the axis it is what the direction's
+            makes of the nearest point.
+        world_direction: of the axis in the world, shape (3,).
+        world_point_mm: a point of it in the world, shape (3,) [mm].
+        tilt_rad: RMS angle of the axis off its mean direction, of the poses used [rad].
+        rms_mm: RMS distance of ``point_mm`` from the axis in the world [mm].
+        residual_sigma: root of chi2 per degree of freedom; None without covariances.
+        outlying: indices of the poses that were left out.
+        orientations: how far the tool was turned.
+    """
+
+    direction: Array
+    direction_covariance: Array
+    point_mm: Array
+    point_covariance_mm2: Array
+    world_direction: Array
+    world_point_mm: Array
+    tilt_rad: float
+    rms_mm: float
+    residual_sigma: float | None
+    outlying: tuple[int, ...]
+    orientations: OrientationCoverage
+
+
+def spin_calibration(
+    rotations: Array,
+    translations_mm: Array,
+    covariances: Array | None = None,
+    along: Array | None = None,
+    settings: SpinSettings | None = None,
+) -> SpinResult:
+    """Return the axis about which a tool was turned; it may slide along it.
+
+    Solves ``R_i a = A`` and, across A, ``R_i c + t_i = C`` for the axis's directions a, A and
+    points c, C in tool and world: linear, then weighted by the poses' covariances.
+
+    Args:
+        rotations: R_world_tool, shape (N, 3, 3).
+        translations_mm: shape (N, 3) [mm].
+        covariances: of turn [rad] and translation [mm] as in ToolPose, shape (N, 6, 6); None: not
+            known, the scatter of directions and of points tells.
+        along: a direction (3,) of the tool that the axis points along, such as from the markers to
+            the tip; None: its largest component is positive.
+        settings: what is asked of the poses.
+
+    Raises:
+        TooFewPoses: there are fewer than asked for.
+        TooLittleRotation: the tool was turned less than asked for.
+        HighError: there is no single axis: its direction or its place did not stay.
+        InvalidParameter, NonFiniteValue: the arrays are not what they should be.
+        NoConvergence: the adjustment did not end.
+    """
+    wanted = settings or SpinSettings()
+    rotations, translations, pose_covariances = validate_poses(
+        rotations, translations_mm, covariances
+    )
+    count = len(translations)
+    if count < wanted.min_poses:
+        raise TooFewPoses(
+            f"{count} poses; a spin calibration needs at least {wanted.min_poses}, with the "
+            "tool turned about its long axis",
+            poses=count,
+            needed=wanted.min_poses,
+        )
+    _check_rotation(OrientationCoverage.of(rotations), wanted)
+    axis = _initial_estimate(rotations, translations)
+    used = _close_poses(rotations, translations, axis)
+    for _ in range(5):
+        axis, weight = _least_squares(rotations, translations, pose_covariances, axis, used)
+        again = _inliers(rotations, translations, weight, axis, used, pose_covariances is not None)
+        if (again == used).all():
+            break
+        used = again
+        if used.sum() < max(wanted.min_poses, (1.0 - wanted.max_outlier_fraction) * count):
+            raise HighError(
+                f"{count - int(used.sum())} of {count} poses do not fit the others; at least "
+                f"{wanted.min_poses} poses and {1.0 - wanted.max_outlier_fraction:.0%} of them must "
+                "agree: the tool was not turned about one axis",
+                outlying=count - int(used.sum()),
+                poses=count,
+            )
+    orientations = OrientationCoverage.of(rotations[used])
+    _check_rotation(orientations, wanted)
+    off = axis_differences(rotations[used], translations[used], axis)
+    tilt = float(np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()))
+    rms = float(np.sqrt((off[:, 2:] ** 2).sum(axis=1).mean()))
+    _check_axis(tilt, rms, wanted)
+    design = axis_design(rotations[used], axis)
+    information = weight[used]
+    normal = np.einsum("nia,nij,njb->ab", design, information, design, optimize=True)
+    factor = float(np.einsum("ni,nij,nj->", off, information, off))
+    factor /= ROWS * used.sum() - UNKNOWNS
+    covariance = np.linalg.inv(normal) * (1.0 if pose_covariances is None else max(1.0, factor))
+    sign = _sign(axis.tool_direction, along)
+    across = axis.across_tool
+    # The point is that nearest to the origin: it goes along with the direction.
+    slide = np.outer(axis.tool_direction, axis.tool_point) @ across.T
+    jacobian = np.concatenate([-slide, across.T], axis=1)
+    joint = covariance[np.ix_([0, 1, 4, 5], [0, 1, 4, 5])]
+    return SpinResult(
+        sign * axis.tool_direction,
+        across.T @ covariance[:2, :2] @ across,
+        axis.tool_point,
+        jacobian @ joint @ jacobian.T,
+        sign * axis.world_direction,
+        axis.world_point,
+        tilt,
+        rms,
+        None if pose_covariances is None else float(np.sqrt(factor)),
+        tuple(np.flatnonzero(~used).tolist()),
+        orientations,
+    )
+
+
+def _check_rotation(orientations: OrientationCoverage, wanted: SpinSettings) -> None:
+    if orientations.swing_rad[1] >= wanted.min_swing_rad:
+        return
+    raise TooLittleRotation(
+        f"{orientations.describe()}. Directions across the axis must swing by at least "
+        f"{np.degrees(wanted.min_swing_rad):.1f} deg RMS: turn the tool further about its axis",
+        swing_deg=np.degrees(orientations.swing_rad).tolist(),
+        min_deg=float(np.degrees(wanted.min_swing_rad)),
+    )
+
+
+def _check_axis(tilt: float, rms: float, wanted: SpinSettings) -> None:
+    if tilt > wanted.max_tilt_rad:
+        raise HighError(
+            f"the tool was not turned about a single axis: the one that moved least tilted by "
+            f"{np.degrees(tilt):.2f} deg RMS; it must be within "
+            f"{np.degrees(wanted.max_tilt_rad):.2f} deg",
+            tilt_deg=float(np.degrees(tilt)),
+            max_deg=float(np.degrees(wanted.max_tilt_rad)),
+        )
+    if rms > wanted.max_rms_mm:
+        raise HighError(
+            f"the axis did not stay in its place: it is {rms:.3g} mm RMS off; it must be within "
+            f"{wanted.max_rms_mm:g} mm",
+            rms_mm=rms,
+            max_mm=wanted.max_rms_mm,
+        )
+
+
+def _sign(direction: Array, along: Array | None) -> float:
+    if along is None:
+        return float(np.sign(direction[np.argmax(np.abs(direction))]))
+    cosine = float(direction @ along / np.linalg.norm(along))
+    if not abs(cosine) > 0.1:
+        raise InvalidParameter(
+            f"along is {np.round(along, 3).tolist()}, across the axis "
+            f"{np.round(direction, 3).tolist()} or of no length: it does not say which way the "
+            "axis points"
+        )
+    return float(np.sign(cosine))
+
+
+def _initial_estimate(rotations: Array, translations: Array) -> SpinAxis:
+    """Return the axis of the half of the poses that fit one another best.
+
+    By steps of concentration (P. J. Rousseeuw, K. Van Driessen, doi:10.1007/s10618-005-0024-4).
+    """
+    half = np.arange(len(translations))
+    for _ in range(10):
+        axis = linear_axis(rotations[half], translations[half])
+        off = axis_differences(rotations, translations, axis)
+        parts = np.stack([(off[:, :2] ** 2).sum(axis=1), (off[:, 2:] ** 2).sum(axis=1)], axis=1)
+        size = (parts / np.maximum(np.median(parts, axis=0), 1e-24)).sum(axis=1)
+        best = np.sort(np.argsort(size, kind="stable")[: (len(translations) + 1) // 2])
+        if np.array_equal(best, half):
+            break
+        half = best
+    return axis
+
+
+def _close_poses(rotations: Array, translations: Array, axis: SpinAxis) -> NDArray[np.bool_]:
+    """Return the poses that are not grossly off the start, by the medians, shape (N,)."""
+    off = axis_differences(rotations, translations, axis)
+    normalised_residuals = np.stack(
+        [np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 2], off[:, 3])], axis=1
+    )
+    near: NDArray[np.bool_] = (
+        normalised_residuals <= _GROSS * np.median(normalised_residuals, axis=0) + 1e-12
+    ).all(axis=1)
+    return near
+
+
+def _weights(
+    rotations: Array,
+    translations: Array,
+    pose_covariances: Array | None,
+    axis: SpinAxis,
+    used: NDArray[np.bool_],
+) -> Array:
+    """Return the information of the differences, shape (N, 4, 4)."""
+    if pose_covariances is not None:
+        jacobian = pose_jacobian(rotations, axis)
+        spread = jacobian @ pose_covariances @ jacobian.swapaxes(1, 2)
+        return np.asarray(np.linalg.inv(spread), np.float64)
+    squares = axis_differences(rotations[used], translations[used], axis) ** 2
+    freedom = 2 * len(squares) - UNKNOWNS / 2
+    variance = np.maximum([squares[:, :2].sum(), squares[:, 2:].sum()], 1e-24) / freedom
+    return np.broadcast_to(np.diag(np.repeat(1.0 / variance, 2)), (len(rotations), 4, 4))
+
+
+def _least_squares(
+    rotations: Array,
+    translations: Array,
+    pose_covariances: Array | None,
+    axis: SpinAxis,
+    used: NDArray[np.bool_],
+) -> tuple[SpinAxis, Array]:
+    for _ in range(_MAX_ITERATIONS):
+        weight = _weights(rotations, translations, pose_covariances, axis, used)
+        some, information = rotations[used], weight[used]
+        off = axis_differences(some, translations[used], axis)
+        pull = np.einsum("nij,nj->ni", information, off)
+        right = some
+        if pose_covariances is not None:
+            # As in pivot calibration: the slopes are those of the adjusted orientations.
+            turn = np.einsum(
+                "nij,nkj,nk->ni", pose_covariances[used], pose_jacobian(some, axis), pull
+            )[:, :3]
+            right = rotation_matrix(-turn) @ some
+        design = axis_design(right, axis)
+        normal = np.einsum("nia,nij,njb->ab", design, information, design, optimize=True)
+        gradient = np.einsum("nia,ni->a", design, pull)
+        # Without turns the point is not determined; that is told by the orientations.
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        step = -np.linalg.lstsq(normal / np.outer(scale, scale), gradient / scale, rcond=1e-9)[0]
+        step /= scale
+        axis = axis.retract(step)
+        if np.abs(step[:4]).max() < 1e-10 and np.abs(step[4:]).max() < 1e-7:
+            return axis, _weights(rotations, translations, pose_covariances, axis, used)
+    raise NoConvergence(
+        f"the spin calibration did not converge in {_MAX_ITERATIONS} steps; the last turned the axis by "
+        f"{np.linalg.norm(step[:2]):.2g} rad"
+    )
+
+
+def _inliers(
+    rotations: Array,
+    translations: Array,
+    weight: Array,
+    axis: SpinAxis,
+    used: NDArray[np.bool_],
+    pose_covariances: bool,
+) -> NDArray[np.bool_]:
+    off = axis_differences(rotations, translations, axis)
+    normalised_residuals = np.sqrt(np.einsum("ni,nij,nj->n", off, weight, off))
+    scale = float(np.median(normalised_residuals[used])) / _MEDIAN_SIGMAS
+    fits: NDArray[np.bool_] = normalised_residuals <= _OUTLIER_THRESHOLD * (
+        max(scale, 1.0) if pose_covariances else scale
+    )
+    return fits

@@ -1,0 +1,228 @@
+"""Meeting points: all combinations of a frame's peaks that meet, ghosts among them."""
+
+from dataclasses import dataclass
+from math import comb, inf, log
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.reconstruction.correspondence.candidates import (
+    Candidates,
+    MisfitDensity,
+    Solve,
+    solve_combinations,
+)
+from compute.reconstruction.correspondence.covering_design import covering_triples
+from compute.reconstruction.correspondence.incremental import complete_triples
+from compute.reconstruction.correspondence.predictor import Predictor
+from compute.reconstruction.correspondence.settings import MatchSettings
+from compute.reconstruction.correspondence.sorted_peaks import SortedPeaks
+
+Array = NDArray[np.float64]
+
+MAX_TRIPLES: Final = 10_000
+"""Combinations of three peaks that are tried in an exposure; more are tried part by part."""
+MAX_GHOSTS: Final = 40.0
+"""Combinations that may agree by chance, for so many sensors to be enough."""
+GATE_PX: Final = 1.0
+"""About how wide a reading's gate is."""
+MAX_PIXELS: Final = 4096.0
+MAX_PREDICTED: Final = 24_000
+"""Readings that are predicted for them, before another triple of sensors waits for its turn."""
+MAX_INTERSECTION_POINTS: Final = 600
+"""Points that are returned, the likeliest."""
+
+
+@dataclass(frozen=True, eq=False)
+class IntersectionPoints:
+    """N combinations of three peaks or more that meet in a point.
+
+    Args:
+        choice: index of each sensor's peak, in the order given; -1: none, shape (N, S).
+        position_mm: shape (N, 3).
+        covariance_mm2: shape (N, 3, 3).
+        position_px: of the peaks; NaN where there is none, shape (N, S).
+        sigma_px: of the peaks; NaN where there is none, shape (N, S).
+        log_ratio: log likelihood ratio of these peaks being one marker's to being no one's,
+            integrated over space [mm^3]; other sensors missed it, shape (N,).
+        log_ratio_with_prior: with a marker anywhere; minus infinity where three peaks say nothing, shape (N,).
+    """
+
+    choice: NDArray[np.intp]
+    position_mm: Array
+    covariance_mm2: Array
+    position_px: Array
+    sigma_px: Array
+    log_ratio: Array
+    log_ratio_with_prior: Array
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.choice)
+
+    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "IntersectionPoints":
+        """Return some of them."""
+        return IntersectionPoints(
+            self.choice[index],
+            self.position_mm[index],
+            self.covariance_mm2[index],
+            self.position_px[index],
+            self.sigma_px[index],
+            self.log_ratio[index],
+            self.log_ratio_with_prior[index],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SearchPart:
+    """Which part of a frame's combinations is tried.
+
+    Args:
+        base_index: which of the triples of sensors, that no marker escapes, to start from.
+        first_px: first reading of its first sensor that is looked at.
+    """
+
+    base_index: int = 0
+    first_px: float = -inf
+
+
+def intersection_points(
+    solve: Solve,
+    predict: Predictor,
+    position_px: Array,
+    sigma_px: Array,
+    merged: NDArray[np.bool_] | None,
+    part: SearchPart,
+    settings: MatchSettings,
+) -> tuple[IntersectionPoints, float]:
+    """Return the points where peaks of four sensors or more meet.
+
+    Four sensors must agree at least; more, where too many combinations of four would by chance.
+    The triples of sensors to start from, that no marker escapes, take turns as far as there is
+    work in them for several exposures.
+
+    Args:
+        solve: reconstructs.
+        predict: the sensors.
+        position_px: shape (S, K); NaN where there are fewer.
+        sigma_px: their standard deviations, shape (S, K).
+        merged: peaks that may be two markers', shape (S, K).
+        part: of the combinations.
+        settings: the model of peaks.
+
+    Returns:
+        The points, and the first reading of the part that comes next; minus infinity: all were
+        tried.
+    """
+    peaks = SortedPeaks.of(position_px, sigma_px, merged, settings.merged_sigma_px)
+    seeing = np.flatnonzero(peaks.count > 0)
+    misfit_density = MisfitDensity()
+    candidates: list[Candidates] = []
+    following = -inf
+    if len(seeing) >= 4:
+        least = _least(peaks, seeing)
+        bases = covering_triples(len(seeing), least)
+        work = 0
+        for base_index in range(len(bases)):
+            base = seeing[list(bases[(part.base_index + base_index) % len(bases)])]
+            combinations = int(np.prod(peaks.count[base], dtype=np.int64))
+            if base_index and (work + combinations) * len(seeing) > MAX_PREDICTED:
+                break
+            work += combinations
+            free, following = _slice(peaks, base, part.first_px)
+            choice, _ = complete_triples(
+                solve,
+                predict,
+                peaks,
+                free,
+                (int(base[0]), int(base[1]), int(base[2])),
+                least,
+                settings.max_points,
+                misfit_density,
+            )
+            if len(choice):
+                candidates.append(solve_combinations(solve, peaks, choice).candidates)
+    return _merged(predict, peaks, candidates, settings), following
+
+
+def _least(peaks: SortedPeaks, seeing: NDArray[np.intp]) -> int:
+    """Return how many sensors must agree that not too many combinations do by chance."""
+    sensors = len(seeing)
+    count = float(peaks.count[seeing].mean())
+    by_chance = float(np.exp(_log_density(peaks, 1.0 / MAX_PIXELS)[seeing].mean())) * GATE_PX
+    for least in range(4, sensors):
+        ways = comb(sensors - 3, least - 3) * by_chance ** (least - 3)
+        if count**3 * ways <= MAX_GHOSTS:
+            return least
+    return sensors
+
+
+def _slice(
+    peaks: SortedPeaks, base: NDArray[np.intp], first_px: float
+) -> tuple[NDArray[np.bool_], float]:
+    """Return the peaks that are looked at, and the first of the next part."""
+    free = np.isfinite(peaks.position_px)
+    others = int(peaks.count[base[1]] * peaks.count[base[2]])
+    room = max(MAX_TRIPLES // max(others, 1), 1)
+    sensor = int(base[0])
+    line = peaks.position_px[sensor, : peaks.count[sensor]]
+    begin = int(np.searchsorted(line, first_px))
+    if begin >= len(line):
+        begin = 0
+    free[sensor, : len(line)] = False
+    free[sensor, begin : begin + room] = True
+    return free, float(line[begin + room]) if begin + room < len(line) else -inf
+
+
+def _merged(
+    predict: Predictor, peaks: SortedPeaks, candidates: list[Candidates], settings: MatchSettings
+) -> IntersectionPoints:
+    """Return candidates as points, each combination once, in an order of their own."""
+    sensors = len(peaks)
+    if not candidates or sum(len(one) for one in candidates) == 0:
+        none = np.empty(0)
+        return IntersectionPoints(
+            np.empty((0, sensors), np.intp),
+            np.empty((0, 3)),
+            np.empty((0, 3, 3)),
+            np.empty((0, sensors)),
+            np.empty((0, sensors)),
+            none,
+            none,
+        )
+    whole = candidates[0]
+    for one in candidates[1:]:
+        whole = whole.concatenate(one)
+    _, index = np.unique(whole.choice, axis=0, return_index=True)
+    whole = whole.take(index)
+    used = whole.choice >= 0
+    missed = (~used & predict(whole.position_mm).in_view).sum(axis=1)
+    crowd = np.log(settings.detection_probability) - _log_density(
+        peaks, settings.clutter_density_per_px
+    )
+    peaks_only = whole.log_marginal + used @ crowd
+    peaks_only += missed * settings.log_missed
+    alone = np.where(used.sum(axis=1) > 3, peaks_only + log(settings.markers_per_mm3), -inf)
+    if len(whole) > MAX_INTERSECTION_POINTS:
+        best = np.sort(np.argsort(-peaks_only, kind="stable")[:MAX_INTERSECTION_POINTS])
+        whole, used, peaks_only, alone = whole.take(best), used[best], peaks_only[best], alone[best]
+    position, sigma = peaks.readings(whole.choice)
+    original_index = np.where(used, peaks.original_index[np.arange(sensors), whole.choice], -1)
+    return IntersectionPoints(
+        original_index,
+        whole.position_mm,
+        whole.covariance_mm2,
+        position,
+        sigma,
+        peaks_only,
+        alone,
+    )
+
+
+def _log_density(peaks: SortedPeaks, min_per_px: float) -> Array:
+    """Return the log of how densely peaks lie, whoever's they are, shape (S,)."""
+    last = peaks.position_px[np.arange(len(peaks)), np.maximum(peaks.count - 1, 0)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        density = (peaks.count - 1) / (last - peaks.position_px[:, 0])
+    return np.log(np.maximum(np.where(peaks.count >= 3, density, 0.0), min_per_px))

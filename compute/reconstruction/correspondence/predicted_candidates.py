@@ -1,0 +1,135 @@
+"""Candidates for predicted points: continuity in time as one more observation of a marker."""
+
+from dataclasses import dataclass
+from math import log, pi
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.reconstruction.correspondence.candidates import (
+    Candidates,
+    MisfitDensity,
+    Solve,
+    empty_candidates,
+    solve_combinations,
+)
+from compute.reconstruction.correspondence.incremental import (
+    extend_with_gated_peaks,
+    find_gated_peaks,
+)
+from compute.reconstruction.correspondence.predictor import Predictor
+from compute.reconstruction.correspondence.settings import FALSE_REJECTION
+from compute.reconstruction.correspondence.sorted_peaks import SortedPeaks
+from compute.reconstruction.triangulation import chi2_limit
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_LEAST: Final = 3
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedPoints:
+    """Where markers are expected, from their tracks.
+
+    Args:
+        position_mm: shape (T, 3) [mm].
+        covariance_mm2: shape (T, 3, 3) [mm^2], of the prediction, the motion since included.
+
+    Raises:
+        InvalidParameter: shapes that do not fit, or values that are not finite.
+    """
+
+    position_mm: Array
+    covariance_mm2: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.position_mm)
+        if np.shape(self.position_mm) != (count, 3) or np.shape(self.covariance_mm2) != (
+            count,
+            3,
+            3,
+        ):
+            raise InvalidParameter(
+                f"predicted points have the shapes {np.shape(self.position_mm)} and "
+                f"{np.shape(self.covariance_mm2)}; they must be (T, 3) and (T, 3, 3)"
+            )
+        if not (np.isfinite(self.position_mm).all() and np.isfinite(self.covariance_mm2).all()):
+            raise InvalidParameter("a predicted point is not finite; leave it out")
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.position_mm)
+
+
+def predicted_candidates(
+    solve: Solve,
+    predict: Predictor,
+    peaks: SortedPeaks,
+    predicted: PredictedPoints,
+    max_combinations: int,
+    misfit_density: MisfitDensity,
+) -> tuple[Candidates, int]:
+    """Return the combinations of three or more peaks that may be a predicted point.
+
+    A prediction is an observation of all three coordinates, so that three sensors' peaks have
+    three degrees of freedom with it, and none without.
+
+    Returns:
+        The candidates, and how many combinations were cut.
+    """
+    free = np.isfinite(peaks.position_px)
+    place, spread = predicted.position_mm, predicted.covariance_mm2
+    gated = find_gated_peaks(predict, peaks, free, place, spread, (), misfit_density, len(place))
+    start = np.full((len(place), len(peaks)), -1)
+    rows = np.flatnonzero((gated.count > 0).sum(axis=1) >= _LEAST)
+    choice, cut = extend_with_gated_peaks(start, gated, rows, _LEAST, max_combinations)
+    if len(choice) == 0:
+        return empty_candidates(len(peaks)), cut
+    meets = solve_combinations(solve, peaks, np.unique(choice, axis=0)).candidates
+    # Each of them for each prediction that it lies near.
+    chi2, log_density = _distances(
+        meets.position_mm[:, None] - place, meets.covariance_mm2[:, None] + spread
+    )
+    dof = meets.dof + 3
+    limits = np.array([chi2_limit(n_dof, FALSE_REJECTION) for n_dof in range(len(peaks) + 1)])
+    row, point = np.nonzero(meets.chi2[:, None] + chi2 <= limits[dof][:, None])
+    near = meets.take(row)
+    return (
+        Candidates(
+            near.choice,
+            near.position_mm,
+            near.covariance_mm2,
+            near.chi2 + chi2[row, point],
+            near.dof + 3,
+            near.log_marginal,
+            near.log_marginal_capped,
+            point.astype(np.intp),
+            log_density[row, point],
+        ),
+        cut,
+    )
+
+
+def log_prediction_density(
+    candidates: Candidates, predicted: PredictedPoints, index: Indices
+) -> Array:
+    """Return the log of predicted points' densities at candidates, shape (C,) [1/mm^3].
+
+    Args:
+        candidates: C candidates.
+        predicted: the points.
+        index: which of them for each candidate, shape (C,).
+    """
+    away = candidates.position_mm - predicted.position_mm[index]
+    return _distances(away, candidates.covariance_mm2 + predicted.covariance_mm2[index])[1]
+
+
+def _distances(away_mm: Array, covariance_mm2: Array) -> tuple[Array, Array]:
+    """Return chi2 of differences (..., 3) and the log of their densities, shape (...)."""
+    solution = np.linalg.solve(covariance_mm2, away_mm[..., None])[..., 0]
+    chi2 = (away_mm * solution).sum(axis=-1)
+    spread = 3.0 * log(2.0 * pi) + np.log(np.linalg.det(covariance_mm2))
+    return chi2, -0.5 * (spread + chi2)

@@ -1,0 +1,363 @@
+"""Packing: the likeliest set of markers that uses each peak once, and how sure each of them is."""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import exp
+from typing import Final
+
+from compute.reconstruction.correspondence.lp_relaxation import Column, LpRelaxation
+
+_SWEEPS: Final = 6
+_LP_MIN_COLUMNS: Final = 40  # columns from which on a linear programme tightens the bound
+_PRICE_TOLERANCE: Final = 1e-9
+_LOSS_TIE_TOLERANCE: Final = 1e-6
+_FIRST_BUDGET: Final = 4.0
+
+
+@dataclass(frozen=True)
+class SetPacking:
+    """A set of columns that do not share what only one of them may have.
+
+    Args:
+        chosen: indices of the columns of the likeliest set, ascending.
+        error_probability: chance that each chosen column is in no true set, in the same order.
+        cut: clusters whose sets were not all weighed; their columns have a chance of 1.
+    """
+
+    chosen: tuple[int, ...]
+    error_probability: tuple[float, ...]
+    cut: int
+
+
+def solve_set_packing(
+    columns: Sequence[Column],
+    scores: Sequence[float],
+    window: float,
+    max_branches: int,
+    capacity: Mapping[int, int] | None = None,
+) -> SetPacking:
+    """Choose columns with the largest sum of scores, and weigh all sets that come near.
+
+    A set's weight is the exponential of its sum, a column's chance the weight of the sets without
+    it over that of all. Columns that share nothing do not matter to each other, so clusters are
+    taken apart. In each, prices y of the resources that no column's score exceeds bound every set
+    (the dual of the linear programme): what a set loses against the bound is the sum of its
+    columns' margins and of the prices of what it leaves unused. Columns whose margin alone is
+    larger than the window and the best set's loss are in no set of interest; without them, most
+    clusters fall apart again. The rest is enumerated, depth first: exact, but for sets outside the
+    window, as long as there are at most ``most`` branches. If it takes more to weigh what is near
+    the best set, the linear programme without each of its columns bounds what those sets weigh. If
+    it takes more to find the best set, columns are taken by their scores and none is sure.
+
+    Args:
+        columns: the resources (peaks) that each uses; none twice.
+        scores: log likelihood ratio of each; those that are not positive are left out.
+        window: sets whose score is lower than the best's by more are not weighed.
+        max_branches: branches of a cluster, at most.
+        capacity: how many columns may share a resource, where it is more than one.
+    """
+    room = capacity or {}
+    chosen: dict[int, float] = {}
+    cut = 0
+    useful = [index for index, score in enumerate(scores) if score > 0.0]
+    for cluster in _clusters(columns, useful):
+        if len(cluster) == 1:
+            chosen[cluster[0]] = 1.0 / (1.0 + exp(min(scores[cluster[0]], 700.0)))
+            continue
+        prices = _prices(columns, scores, cluster, room)
+        if len(cluster) >= _LP_MIN_COLUMNS:
+            prices = LpRelaxation(columns, scores, cluster, room).dual_prices() or prices
+        greedy = _greedy(columns, scores, cluster, room)
+        bound = sum(price * room.get(resource, 1) for resource, price in prices.items())
+        reach = window + bound - sum(scores[index] for index in greedy)
+        margins = _margins(columns, scores, cluster, prices)
+        near = [index for index in cluster if margins[index] <= reach + _PRICE_TOLERANCE]
+        for part in _clusters(columns, near):
+            search = _Search(columns, prices, margins, room, max_branches)
+            whole, complete = search.enumerate_near_best(part, window)
+            if whole is None:
+                cut += 1
+                inside = set(part)
+                chosen.update((index, 1.0) for index in greedy if index in inside)
+            elif complete:
+                chosen.update(
+                    (index, max(1.0 - whole.probability[index], 0.0)) for index in whole.best
+                )
+            else:
+                chosen.update(
+                    LpRelaxation(columns, scores, part, room).error_probability_bounds(whole.best)
+                )
+    order = tuple(sorted(chosen))
+    return SetPacking(order, tuple(chosen[index] for index in order), cut)
+
+
+def _greedy(
+    columns: Sequence[Column],
+    scores: Sequence[float],
+    cluster: Sequence[int],
+    room: Mapping[int, int],
+) -> list[int]:
+    """Return columns by falling score, as long as there is room for them."""
+    used: dict[int, int] = defaultdict(int)
+    taken = []
+    for index in sorted(cluster, key=lambda index: (-scores[index], index)):
+        if all(used[r] < room.get(r, 1) for r in columns[index]):
+            taken.append(index)
+            for r in columns[index]:
+                used[r] += 1
+    return taken
+
+
+def _clusters(columns: Sequence[Column], use: Sequence[int]) -> list[list[int]]:
+    """Return the columns that are linked by shared resources, each list ascending."""
+    parent: dict[int, int] = {}
+
+    def root(node: int) -> int:
+        while parent[node] != node:
+            parent[node] = parent[parent[node]]
+            node = parent[node]
+        return node
+
+    for index in use:
+        head, *others = columns[index]
+        parent.setdefault(head, head)
+        for other in others:
+            parent.setdefault(other, other)
+            parent[root(other)] = root(head)
+    found: dict[int, list[int]] = defaultdict(list)
+    for index in use:
+        found[root(columns[index][0])].append(index)
+    return list(found.values())
+
+
+def _margins(
+    columns: Sequence[Column],
+    scores: Sequence[float],
+    cluster: Sequence[int],
+    prices: Mapping[int, float],
+) -> dict[int, float]:
+    return {
+        index: max(sum(prices[r] for r in columns[index]) - scores[index], 0.0) for index in cluster
+    }
+
+
+def _prices(
+    columns: Sequence[Column],
+    scores: Sequence[float],
+    cluster: Sequence[int],
+    room: Mapping[int, int],
+) -> dict[int, float]:
+    """Return prices that cover every column's score, lowered one by one."""
+    using: dict[int, list[int]] = defaultdict(list)
+    for index in cluster:
+        for resource in columns[index]:
+            using[resource].append(index)
+    prices = {
+        resource: max(scores[index] / len(columns[index]) for index in users)
+        for resource, users in using.items()
+    }
+    cover = {index: sum(prices[r] for r in columns[index]) for index in cluster}
+    # What many want and few may have is lowered last.
+    order = sorted(prices, key=lambda r: (len(using[r]) / room.get(r, 1), r))
+    for _ in range(_SWEEPS):
+        lowered = 0.0
+        for resource in order:
+            slack = min(cover[index] - scores[index] for index in using[resource])
+            slack = min(slack, prices[resource])
+            if slack > _PRICE_TOLERANCE:
+                prices[resource] -= slack
+                lowered += slack
+                for index in using[resource]:
+                    cover[index] -= slack
+        if lowered <= _PRICE_TOLERANCE:
+            break
+    return prices
+
+
+@dataclass(frozen=True)
+class _WeightedSets:
+    """The sets of a part: sum of their weights, the smallest loss, its columns, their chances."""
+
+    weight: float
+    loss: float
+    best: tuple[int, ...]
+    probability: dict[int, float]
+
+
+class _Search:
+    """All sets of a cluster whose loss is within a budget, part by part as it falls apart.
+
+    A resource is decided at a time: left as it is, or used by one of its columns (or two, where
+    it has room). What is left falls into parts that do not matter to each other, so that their
+    weights multiply and no set has to be written down. Resources are bits of whole numbers.
+    """
+
+    def __init__(
+        self,
+        columns: Sequence[Column],
+        prices: Mapping[int, float],
+        margins: Mapping[int, float],
+        room: Mapping[int, int],
+        max_branches: int,
+    ) -> None:
+        bit = {resource: 1 << at for at, resource in enumerate(sorted(prices))}
+        self.mask = {index: sum(bit[r] for r in columns[index]) for index in margins}
+        self.price = {bit[r]: price for r, price in prices.items()}
+        self.double = sum(bit[r] for r in prices if room.get(r, 1) > 1)
+        self.margins, self.max_branches = margins, max_branches
+        self.known: dict[tuple[tuple[int, ...], int], tuple[float, _WeightedSets | None]] = {}
+        self.nodes = 0
+        self.cut = False
+
+    def enumerate_near_best(
+        self, cluster: Sequence[int], window: float
+    ) -> tuple[_WeightedSets | None, bool]:
+        """Return the sets near the best, and whether they are all that are within the window.
+
+        None if there are too many branches even to find the best.
+        """
+        budget = _FIRST_BUDGET
+        whole = self._branch(tuple(cluster), 0, budget)
+        while whole is None and not self.cut:
+            budget += _FIRST_BUDGET
+            whole = self._branch(tuple(cluster), 0, budget)
+        if whole is None or budget >= whole.loss + window:
+            return whole, True
+        # As many branches again: the best is known, what comes near it may be bounded.
+        self.nodes = 0
+        near = self._branch(tuple(cluster), 0, whole.loss + window)
+        return (whole, False) if near is None else (near, True)
+
+    def _branch(self, cluster: tuple[int, ...], once: int, budget: float) -> _WeightedSets | None:
+        """Weigh the sets of a part; ``once`` are the double resources that are used once."""
+        covered = 0
+        for index in cluster:
+            covered |= self.mask[index]
+        key = (cluster, once & covered)
+        known = self.known.get(key)
+        if known is not None and known[0] >= budget:
+            return known[1]
+        self.nodes += 1
+        if self.nodes > self.max_branches:
+            self.cut = True
+            return None
+        resource, options = self._branch_options(cluster, covered, once, budget)
+        found: list[_WeightedSets] = []
+        for extra, taken in options:
+            one = self._fix_resource(cluster, covered, once, resource, extra, taken, budget)
+            if self.cut:
+                return None
+            if one is not None:
+                found.append(one)
+        result = _sum_alternatives(found)
+        self.known[key] = (budget, result)
+        return result
+
+    def _branch_options(
+        self, cluster: tuple[int, ...], covered: int, once: int, budget: float
+    ) -> tuple[int, list[tuple[float, tuple[int, ...]]]]:
+        """Return the resource with the fewest ways to go, and those with what each loses."""
+        takers: dict[int, list[int]] = {}
+        left = covered
+        while left:
+            bit = left & -left
+            left ^= bit
+            takers[bit] = []
+        for index in cluster:
+            mask = self.mask[index]
+            while mask:
+                bit = mask & -mask
+                mask ^= bit
+                takers[bit].append(index)
+
+        def ways(bit: int) -> tuple[int, float, int]:
+            price = self.price[bit]
+            return len(takers[bit]) + (price <= budget), -price, bit
+
+        resource = min(takers, key=ways)
+        price, users = self.price[resource], takers[resource]
+        free = 2 if resource & self.double & ~once else 1
+        options: list[tuple[float, tuple[int, ...]]] = [(free * price, ())]
+        options += [((free - 1) * price + self.margins[index], (index,)) for index in users]
+        if free > 1:
+            for one, other in combinations(users, 2):
+                # Together only where every resource that both want has room for two.
+                both = self.mask[one] & self.mask[other]
+                if not both & ~self.double and not both & once:
+                    options.append((self.margins[one] + self.margins[other], (one, other)))
+        options.sort()
+        return resource, [option for option in options if option[0] <= budget]
+
+    def _fix_resource(
+        self,
+        cluster: tuple[int, ...],
+        covered: int,
+        once: int,
+        resource: int,
+        loss: float,
+        taken: tuple[int, ...],
+        budget: float,
+    ) -> _WeightedSets | None:
+        """Weigh what is left when a resource has been decided."""
+        # Decided: full, whatever it has room for.
+        full = resource
+        for index in taken:
+            mask = self.mask[index]
+            full |= mask & (once | ~self.double)
+            once |= mask & self.double
+        parts: list[tuple[int, list[int]]] = []
+        still = 0
+        for index in cluster:
+            mask = self.mask[index]
+            if mask & full or self.margins[index] > budget - loss:
+                continue
+            still |= mask
+            joined, members = mask, [index]
+            apart = []
+            for part in parts:
+                if part[0] & mask:
+                    joined |= part[0]
+                    members = part[1] + members
+                else:
+                    apart.append(part)
+            parts = [*apart, (joined, members)]
+        unused = covered & ~still & ~full
+        while unused:
+            bit = unused & -unused
+            unused ^= bit
+            loss += self.price[bit] * (2 if bit & self.double & ~once else 1)
+        if loss > budget:
+            return None
+        weight, best, probability = exp(-loss), taken, dict.fromkeys(taken, 1.0)
+        for _, members in parts:
+            some = self._branch(tuple(sorted(members)), once, budget - loss)
+            if some is None:
+                return None
+            weight *= some.weight
+            loss += some.loss
+            best += some.best
+            probability.update(some.probability)
+        return _WeightedSets(weight, loss, best, probability)
+
+
+def _sum_alternatives(found: Sequence[_WeightedSets]) -> _WeightedSets | None:
+    """Return alternatives as one."""
+    if not found:
+        return None
+    weight = sum(one.weight for one in found)
+    if weight <= 0.0:
+        return None
+    # Of sets that are equal to rounding, the first in order: the same on every machine.
+    least = min(one.loss for one in found)
+    best = min(
+        (one for one in found if one.loss <= least + _LOSS_TIE_TOLERANCE),
+        key=lambda one: sorted(one.best),
+    )
+    probability: dict[int, float] = defaultdict(float)
+    for one in found:
+        share = one.weight / weight
+        for index, value in one.probability.items():
+            probability[index] += share * value
+    return _WeightedSets(weight, least, best.best, dict(probability))

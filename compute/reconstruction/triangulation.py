@@ -1,0 +1,253 @@
+"""Weighted non-linear reconstruction: points that fit the readings, with their covariance."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter
+from compute.mapping.table import CorrectionTable
+from compute.reconstruction.linear_triangulation import triangulate_linear
+from compute.reconstruction.point_batch import PointBatch, PointFlag
+
+Array = NDArray[np.float64]
+
+MAX_ITERATIONS = 30
+WEIGHTING_ITERATIONS = 2
+"""After the linear solution, before the readings are weighted by where the point is."""
+INITIAL_DAMPING = 1e-6
+MAX_DAMPING = 1e12
+STEP_TOLERANCE_MM = 1e-6
+CHI2_ROUNDING_FACTOR = 1.0 + 1e-10
+"""Steps near the end change chi2 by less than its rounding: growth up to this factor is none."""
+_DIAGONAL = np.arange(3)
+INCONSISTENCY_SIGNIFICANCE = 1e-4
+"""Chance that a good point is flagged as inconsistent."""
+INTERSECTION_CHI2_TOLERANCE = 1e-6
+"""Of a point that three sensors' readings meet in: far above rounding, far below any noise."""
+UNINFORMATIVE_SIGMA_RATIO = 1e3
+"""A reading this many times less certain than the third best is not used."""
+DEGENERATE_RATIO = 1e-14
+"""Smallest ratio of eigenvalues of the normal matrix; its root is the planes' conditioning."""
+
+
+def reconstruct(
+    models: Sequence[SensorModel] | CameraStack,
+    readings_px: Array,
+    sigma_px: Array,
+    parameter_covariance: Array | None = None,
+    corrections: CorrectionTable | None = None,
+) -> PointBatch:
+    """Reconstruct points from the readings of any three or more sensors.
+
+    Minimises r' S^-1 r by Levenberg-Marquardt, from the linear solution, for all points at once:
+    r are readings, corrected as of the point, less projections; S is their covariance: the
+    readings' noise plus what the cameras' own covariance does to the projections at that place,
+    plus the table's variance there. Where the iteration ends, a reading is corrected by the voxel
+    of the very point that it gives: the fixed point of reading, correcting and solving in turn.
+
+    Distortion and corrections of ten pixels move the linear solution by centimetres; S is that of
+    the place two steps on, which is hundredths of a millimetre off.
+
+    Args:
+        models: S calibrated cameras (or their stack, when it is used again and again).
+        readings_px: shape (N, S) [px]; NaN where a sensor did not see the point.
+        sigma_px: standard deviations of the readings, shape (N, S) or (S,) [px], positive.
+        parameter_covariance: joint covariance of the cameras' parameters, shape (P, P), sensor by
+            sensor in the order of ``SensorModel.parameter_names``. None: taken as exact.
+        corrections: of the S sensors' readings, over space. None: none.
+
+    Returns:
+        The points; those that cannot be had carry NaN and a flag that says why.
+
+    Raises:
+        InvalidParameter: the table is of another number of sensors.
+    """
+    cameras = models if isinstance(models, CameraStack) else CameraStack.of(models)
+    check_corrections(cameras, corrections)
+    readings = np.asarray(readings_px, dtype=np.float64)
+    readings = np.where(np.isfinite(readings), readings, np.nan)
+    slope = cameras.correction_derivative(readings)
+    sigma = sigma_px * np.abs(slope)
+    target = cameras.add_cubic_term(readings)
+    used = _select_informative(np.isfinite(target) & np.isfinite(sigma) & (sigma > 0.0), sigma)
+    count = used.sum(axis=1)
+
+    target = np.where(used, target, np.nan)
+    start = triangulate_linear(cameras, target)
+    sigma = np.where(used, sigma, 1.0)
+    equations = _Equations(cameras, np.where(used, readings, np.nan), corrections)
+    place = start
+    if cameras.has_distortion or corrections is not None:
+        place = _refine(
+            equations, np.eye(len(cameras)) / sigma[:, :, None], start, WEIGHTING_ITERATIONS
+        )[0]
+    variance = sigma**2
+    if corrections is not None:
+        known = np.nan_to_num(corrections.at(place).variance_px2)
+        variance += np.where(used, known * slope**2, 0.0)
+    whitening = _whitening(cameras, place, variance, used, parameter_covariance)
+    position, gram, converged = _refine(equations, whitening, place)
+    normal, chi2 = gram[:, :3, :3], gram[:, 3, 3]
+    # Three readings have a point that fits exactly, unless a table bends them past one another:
+    # then the search rests where they come nearest, and that is no point.
+    converged &= (count > 3) | (chi2 <= INTERSECTION_CHI2_TOLERANCE)
+
+    flags = np.zeros(len(readings), dtype=np.int32)
+    flags[count < 3] = PointFlag.TOO_FEW_SENSORS
+    flags[(count >= 3) & ~np.isfinite(start[:, 0])] = PointFlag.DEGENERATE
+    flags[np.isfinite(start[:, 0]) & ~converged] = PointFlag.NO_CONVERGENCE
+    normal[flags != 0] = np.eye(3)
+    spectrum = np.linalg.eigvalsh(normal)
+    flags[spectrum[:, 0] <= DEGENERATE_RATIO * spectrum[:, 2]] = PointFlag.DEGENERATE
+    missing = flags != 0
+    normal[missing] = np.eye(3)
+    covariance: Array = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+
+    limits = np.array(
+        [chi2_limit(sensors - 3, INCONSISTENCY_SIGNIFICANCE) for sensors in range(len(cameras) + 1)]
+    )
+    flags[~missing & (count == 3)] |= PointFlag.NO_REDUNDANCY
+    flags[~missing & (chi2 > limits[count])] |= PointFlag.INCONSISTENT
+    if corrections is not None:
+        foreign = (used & ~corrections.at(position).inside).any(axis=1)
+        flags[~missing & foreign] |= PointFlag.OUTSIDE_MAP
+    position[missing], covariance[missing], chi2[missing] = np.nan, np.nan, np.nan
+    return PointBatch(position, covariance, chi2, used, flags)
+
+
+def _select_informative(seen: NDArray[np.bool_], sigma: Array) -> NDArray[np.bool_]:
+    """Leave out readings that say next to nothing beside the three best, shape (N, S).
+
+    They would count as redundancy and have none.
+    """
+    if seen.shape[1] < 4:
+        return seen
+    third = np.partition(np.where(seen, sigma, np.inf), 2, axis=1)[:, 2:3]
+    return seen & (sigma <= UNINFORMATIVE_SIGMA_RATIO * third)
+
+
+@dataclass(frozen=True, eq=False)
+class _Equations:
+    """The readings (N, S), NaN where not used, as equations for their points."""
+
+    cameras: CameraStack
+    readings_px: Array
+    corrections: CorrectionTable | None
+
+    def at(self, position: Array, index: NDArray[np.intp] | slice, whitening: Array) -> Array:
+        """Return whitened slopes and residuals side by side, shape (N, S, 4); 0 where not used.
+
+        Args:
+            position: of the points ``index``, shape (N, 3).
+            index: which of the points.
+            whitening: of these points, shape (N, S, S).
+        """
+        reading = self.readings_px[index]
+        projected, slope = self.cameras.linearise(position)
+        if self.corrections is not None:
+            correction = self.corrections.at(position)
+            reading = reading + correction.value_px
+            by_reading = self.cameras.correction_derivative(reading)[..., None]
+            slope -= by_reading * correction.gradient_px_per_mm
+        rows = np.empty((*projected.shape, 4))
+        rows[..., :3] = slope
+        rows[..., 3] = self.cameras.add_cubic_term(reading) - projected
+        rows[np.isnan(self.readings_px[index])] = 0.0
+        whitened: Array = whitening @ rows
+        return whitened
+
+
+def _gram(rows: Array) -> Array:
+    """Return A' A of the equations (N, S, 4), shape (N, 4, 4)."""
+    gram: Array = rows.transpose(0, 2, 1) @ rows
+    return gram
+
+
+def _solve(gram: Array, damping: Array) -> Array:
+    """Return the damped steps of equations, shape (N, 3)."""
+    normal = gram[:, :3, :3].copy()
+    diagonal = normal[:, _DIAGONAL, _DIAGONAL]
+    floor = 1e-300 + 1e-15 * diagonal.max(axis=1, keepdims=True)
+    normal[:, _DIAGONAL, _DIAGONAL] += damping[:, None] * diagonal + floor
+    return np.asarray(np.linalg.solve(normal, gram[:, :3, 3:])[..., 0], dtype=np.float64)
+
+
+def _whitening(
+    cameras: CameraStack,
+    position: Array,
+    variance: Array,
+    used: NDArray[np.bool_],
+    parameter_covariance: Array | None,
+) -> Array:
+    """Return W with W S W' = 1, shape (N, S, S), for the covariance S of the used readings.
+
+    ``variance`` is the readings' own, (N, S).
+    """
+    if parameter_covariance is None:
+        return np.eye(len(cameras)) / np.sqrt(variance)[:, :, None]
+    sensors = len(cameras)
+    slopes = np.nan_to_num(cameras.parameter_jacobian(position)) * used[..., None]
+    blocks = cameras.covariance_blocks(parameter_covariance)
+    covariance: Array = np.einsum("nsp,sptq,ntq->nst", slopes, blocks, slopes)
+    diagonal = np.arange(sensors)
+    covariance[:, diagonal, diagonal] += variance
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
+
+
+def _refine(
+    equations: _Equations, whitening: Array, start: Array, max_iterations: int = MAX_ITERATIONS
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Levenberg-Marquardt for all points, of so many iterations at most.
+
+    Returns:
+        Positions (N, 3), A' A of the whitened equations there (N, 4, 4), which converged (N,).
+    """
+    position = start.copy()
+    gram = _gram(equations.at(position, slice(None), whitening))
+    damping = np.full(len(start), INITIAL_DAMPING)
+    converged = np.zeros(len(start), dtype=np.bool_)
+    # A start behind a lens has no residual; the point stays unconverged and is flagged.
+    index = np.flatnonzero(np.isfinite(gram[:, 3, 3]))
+    for _ in range(max_iterations):
+        if len(index) == 0:
+            break
+        step = _solve(gram[index], damping[index])
+        trial = position[index] + step
+        trial_gram = _gram(equations.at(trial, index, whitening[index]))
+        # The next step would be shorter by the curvature over this one's length: below a
+        # nanometre, far under any rounding of the result, it is not worth taking.
+        small = np.abs(step).max(axis=1) <= STEP_TOLERANCE_MM
+        better = trial_gram[:, 3, 3] <= CHI2_ROUNDING_FACTOR * gram[index, 3, 3]
+        better |= small & np.isfinite(trial_gram[:, 3, 3])
+        accepted = index[better]
+        position[accepted] = trial[better]
+        gram[accepted] = trial_gram[better]
+        damping[index] *= np.where(better, 0.1, 10.0)
+        converged[index] = small
+        index = index[~small & (damping[index] < MAX_DAMPING)]
+    return position, gram, converged
+
+
+def check_corrections(cameras: CameraStack, corrections: CorrectionTable | None) -> None:
+    """Refuse a table for another number of sensors.
+
+    Raises:
+        InvalidParameter: it is.
+    """
+    if corrections is not None and len(corrections.sensors) != len(cameras):
+        raise InvalidParameter(
+            f"the correction table is of {len(corrections.sensors)} sensors; there are "
+            f"{len(cameras)} cameras"
+        )
+
+
+@cache
+def chi2_limit(dof: int, probability: float) -> float:
+    """Return the chi2 that noise exceeds with this probability; infinite without freedom."""
+    return float(chdtri(dof, probability)) if dof > 0 else float("inf")

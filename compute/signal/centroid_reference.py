@@ -1,0 +1,205 @@
+"""The definition of CentroidSettings written out in NumPy: the oracle that the kernel must match.
+
+It shares no code with the kernel, looks at every candidate on its own, and is slow.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.centroid_settings import (
+    FRACTION_UNIT,
+    GROUP_PIXELS,
+    LEVEL_UNIT,
+    CentroidSettings,
+    sample_starts,
+)
+from compute.signal.peaks import PeakBatch, PeakFlag
+from compute.signal.sensor_noise import SensorNoise
+
+Row = tuple[float, float, float, float, int]
+
+
+def find_peaks_reference(
+    lines: NDArray[np.uint16], settings: CentroidSettings, noise: SensorNoise
+) -> PeakBatch:
+    """Find the peaks of lines of shape (L, P), uint16, as ``CentroidFinder.find`` does."""
+    room = settings.max_peaks
+    batch = PeakBatch.empty(len(lines), room)
+    for number, line in enumerate(lines):
+        rows = _line_peaks(line.astype(np.int64), settings, noise, number % len(noise))
+        if len(rows) > room:
+            brightest = sorted(rows, key=lambda row: (-row[2], row[0]))[:room]
+            rows = [(*row[:4], row[4] | PeakFlag.TRUNCATED) for row in sorted(brightest)]
+        batch.count[number] = len(rows)
+        for k, (position, sigma, amplitude, width, flags) in enumerate(rows):
+            batch.position_px[number, k] = position
+            batch.sigma_px[number, k] = sigma
+            batch.amplitude[number, k] = amplitude
+            batch.width_px[number, k] = width
+            batch.flags[number, k] = flags
+    return batch
+
+
+def _line_peaks(
+    values: NDArray[np.int64], settings: CentroidSettings, noise: SensorNoise, sensor: int
+) -> list[Row]:
+    """Return the line's peaks: position, sigma, amplitude, width, flags."""
+    dark = float(noise.dark_variance[sensor])
+    photon = float(noise.photon_variance[sensor])
+    offset = float(noise.offset_counts[sensor])
+    full = int(noise.full_scale_counts[sensor])
+    background, spread = _background(values)
+    light = max(background / LEVEL_UNIT - offset, 0.0)
+    pixel_sigma = max((dark + photon * light) ** 0.5, spread / LEVEL_UNIT)
+    limit = background / LEVEL_UNIT + settings.detection_sigma * pixel_sigma
+
+    variances = dark + photon * np.maximum(values - offset, 0.0)
+    rows: list[Row] = []
+    for top in np.flatnonzero(values >= limit).tolist():
+        excess = int(values[top]) * LEVEL_UNIT - background
+        threshold = background + excess * settings.fraction_units // FRACTION_UNIT
+        below = np.flatnonzero(values * LEVEL_UNIT <= threshold)
+        split = int(np.searchsorted(below, top))
+        left = int(below[split - 1]) + 1 if split > 0 else 0
+        right = int(below[split]) - 1 if split < len(below) else len(values) - 1
+        run = values[left : right + 1]
+        if int(run.argmax()) + left != top or len(run) < settings.min_width_px:
+            continue
+        position, sigma = _centroid(
+            values, left, right, top, background / LEVEL_UNIT, settings, variances
+        )
+        flags = PeakFlag.NONE
+        if run.max() >= full:
+            flags |= PeakFlag.SATURATED
+        if left == 0 or right == len(values) - 1:
+            flags |= PeakFlag.CLIPPED
+        if _has_valley(run, variances[left : right + 1], settings.detection_sigma):
+            flags |= PeakFlag.MERGED
+        width = _crossing(values, right, 1, threshold) - _crossing(values, left, -1, threshold)
+        rows.append((position, sigma, excess / LEVEL_UNIT, width, int(flags)))
+    return rows
+
+
+def _background(values: NDArray[np.int64]) -> tuple[int, int]:
+    """Return the background and the spread of the line's dark part, in 1/LEVEL_UNIT counts."""
+    sums = sorted(
+        int(values[start : start + GROUP_PIXELS].sum()) for start in sample_starts(len(values))
+    )
+    quartile, sixteenth = sums[(len(sums) - 1) // 4], sums[(len(sums) - 1) // 16]
+    scale = LEVEL_UNIT // GROUP_PIXELS
+    return quartile * scale, (quartile - sixteenth) * scale
+
+
+def _centroid(
+    values: NDArray[np.int64],
+    left: int,
+    right: int,
+    top: int,
+    background: float,
+    settings: CentroidSettings,
+    variances: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Return the centre of gravity and its standard deviation."""
+    # From one pixel outside on; positions relative to the maximum: far off, digits would be lost.
+    first, last = max(left - 1, 0), min(right + 1, len(values) - 1)
+    profile = values[first : last + 1].astype(np.complex128)
+    ends = (left - first, right - first, top - first)
+    centre = _centre(profile, ends, background, settings)
+    if left == right:
+        return top + centre.real, (1.0 / 12.0) ** 0.5
+    # The derivative by each value, by a step along the imaginary axis: exact, and blind to how
+    # the kernel does it.
+    step = 1e-100
+    variance = 0.0
+    for pixel in range(len(profile)):
+        moved = profile.copy()
+        moved[pixel] += 1j * step
+        derivative = _centre(moved, ends, background, settings).imag / step
+        variance += derivative**2 * float(variances[first + pixel])
+    variance += _phase_variance(profile.real, ends, float(centre.real), background, settings)
+    return top + centre.real, variance**0.5
+
+
+def _phase_variance(
+    profile: NDArray[np.float64],
+    ends: tuple[int, int, int],
+    centre: float,
+    background: float,
+    settings: CentroidSettings,
+) -> float:
+    """Return the variance of the error by where the run's ends fall between two pixels."""
+    left, right, top = ends
+    excess = int(profile[top]) * LEVEL_UNIT - round(background * LEVEL_UNIT)
+    threshold = background + excess * settings.fraction_units // FRACTION_UNIT / LEVEL_UNIT
+    run = profile[left : right + 1]
+    total = float(
+        (run - (background if settings.weighting == "above-background" else threshold)).sum()
+    )
+    variance = 0.0
+    corrected = total
+    for end, side in ((left, -1), (right, 1)):
+        if not 0 <= end + side < len(profile):
+            continue
+        slope = profile[end] - profile[end + side]
+        inside = (profile[end] - threshold) / slope
+        corrected += slope / 2 * (inside**2 - inside + 1 / 6)
+        arm = end - top + side * inside - centre
+        match settings.weighting:
+            case "above-background":
+                variance += ((threshold - background) * arm) ** 2 / 12
+            case "above-threshold":
+                variance += (slope * arm / 2) ** 2 / 180
+            case "edge-corrected":
+                variance += (slope * 2 / 3) ** 2 / 840
+    if settings.weighting == "edge-corrected":
+        total = corrected
+    return float(variance) / total**2
+
+
+def _centre(
+    profile: NDArray[np.complex128],
+    ends: tuple[int, int, int],
+    background: float,
+    settings: CentroidSettings,
+) -> complex:
+    """Return the centre of gravity relative to the maximum, as an analytic function of values."""
+    left, right, top = ends
+    # The threshold as decided on, in whole units, with the derivative of its formula.
+    excess = int(profile[top].real) * LEVEL_UNIT - round(background * LEVEL_UNIT)
+    threshold = (
+        background
+        + excess * settings.fraction_units // FRACTION_UNIT / LEVEL_UNIT
+        + 1j * profile[top].imag * settings.fraction_units / FRACTION_UNIT
+    )
+    base = background if settings.weighting == "above-background" else threshold
+    weights = profile[left : right + 1] - base
+    positions = np.arange(left - top, right - top + 1)
+    total = complex(weights.sum())
+    moment = complex((positions * weights).sum())
+    if settings.weighting == "edge-corrected":
+        for end, side in ((left, -1), (right, 1)):
+            if 0 <= end + side < len(profile):
+                slope = complex(profile[end] - profile[end + side])
+                inside = complex(profile[end] - threshold) / slope
+                excess_at_end = slope / 2 * (inside**2 - inside + 1 / 6)
+                total += excess_at_end
+                moment += excess_at_end * (end - top + side * inside)
+    return moment / total
+
+
+def _has_valley(
+    run: NDArray[np.int64], variances: NDArray[np.float64], detection_sigma: float
+) -> bool:
+    """Say whether a valley lies deeper than noise below a maximum on each side of it."""
+    left = np.maximum.accumulate(run)
+    right = np.maximum.accumulate(run[::-1])[::-1]
+    depth = np.minimum(left, right) - run
+    return bool(depth.max() ** 2 > detection_sigma**2 * 2.0 * variances.max())
+
+
+def _crossing(values: NDArray[np.int64], edge: int, step: int, threshold: int) -> float:
+    """Return where the signal falls through the threshold beyond the run's last pixel."""
+    if not 0 <= edge + step < len(values):
+        return edge + step / 2
+    above = float(values[edge] * LEVEL_UNIT - threshold)
+    return edge + step * above / float((values[edge] - values[edge + step]) * LEVEL_UNIT)

@@ -1,0 +1,217 @@
+"""Fisher's scoring for shift, brightness, ambient level and scale, line by line."""
+
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.coded_aperture.shadow_template import ShadowTemplate
+from compute.signal.coded_aperture.shifted_template import ShiftedTemplate
+from compute.signal.sensor_noise import SensorNoise
+
+Array = NDArray[np.float64]
+
+_ITERATIONS: Final = 30
+_CONVERGED: Final = 0.01
+"""The last step is done when the next will be this part of the standard deviation; of the one
+that the misfit says, where the template does not explain the line and steps shrink slowly."""
+
+_SHIFT, _BRIGHTNESS, _AMBIENT = range(3)
+_LONGEST_PX: Final = 0.5
+_LARGEST_SCALE_STEP: Final = 0.01
+_LEAST_STEP_PX: Final = 1e-12
+_LEAST_DETERMINANT: Final = 1e-9
+"""Of an information scaled to a unit diagonal; below, a parameter is not told from others."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScanNoise:
+    """Noise of each of L lines, all of shape (L, 1)."""
+
+    dark: Array
+    photon: Array
+    offset: Array
+
+    @classmethod
+    def of(cls, noise: SensorNoise, sensor: NDArray[np.int64]) -> "ScanNoise":
+        """Return that of lines of these sensors, shape (L,)."""
+        return cls(
+            noise.dark_variance[sensor][:, None],
+            noise.photon_variance[sensor][:, None],
+            noise.offset_counts[sensor][:, None],
+        )
+
+    def variance(self, counts: Array) -> Array:
+        """Return the variance of pixels of mean counts, shape (L, P) [counts^2]."""
+        return self.dark + self.photon * np.maximum(counts - self.offset, 0.0)
+
+    def rows(self, kept: NDArray[np.int64]) -> "ScanNoise":
+        """Return that of some of the lines."""
+        return ScanNoise(self.dark[kept], self.photon[kept], self.offset[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Fits of L lines; all of shape (L,), NaN where the steps did not come to an end."""
+
+    shift_px: Array
+    sigma_px: Array
+    amplitude: Array
+    ambient: Array
+    scale: Array
+    chi2: Array
+    dof: Array
+
+    def rows(self, kept: NDArray[np.int64]) -> "Solution":
+        """Return those of some of the lines."""
+        return Solution(*(getattr(self, field.name)[kept] for field in fields(self)))
+
+
+class ShadowModel:
+    """A template on a line of pixels: ``c + a f``, with the derivatives of f.
+
+    A pixel i sees the template f at ``r + (i - r - shift) / scale``, r the reference's reading.
+
+    Args:
+        template: the template.
+        pixels: pixels of a line.
+        fit_scale: the scale is a parameter.
+    """
+
+    def __init__(self, template: ShadowTemplate, pixels: int, fit_scale: bool) -> None:
+        self.fit_scale = fit_scale
+        self.parameters = 4 if fit_scale else 3
+        self._template = template
+        self._shifted = ShiftedTemplate(template, pixels)
+        self._place = np.arange(float(pixels))
+
+    def at(self, shift_px: Array, scale: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """Return f, its derivatives by shift and scale, and what is known, each (L, P)."""
+        reading = self._template.reading_px
+        if not self.fit_scale:
+            value, slope, known = self._shifted.at(shift_px)
+            return value, np.negative(slope, out=slope), slope, known
+        arm = (self._place - reading - shift_px[:, None]) / scale[:, None]
+        value, slope, known = self._template.at(reading + arm)
+        by_shift = -slope / scale[:, None]
+        return value, by_shift, by_shift * arm, known
+
+
+@dataclass(eq=False)
+class _State:
+    """Where the parameters of L lines have come to; all of shape (L,)."""
+
+    shift: Array
+    brightness: Array
+    ambient: Array
+    scale: Array
+    last_step_px: Array
+
+    def advance(self, model: ShadowModel, lines: NDArray[np.int64], step: Array) -> Array:
+        """Take a step of some lines' parameters, (L', K), the scale last; say what is left.
+
+        A long step is of a start far off: shortened, lest it leave the lobe. One that goes back
+        is halved: in faint light steps would go to and fro for ever.
+
+        Returns:
+            How long the next step will be at most, as steps have shrunk so far, (L',) [px].
+        """
+        before, now = self.last_step_px[lines], step[:, _SHIFT]
+        turned = np.where(now * before < 0.0, 2.0, 1.0)
+        longest = np.maximum(np.abs(now) / _LONGEST_PX, turned)
+        if model.fit_scale:
+            longest = np.maximum(longest, np.abs(step[:, -1]) / _LARGEST_SCALE_STEP)
+            self.scale[lines] += step[:, -1] / longest
+        self.shift[lines] += now / longest
+        self.brightness[lines] += step[:, _BRIGHTNESS]
+        self.ambient[lines] += step[:, _AMBIENT]
+        self.last_step_px[lines] = now
+        shrunk = np.minimum(np.abs(now) / np.maximum(np.abs(before), _LEAST_STEP_PX), 1.0)
+        return np.asarray(np.abs(now) * np.maximum(shrunk, 1.0 - 1.0 / longest))
+
+
+def solve(
+    model: ShadowModel, counts: Array, good: NDArray[np.bool_], noise: ScanNoise, start_px: Array
+) -> Solution:
+    """Fit lines from shifts to begin with.
+
+    Args:
+        model: the template on the line.
+        counts: values, shape (L, P).
+        good: which pixels count, shape (L, P).
+        noise: of the lines.
+        start_px: shifts to begin with, within the main lobe of the true ones, shape (L,).
+    """
+    zero = np.zeros(len(counts))
+    state = _State(start_px.astype(np.float64), zero, zero, np.ones(len(counts)), zero.copy())
+    done = Solution(*(np.full(len(counts), np.nan) for _ in fields(Solution)))
+    moving = np.arange(len(counts))
+    for turn in range(_ITERATIONS):
+        value, by_shift, by_scale, known = model.at(state.shift[moving], state.scale[moving])
+        used = good[moving] & known
+        if turn == 0:
+            state.brightness, state.ambient = _level(value, counts, used)
+        light = state.brightness[moving][:, None]
+        mean = state.ambient[moving][:, None] + light * value
+        weight = used / noise.rows(moving).variance(mean)
+        rest = counts[moving] - mean
+        columns = [light * by_shift, value, np.ones_like(value)]
+        if model.fit_scale:
+            columns.append(light * by_scale)
+        step, inverse = _step(columns, weight, rest)
+        sigma = np.sqrt(inverse[:, _SHIFT, _SHIFT])
+        squares = (weight * rest**2).sum(axis=1)
+        dof = used.sum(axis=1) - model.parameters
+        misfit = np.sqrt(np.maximum(squares / np.maximum(dof, 1), 1.0))
+        left = state.advance(model, moving, step)
+        last = (left <= _CONVERGED * sigma * misfit) & (turn > 0)
+        ended = moving[last]
+        done.shift_px[ended], done.sigma_px[ended] = state.shift[ended], sigma[last]
+        done.amplitude[ended], done.ambient[ended] = state.brightness[ended], state.ambient[ended]
+        done.scale[ended] = state.scale[ended]
+        done.chi2[ended], done.dof[ended] = squares[last], dof[last]
+        # What is not a number will never be.
+        moving = moving[~last & np.isfinite(step).all(axis=1)]
+        if not len(moving):
+            break
+    return done
+
+
+def _level(value: Array, counts: Array, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return brightness and ambient level by plain least squares, each (L,)."""
+    number = np.maximum(used.sum(axis=1), 1)
+    middle = (value * used).sum(axis=1) / number
+    mean = (counts * used).sum(axis=1) / number
+    contrast = (value - middle[:, None]) * used
+    squares = (contrast**2).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        amplitude = np.where(squares > 0.0, (contrast * counts).sum(axis=1) / squares, 0.0)
+    return amplitude, mean - amplitude * middle
+
+
+def _step(columns: list[Array], weight: Array, rest: Array) -> tuple[Array, Array]:
+    """Return the step of all parameters, (L, K), and the inverse of the information, (L, K, K).
+
+    NaN where the information is singular: a line without light tells no shift.
+    """
+    size = len(columns)
+    information = np.empty((len(rest), size, size))
+    score = np.empty((len(rest), size))
+    for i, one in enumerate(columns):
+        weighted = one * weight
+        score[:, i] = np.einsum("lp,lp->l", weighted, rest)
+        for j in range(i, size):
+            information[:, i, j] = np.einsum("lp,lp->l", weighted, columns[j])
+            information[:, j, i] = information[:, i, j]
+    # Scaled to a unit diagonal: brightness and shift have units far apart.
+    root = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        unit = information / (root[:, :, None] * root[:, None, :])
+    sound = np.isfinite(unit).all(axis=(1, 2))
+    sound[sound] = np.linalg.det(unit[sound]) > _LEAST_DETERMINANT
+    inverse = np.full_like(unit, np.nan)
+    inverse[sound] = np.linalg.inv(unit[sound])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse /= root[:, :, None] * root[:, None, :]
+    return np.einsum("lij,lj->li", inverse, score), inverse

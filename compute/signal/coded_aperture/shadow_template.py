@@ -1,0 +1,181 @@
+"""ShadowTemplate: the shadow of a reference point on a grid finer than pixels."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+from compute.errors import InvalidParameter
+
+Array = NDArray[np.float64]
+
+_ON_GRID: Final = 0.02
+"""By how much of a cell a shift may lie beside the grid."""
+
+_LIT: Final = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class ShadowTemplate:
+    """What a pixel gets whose centre lies anywhere in the shadow of a reference point.
+
+    Between the cells a cubic spline through them is read. A template that is known pixel by
+    pixel alone (``per_px`` 1) makes that spline guess what the pixels have averaged, and the
+    shift is then wrong by up to hundredths of a pixel, by the phase; so let the optics say it:
+    form the shadows of points whose readings are a part of a pixel apart, and ``weave`` them.
+
+    Args:
+        cells: light of the pixels centred at ``first_px + j / per_px``, float64, shape (C,).
+        per_px: cells per pixel.
+        first_px: place of the first cell on the line.
+        reading_px: the reference point's reading; ``reading = reading_px + shift``.
+        dark_beyond: nothing but ambient light beyond the cells; False: the pattern goes on there,
+            but is not known, and pixels there are left out.
+    """
+
+    cells: Array
+    per_px: int
+    first_px: int
+    reading_px: float
+    dark_beyond: bool
+
+    def __post_init__(self) -> None:
+        if self.per_px < 1:
+            raise InvalidParameter(
+                f"per_px is {self.per_px}; it must be 1 or more", per_px=self.per_px
+            )
+        if self.cells.ndim != 1 or self.cells.size < 8 * self.per_px:
+            raise InvalidParameter(
+                f"cells have the shape {self.cells.shape}; they must be one row of 8 pixels or "
+                f"more, {8 * self.per_px} cells",
+                shape=self.cells.shape,
+            )
+        if not (np.isfinite(self.cells).all() and np.isfinite(self.reading_px)):
+            raise InvalidParameter("cells or reading_px hold a value that is not finite")
+        if not np.ptp(self.cells) > 0.0:
+            raise InvalidParameter(
+                f"cells are {self.cells[0]} everywhere; they must have contrast",
+                cells=float(self.cells[0]),
+            )
+
+    @cached_property
+    def spline(self) -> Array:
+        """Cubics between the cells, by powers of the place [cells] from 0 up, (C - 1, 4)."""
+        # Natural ends: no more is made of the first and last cells than they say.
+        cubic = CubicSpline(np.arange(len(self.cells)), self.cells, bc_type="natural")
+        return np.ascontiguousarray(cubic.c[::-1].T)
+
+    @property
+    def pixels(self) -> int:
+        """Whole pixels that the cells reach over."""
+        return -(-len(self.cells) // self.per_px)
+
+    @cached_property
+    def pixel_values(self) -> Array:
+        """The cells on whole pixels, from ``first_px`` on, shape (pixels,)."""
+        return np.ascontiguousarray(self.cells[:: self.per_px])
+
+    @cached_property
+    def height(self) -> float:
+        """From the darkest to the brightest cell."""
+        return float(np.ptp(self.cells))
+
+    @cached_property
+    def lit_width_px(self) -> float:
+        """From the first to the last cell that is half lit [px]."""
+        lit = np.flatnonzero(self.cells - self.cells.min() >= _LIT * self.height)
+        return float(lit[-1] - lit[0]) / self.per_px
+
+    def at(self, position_px: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return value, slope [1/px] and whether they are known at places of any shape [px].
+
+        Places are on the line on which the reference point's reading is ``reading_px``. Beyond
+        the cells the value is 0, and known where it is dark.
+        """
+        cell = (position_px - self.first_px) * self.per_px
+        whole = np.floor(cell)
+        inside = (whole >= 0) & (whole < len(self.cells) - 1)
+        part = cell - whole
+        cubic = self.spline[np.where(inside, whole, 0.0).astype(np.int64)]
+        value = cubic[..., 3] * part
+        value += cubic[..., 2]
+        value *= part
+        value += cubic[..., 1]
+        value *= part
+        value += cubic[..., 0]
+        slope = (3.0 * cubic[..., 3] * part + 2.0 * cubic[..., 2]) * part + cubic[..., 1]
+        slope *= self.per_px
+        value[~inside] = 0.0
+        slope[~inside] = 0.0
+        return value, slope, inside | self.dark_beyond
+
+
+def interleave_scans(
+    lines: ArrayLike,
+    shifts_px: ArrayLike,
+    *,
+    reading_px: float,
+    per_px: int,
+    dark_beyond: bool,
+) -> ShadowTemplate:
+    """Make a template of shadows that lie parts of a pixel apart.
+
+    A pixel i of a shadow shifted by s says what a pixel at ``i - s`` of the template gets. Where
+    several say it, the shadow with the least shift is believed, so that shadows shifted by
+    hundreds of pixels carry a pattern on that is longer than the line.
+
+    Args:
+        lines: light of the pixels, from the optics, shape (K, P).
+        shifts_px: their readings less ``reading_px``, multiples of ``1 / per_px`` (to a fiftieth
+            of it), together of every phase, shape (K,) [px].
+        reading_px: the reference point's reading [px].
+        per_px: cells per pixel.
+        dark_beyond: as of ShadowTemplate.
+
+    Raises:
+        InvalidParameter: shapes that do not agree, a shift beside the grid, or cells between the
+            first and last that no shadow says.
+    """
+    light = np.asarray(lines, dtype=np.float64)
+    shift = np.asarray(shifts_px, dtype=np.float64)
+    if light.ndim != 2 or shift.shape != light.shape[:1] or light.size == 0:
+        raise InvalidParameter(
+            f"lines and shifts_px have the shapes {light.shape} and {shift.shape}; they must be "
+            "(K, P) and (K,)",
+            shapes=(light.shape, shift.shape),
+        )
+    cell = np.rint(-shift * per_px)
+    beside = np.abs(-shift * per_px - cell)
+    if not beside.max() <= _ON_GRID:
+        worst = float(shift[beside.argmax()])
+        raise InvalidParameter(
+            f"shifts_px has {worst}; it must be a multiple of 1/{per_px} px", shift_px=worst
+        )
+    start = cell.astype(np.int64)
+    # From a whole pixel on.
+    first = int(start.min()) // per_px
+    index = start[:, None] - first * per_px + np.arange(light.shape[1]) * per_px
+    cells = np.full(int(index.max()) + 1, np.nan)
+    for row in np.argsort(-np.abs(shift), kind="stable"):
+        cells[index[row]] = light[row]
+    known = np.flatnonzero(~np.isnan(cells))
+    missing = np.flatnonzero(np.isnan(cells[known[0] :]))
+    if missing.size and _has_gaps(cells[known[0] :], per_px):
+        raise InvalidParameter(
+            f"shifts_px leave holes in the template, the first at cell {int(missing[0])} of "
+            f"{per_px} per pixel; give a shadow for every phase",
+            cell=int(missing[0]),
+        )
+    begin = -(-known[0] // per_px) * per_px
+    end = begin + int(np.argmax(np.append(np.isnan(cells[begin:]), True)))
+    return ShadowTemplate(
+        cells[begin:end], per_px, first + int(begin) // per_px, float(reading_px), dark_beyond
+    )
+
+
+def _has_gaps(cells: Array, per_px: int) -> bool:
+    """Say whether cells are missing but in the pixel at either end."""
+    return bool(np.isnan(cells[per_px:-per_px]).any())

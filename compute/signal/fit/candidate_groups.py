@@ -1,0 +1,177 @@
+"""Groups: which candidates are fitted together, in which pixels, and where their fit starts."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.centroid_settings import GROUP_PIXELS, LEVEL_UNIT, sample_starts
+from compute.signal.fit.fit_settings import MAX_WINDOW_PX, WIDTH_LIMITS_PX, FitSettings
+from compute.signal.fit.line_spread_function import LineSpreadFunction
+from compute.signal.fit.window_model import Array, Layout, central_pixel_fraction
+from compute.signal.peaks import PeakBatch
+
+_MAX_HALF_PX = (MAX_WINDOW_PX - 1) // 2
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """G groups of candidates, in the order of lines and places.
+
+    Args:
+        line: the lines they are in, shape (G,).
+        first_candidate: the lines' candidates with which they begin, shape (G,).
+        count: numbers of candidates, shape (G,).
+        first_px: first pixels, shape (G,).
+        last_px: last pixels, shape (G,).
+        extended_first_px: first pixels of the windows to look for further peaks in, shape (G,).
+        extended_last_px: last pixels of these, shape (G,).
+        split_before: the chain was cut before the group, shape (G,).
+        split_after: the chain was cut after it, shape (G,).
+    """
+
+    line: IntArray
+    first_candidate: IntArray
+    count: IntArray
+    first_px: IntArray
+    last_px: IntArray
+    extended_first_px: IntArray
+    extended_last_px: IntArray
+    split_before: NDArray[np.bool_]
+    split_after: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        """Return G."""
+        return len(self.line)
+
+    def __getitem__(self, rows: IntArray | NDArray[np.bool_]) -> "Groups":
+        """Return some of the groups."""
+        return Groups(*(values[rows] for values in vars(self).values()))
+
+    def candidate_indices(self) -> IntArray:
+        """Return the candidates of groups that have equally many, shape (G, K)."""
+        return self.first_candidate[:, None] + np.arange(int(self.count.max(initial=0)))
+
+
+def initial_widths(candidates: PeakBatch, settings: FitSettings) -> Array:
+    """Return the widths to start with, shape (L, K) [px]; see ``FitSettings``."""
+    if settings.width_log_sigma == 0.0:
+        return np.full(candidates.width_px.shape, settings.width_px)
+    fraction = settings.search.threshold_fraction
+    width = candidates.width_px.astype(np.float64) / (2.0 * np.sqrt(-2.0 * np.log(fraction)))
+    factor = np.exp(2.0 * settings.width_log_sigma) if settings.width_log_sigma < 100.0 else np.inf
+    low, high = settings.width_px / factor, settings.width_px * factor
+    return np.asarray(np.clip(np.clip(width, low, high), *WIDTH_LIMITS_PX))
+
+
+def form_groups(candidates: PeakBatch, pixels: int, settings: FitSettings) -> Groups:
+    """Put candidates whose windows overlap together, for lines of so many pixels."""
+    widths = initial_widths(candidates, settings)
+    rows: list[tuple[int, ...]] = []
+    for line in np.flatnonzero(candidates.count).tolist():
+        count = int(candidates.count[line])
+        place = candidates.position_px[line, :count]
+        half = np.ceil(settings.reach * widths[line, :count]).astype(np.int64) + 1
+        half = np.minimum(half, _MAX_HALF_PX)
+        pixel = np.floor(place + 0.5).astype(np.int64)
+        low, high = pixel - half, pixel + half
+        cuts: set[int] = set()
+        bounds = [0, *(np.flatnonzero(high[:-1] < low[1:]) + 1).tolist(), count]
+        parts = [
+            part
+            for ends in pairwise(bounds)
+            for part in _cut(*ends, place, low, high, settings.max_joint_peaks, cuts)
+        ]
+        first = np.array([low[start:stop].min() for start, stop in parts])
+        last = np.array([high[start:stop].max() for start, stop in parts])
+        reach = np.array([half[start:stop].max() for start, stop in parts])
+        stops = np.array([stop for _, stop in parts[:-1]], dtype=np.int64)
+        middle = np.floor(0.5 * (place[stops - 1] + place[stops])).astype(np.int64)
+        last[:-1], first[1:] = np.minimum(last[:-1], middle), np.maximum(first[1:], middle + 1)
+        first, last = np.maximum(first, 0), np.minimum(last, pixels - 1)
+        grown_first, grown_last = _extend(first, last, reach, pixels)
+        rows += [
+            (line, start, stop - start, *ends, start in cuts, stop in cuts)
+            for (start, stop), *ends in zip(
+                parts, first, last, grown_first, grown_last, strict=True
+            )
+        ]
+    table = np.array(rows, dtype=np.int64).reshape(-1, 9).T
+    return Groups(*table[:7], *table[7:].astype(bool))
+
+
+def _extend(
+    first: IntArray, last: IntArray, reach: IntArray, pixels: int
+) -> tuple[IntArray, IntArray]:
+    """Return the windows of a line grown by ``reach``, up to midway between them."""
+    by = np.minimum(reach, (MAX_WINDOW_PX - (last - first + 1)) // 2)
+    middle = (last[:-1] + first[1:]) // 2
+    return (
+        np.maximum(first - by, np.concatenate([[0], middle + 1])),
+        np.minimum(last + by, np.concatenate([middle, [pixels - 1]])),
+    )
+
+
+def _cut(
+    start: int,
+    stop: int,
+    place: Array,
+    low: IntArray,
+    high: IntArray,
+    max_candidates: int,
+    cuts: set[int],
+) -> list[tuple[int, int]]:
+    """Cut a chain of candidates ``start`` to ``stop`` at its widest gaps until its parts fit."""
+    length = int(high[start:stop].max() - low[start:stop].min()) + 1
+    if stop - start <= max_candidates and length <= MAX_WINDOW_PX:
+        return [(start, stop)]
+    middle = start + 1 + int(np.argmax(np.diff(place[start:stop])))
+    cuts.add(middle)
+    return [
+        part
+        for ends in ((start, middle), (middle, stop))
+        for part in _cut(*ends, place, low, high, max_candidates, cuts)
+    ]
+
+
+def initial_parameters(
+    groups: Groups,
+    candidates: PeakBatch,
+    background: Array,
+    sensor: IntArray,
+    settings: FitSettings,
+    shape: LineSpreadFunction,
+) -> tuple[Layout, Array]:
+    """Return where the fits of groups with equally many candidates start.
+
+    Args:
+        groups: G groups of K candidates each.
+        candidates: of all lines.
+        background: of all lines, shape (L,) [counts].
+        sensor: sensors of the groups' lines, shape (G,).
+        settings: how lines are fitted.
+        shape: the lines' shape.
+    """
+    first_candidate = groups.candidate_indices()
+    layout = Layout(first_candidate.shape[1], settings.background == "slope")
+    line = groups.line[:, None]
+    log_width = np.log(initial_widths(candidates, settings)[line, first_candidate]).mean(axis=1)
+    place = candidates.position_px[line, first_candidate]
+    share = central_pixel_fraction(shape, np.exp(log_width)[:, None], sensor[:, None], place)
+    start = np.zeros((len(groups), layout.size))
+    start[:, 0] = background[groups.line]
+    start[:, layout.light] = candidates.amplitude[line, first_candidate] / share
+    start[:, layout.position] = place
+    start[:, -1] = log_width
+    return layout, start
+
+
+def background_levels(lines: NDArray[np.uint16]) -> Array:
+    """Return the backgrounds that ``CentroidSettings`` defines, shape (L,) [counts]."""
+    pixel = np.array(sample_starts(lines.shape[1]))[:, None] + np.arange(GROUP_PIXELS)
+    sums = np.sort(lines[:, pixel].astype(np.int64).sum(axis=2), axis=1)
+    quartile = sums[:, (sums.shape[1] - 1) // 4]
+    return quartile * (LEVEL_UNIT // GROUP_PIXELS) / LEVEL_UNIT

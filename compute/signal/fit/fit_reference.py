@@ -1,0 +1,138 @@
+"""Fitted peaks of lines by the definition of FitSettings, in NumPy: what the kernel must match."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.signal.centroid_reference import find_peaks_reference
+from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
+from compute.signal.fit.candidate_groups import (
+    Groups,
+    background_levels,
+    form_groups,
+    initial_parameters,
+)
+from compute.signal.fit.fit_settings import FitSettings
+from compute.signal.fit.line_spread_function import LineSpreadFunction
+from compute.signal.fit.model_order import SelectedFits, fit_windows
+from compute.signal.fit.peak_batches import (
+    FlatPeaks,
+    collect_fitted_peaks,
+    collect_unfitted_peaks,
+    to_peak_batch,
+)
+from compute.signal.fit.width_marginalisation import marginalise_width
+from compute.signal.fit.window_model import Windows
+from compute.signal.peaks import PeakBatch, PeakFlag
+from compute.signal.sensor_noise import SensorNoise
+
+
+def fit_lines(
+    lines: NDArray[np.uint16],
+    settings: FitSettings,
+    noise: SensorNoise,
+    shape: LineSpreadFunction | None = None,
+    candidates: PeakBatch | None = None,
+) -> PeakBatch:
+    """Fit the peaks of lines, as ``FitSettings`` defines it.
+
+    The search is written out plainly and slow; the fits of all lines go together.
+
+    Args:
+        lines: counts, shape (L, P); line l belongs to sensor ``l % len(noise)``.
+        settings: how lines are fitted.
+        noise: of the sensors.
+        shape: how a line's light is spread; a Gaussian where there is none.
+        candidates: what ``settings.search`` finds, where it is known already.
+
+    Raises:
+        InvalidParameter: lines of another type or shape, or candidates of other lines.
+    """
+    check_lines(lines)
+    shape = LineSpreadFunction.gaussian() if shape is None else shape
+    if candidates is None:
+        candidates = find_peaks_reference(lines, settings.search, noise)
+    elif len(candidates) != len(lines):
+        raise InvalidParameter(
+            f"candidates are of {len(candidates)} lines; they must be of these {len(lines)}",
+            candidates=len(candidates),
+        )
+    groups = form_groups(candidates, lines.shape[1], settings)
+    parts: list[FlatPeaks] = []
+    for number, fits in fit_groups(lines, groups, candidates, settings, noise, shape):
+        part = groups[number]
+        for selected in fits:
+            parts.append(
+                collect_fitted_peaks(
+                    selected, number, part, candidates, lines.shape[1], settings, shape
+                )
+            )
+            parts.append(collect_unfitted_peaks(selected, number, part, candidates))
+    room = settings.search.max_peaks
+    if not parts:
+        return PeakBatch.empty(len(lines), room)
+    truncated = ((candidates.flags & PeakFlag.TRUNCATED) != 0).any(axis=1)
+    return to_peak_batch(FlatPeaks.concatenate(parts), len(lines), room, truncated)
+
+
+def fit_groups(
+    lines: NDArray[np.uint16],
+    groups: Groups,
+    candidates: PeakBatch,
+    settings: FitSettings,
+    noise: SensorNoise,
+    shape: LineSpreadFunction,
+) -> list[tuple[NDArray[np.int64], list[SelectedFits]]]:
+    """Fit groups, those with equally many candidates together.
+
+    Returns:
+        The numbers of such groups, and their fits, whose rows count these.
+    """
+    background = background_levels(lines)
+    found = []
+    for count in np.unique(groups.count).tolist():
+        number = np.flatnonzero(groups.count == count)
+        part = groups[number]
+
+        def extended(rows: NDArray[np.int64], part: Groups = part) -> Windows:
+            some = part[rows]
+            return Windows.cut(
+                lines, some.line, some.extended_first_px, some.extended_last_px, noise
+            )
+
+        windows = Windows.cut(lines, part.line, part.first_px, part.last_px, noise)
+        layout, start = initial_parameters(
+            part, candidates, background, windows.sensor, settings, shape
+        )
+        fits = fit_windows(windows, extended, start, layout, settings, shape)
+        found.append((number, [_marginalise(selected, settings, shape) for selected in fits]))
+    return found
+
+
+def _marginalise(
+    selected: SelectedFits, settings: FitSettings, shape: LineSpreadFunction
+) -> SelectedFits:
+    solution = marginalise_width(
+        selected.windows, selected.solution, selected.layout, settings, shape
+    )
+    return replace(selected, solution=solution)
+
+
+def check_lines(lines: NDArray[np.uint16]) -> None:
+    """See that lines are what a sensor gives.
+
+    Raises:
+        InvalidParameter: another type or shape, or a length outside MIN_PIXELS .. MAX_PIXELS.
+    """
+    if lines.ndim != 2 or lines.dtype != np.uint16:
+        raise InvalidParameter(
+            f"lines are {lines.dtype} of shape {lines.shape}; they must be uint16, (L, P)",
+            shape=lines.shape,
+        )
+    if not MIN_PIXELS <= lines.shape[1] <= MAX_PIXELS:
+        raise InvalidParameter(
+            f"lines have {lines.shape[1]} pixels; they must have {MIN_PIXELS} to {MAX_PIXELS}",
+            pixels=lines.shape[1],
+        )

@@ -1,0 +1,108 @@
+"""What the kernel reads of FitSettings and a LineSpreadFunction, packed into one buffer."""
+
+from math import exp, log, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.fit.fit_settings import NARROW_POWER, WIDTH_LIMITS_PX, FitSettings
+from compute.signal.fit.line_spread_function import LineSpreadFunction
+
+_PLAN: Final = np.dtype(
+    [
+        *[
+            (name, "<f8")
+            for name in (
+                "width_px",
+                "log_width",
+                "prior",
+                "reach",
+                "shape_error2",
+                "min_start",
+                "max_start",
+                "min_log",
+                "max_log",
+                "width_unit",
+                "margin",
+                "first",
+                "inverse_step",
+                "first_node",
+                "node_step",
+                "narrow4",
+            )
+        ],
+        *[
+            (name, "<i4")
+            for name in (
+                "max_joint_peaks",
+                "sloped",
+                "width_is_fitted",
+                "has_prior",
+                "sensors",
+                "nodes",
+                "pieces",
+                "limits",
+                "further_peaks",
+            )
+        ],
+    ],
+    align=True,
+)
+"""The kernel's ``Plan``."""
+
+
+def pack_plan(settings: FitSettings, shape: LineSpreadFunction) -> NDArray[np.uint64]:
+    """Pack a plan, the limits of chi-square, and the shape's pieces in float64 and in float32.
+
+    A piece is the cubic in the part of the way from one place to the next: four coefficients.
+    One before the first and one behind the last are constant.
+
+    Returns:
+        64-bit words, to keep them aligned.
+    """
+    spread = settings.width_log_sigma
+    low, high = WIDTH_LIMITS_PX
+    factor = exp(min(2.0 * spread, 700.0))
+    limits = settings.chi2_limits()
+    sensors, nodes, places = shape.cumulative.shape
+    # The pieces in float32 are read 16 bytes at a time.
+    limits = np.append(limits, np.full((_PLAN.itemsize // 8 + len(limits)) % 2, np.inf))
+    plan = np.zeros((), _PLAN)
+    plan["width_px"] = settings.width_px
+    plan["log_width"] = log(settings.width_px)
+    plan["prior"] = spread**-2 if 0.0 < spread < np.inf else 0.0
+    plan["narrow4"] = settings.narrow_width_px**NARROW_POWER
+    plan["reach"] = settings.reach
+    plan["shape_error2"] = settings.shape_error**2
+    plan["min_start"] = min(max(settings.width_px / factor, low), high)
+    plan["max_start"] = min(max(settings.width_px * factor, low), high)
+    plan["min_log"], plan["max_log"] = log(low), log(high)
+    plan["width_unit"] = 2.0 * sqrt(-2.0 * log(settings.search.threshold_fraction))
+    plan["margin"] = settings.split_margin
+    plan["first"], plan["inverse_step"] = shape.first - shape.step, 1.0 / shape.step
+    plan["first_node"], plan["node_step"] = shape.first_node_px, shape.node_step_px
+    plan["max_joint_peaks"] = settings.max_joint_peaks
+    plan["sloped"] = settings.background == "slope"
+    plan["width_is_fitted"] = spread > 0.0
+    plan["has_prior"] = 0.0 < spread < np.inf
+    plan["sensors"], plan["nodes"], plan["pieces"] = sensors, nodes, places + 1
+    plan["limits"] = len(limits)
+    plan["further_peaks"] = settings.further_peaks
+    pieces = _pieces(shape)
+    parts = [plan.reshape(1), limits, pieces, pieces.astype(np.float32)]
+    return np.frombuffer(b"".join(part.tobytes() for part in parts), np.uint64).copy()
+
+
+def _pieces(shape: LineSpreadFunction) -> NDArray[np.float64]:
+    """Return coefficients of the shape's cubics, shape (S, N, T + 1, 4)."""
+    cumulative, slope = shape.cumulative, shape.density * shape.step
+    rise = np.diff(cumulative, axis=2)
+    before, after = slope[..., :-1], slope[..., 1:]
+    pieces = np.zeros((*cumulative.shape[:2], cumulative.shape[2] + 1, 4))
+    pieces[:, :, 0, 0] = cumulative[..., 0]
+    pieces[:, :, 1:, 0] = cumulative
+    pieces[:, :, 1:-1, 1] = before
+    pieces[:, :, 1:-1, 2] = 3.0 * rise - 2.0 * before - after
+    pieces[:, :, 1:-1, 3] = before + after - 2.0 * rise
+    return pieces

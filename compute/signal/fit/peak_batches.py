@@ -1,0 +1,190 @@
+"""Fitted peaks as a batch: flags, order, room, and the covariances of neighbours."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.fit.candidate_groups import Groups
+from compute.signal.fit.fit_settings import FitSettings
+from compute.signal.fit.line_spread_function import LineSpreadFunction
+from compute.signal.fit.model_order import SelectedFits
+from compute.signal.fit.window_model import Array, central_pixel_fraction
+from compute.signal.peaks import MAX_JOINT_PEAKS, PeakBatch, PeakFlag
+
+_CLIPPED_WIDTHS = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class FlatPeaks:
+    """Peaks of many lines in no order.
+
+    Args:
+        line: shape (M,).
+        group: numbers of their groups, shape (M,).
+        within: their place within the group, shape (M,).
+        position_px: shape (M,).
+        sigma_px: shape (M,).
+        amplitude: shape (M,).
+        width_px: shape (M,).
+        flags: shape (M,).
+        reduced_chi2: shape (M,).
+        covariance_px2: with all of the group, shape (M, MAX_JOINT_PEAKS).
+    """
+
+    line: NDArray[np.int64]
+    group: NDArray[np.int64]
+    within: NDArray[np.int64]
+    position_px: Array
+    sigma_px: Array
+    amplitude: Array
+    width_px: Array
+    flags: NDArray[np.int64]
+    reduced_chi2: Array
+    covariance_px2: Array
+
+    def __getitem__(self, rows: NDArray[np.int64]) -> "FlatPeaks":
+        """Return some of the peaks."""
+        return FlatPeaks(*(values[rows] for values in vars(self).values()))
+
+    @classmethod
+    def concatenate(cls, parts: list["FlatPeaks"]) -> "FlatPeaks":
+        """Put peaks together."""
+        names = cls.__dataclass_fields__
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def collect_fitted_peaks(
+    selected: SelectedFits,
+    number: NDArray[np.int64],
+    groups: Groups,
+    candidates: PeakBatch,
+    pixels: int,
+    settings: FitSettings,
+    shape: LineSpreadFunction,
+) -> FlatPeaks:
+    """Return the peaks of the groups whose fits were good.
+
+    Args:
+        selected: fits of so many lines; of its rows the good ones count.
+        number: numbers of the groups, by which they are told apart, shape (G,).
+        groups: the groups that ``chosen.rows`` counts.
+        candidates: of all lines.
+        pixels: of a line.
+        settings: how lines were fitted.
+        shape: the lines' shape.
+    """
+    selected = selected[selected.solution.good]
+    solution, windows, layout = selected.solution, selected.windows, selected.layout
+    groups, number = groups[selected.rows], number[selected.rows]
+    place = solution.parameters[:, layout.position]
+    order = np.argsort(place, axis=1, kind="stable")
+    position = np.take_along_axis(place, order, axis=1)
+    light = np.take_along_axis(solution.parameters[:, layout.light], order, axis=1)
+    covariance = solution.covariance[:, layout.position, layout.position]
+    covariance = np.take_along_axis(covariance, order[:, :, None], axis=1)
+    covariance = np.take_along_axis(covariance, order[:, None, :], axis=2)
+    width = np.exp(solution.parameters[:, -1:])
+    share = central_pixel_fraction(shape, width, windows.sensor[:, None], position)
+
+    flags = np.zeros(position.shape, np.int64)
+    if layout.peaks > 1:
+        flags |= PeakFlag.JOINT
+    limit = settings.chi2_limits()[solution.dof]
+    in_window = windows.last_px - windows.first_px + 1
+    flags |= PeakFlag.POOR_FIT * (solution.chi2 > limit)[:, None]
+    flags |= PeakFlag.SATURATED * (windows.count < in_window)[:, None]
+    reach = _CLIPPED_WIDTHS * width
+    clipped = (position - reach < -0.5) | (position + reach > pixels - 0.5)
+    flags |= PeakFlag.CLIPPED * clipped
+    flags[:, 0] |= PeakFlag.MERGED * groups.split_before
+    flags[:, -1] |= PeakFlag.MERGED * groups.split_after
+    if len(groups) and int(groups.count[0]) == layout.peaks:
+        flags |= (
+            candidates.flags[groups.line[:, None], groups.candidate_indices()] & PeakFlag.MERGED
+        )
+
+    count = position.shape[1]
+    whole = np.zeros((len(groups), count, MAX_JOINT_PEAKS))
+    whole[:, :, :count] = covariance
+    f = settings.search.threshold_fraction
+    full_width = np.broadcast_to(2.0 * np.sqrt(-2.0 * np.log(f)) * width, position.shape)
+    reduced = (solution.chi2 / solution.dof)[:, None]
+    return FlatPeaks(
+        np.repeat(groups.line, count),
+        np.repeat(number, count),
+        np.tile(np.arange(count), len(groups)),
+        position.ravel(),
+        np.sqrt(np.einsum("nkk->nk", covariance)).ravel(),
+        (light * share).ravel(),
+        full_width.ravel(),
+        flags.ravel(),
+        np.broadcast_to(reduced, position.shape).ravel(),
+        whole.reshape(-1, MAX_JOINT_PEAKS),
+    )
+
+
+def collect_unfitted_peaks(
+    selected: SelectedFits, number: NDArray[np.int64], groups: Groups, candidates: PeakBatch
+) -> FlatPeaks:
+    """Return the candidates of the groups whose fits failed; see ``fitted_peaks``."""
+    rows = selected.rows[~selected.solution.good]
+    groups, number = groups[rows], number[rows]
+    member = groups.candidate_indices()
+    count = member.shape[1]
+    at = (np.repeat(groups.line, count), member.ravel())
+    flags = candidates.flags[at].reshape(member.shape).astype(np.int64) | PeakFlag.UNFITTED
+    flags[:, :1] |= PeakFlag.MERGED * groups.split_before[:, None]
+    flags[:, -1:] |= PeakFlag.MERGED * groups.split_after[:, None]
+    return FlatPeaks(
+        at[0],
+        np.repeat(number, count),
+        np.tile(np.arange(count), len(rows)),
+        candidates.position_px[at],
+        candidates.sigma_px[at].astype(np.float64),
+        candidates.amplitude[at].astype(np.float64),
+        candidates.width_px[at].astype(np.float64),
+        flags.ravel(),
+        np.full(member.size, np.nan),
+        np.zeros((member.size, MAX_JOINT_PEAKS)),
+    )
+
+
+def to_peak_batch(
+    peaks: FlatPeaks, lines: int, room: int, truncated: NDArray[np.bool_]
+) -> PeakBatch:
+    """Put peaks into the order of lines and places, the brightest where there is no room for all.
+
+    Args:
+        peaks: of all lines.
+        lines: L.
+        room: K.
+        truncated: lines that have lost peaks already, shape (L,).
+    """
+    batch = PeakBatch.empty(lines, room)
+    by_light = np.lexsort((peaks.position_px, -peaks.amplitude, peaks.line))
+    rank = _numbered(peaks.line[by_light])
+    truncated = truncated.copy()
+    truncated[peaks.line[by_light[rank >= room]]] = True
+    peaks = peaks[by_light[rank < room]]
+    # A group's peaks lie within its window, and windows do not overlap.
+    peaks = peaks[np.lexsort((peaks.within, peaks.position_px, peaks.line))]
+    slot = _numbered(peaks.line)
+    at = (peaks.line, slot)
+    batch.count[:] = np.bincount(peaks.line, minlength=lines)
+    for name in ("position_px", "sigma_px", "amplitude", "width_px", "reduced_chi2"):
+        getattr(batch, name)[at] = getattr(peaks, name)
+    batch.flags[at] = peaks.flags | PeakFlag.TRUNCATED * truncated[peaks.line]
+    row = np.arange(len(slot))
+    for ahead in range(1, MAX_JOINT_PEAKS):
+        here = row[: max(len(row) - ahead, 0)]
+        here = here[peaks.group[here] == peaks.group[here + ahead]]
+        covariance = peaks.covariance_px2[here, peaks.within[here + ahead]]
+        batch.covariance_px2[peaks.line[here], slot[here], ahead - 1] = covariance
+    return batch
+
+
+def _numbered(line: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return each peak's number within its line; lines ascend."""
+    starts = np.searchsorted(line, line)
+    return np.arange(len(line)) - starts

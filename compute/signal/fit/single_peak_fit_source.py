@@ -1,0 +1,287 @@
+"""The native source of the fit of one peak alone, in float32: nearly all peaks are that.
+
+It gives an answer only where there is no doubt: the fit has converged in few steps, the peak is
+whole and not so bright that float32 would tell, and the misfit is clear of its limit: below, or
+not far above where that only is a flag. Else it returns 0, and the fit in float64 decides. Counts
+are taken from the line's background, positions from the candidate's pixel: float32 then keeps
+1e-6 px.
+"""
+
+from typing import Final
+
+from compute.signal.fit.fit_settings import (
+    LOG_WIDTH_SIGMA_THRESHOLD,
+    NARROW_POWER,
+    STEP_LOG_WIDTH,
+    STEP_WIDTHS,
+)
+
+_STEPS: Final = f"""
+    const float step_widths_f = {STEP_WIDTHS!r}f, step_log_width_f = {STEP_LOG_WIDTH!r}f;
+    const float narrow_power_f = {float(NARROW_POWER)!r}f;
+    const float open_width2_f = {LOG_WIDTH_SIGMA_THRESHOLD**2!r}f;
+"""
+
+# What is known before the first pass, and the shape.
+_BEGIN: Final = """
+    // Parameters: level, [slope,] light, logarithm of the width, position: with the position
+    // last, its variance is that of the last pivot.
+    struct Level { enum { parameters = 4 }; };
+    struct Slope { enum { parameters = 5 }; };
+    // A known width's row is nothing, and the compiler leaves it out.
+    struct OpenWidth { enum { is_fitted = 1 }; };
+    struct KnownWidth { enum { is_fitted = 0 }; };
+    auto fit_alone_by = [&](
+        auto background, auto width, const Candidate& c, int first, int last, Fitted* out) -> int {
+        const int size = decltype(background)::parameters;
+        const bool width_is_fitted = decltype(width)::is_fitted;
+        const int light_at = size - 3, width_at = size - 2, place_at = size - 1;
+        const int max_passes = 8;
+        // Beyond a thousand deviations float32 would tell.
+        const double by_light = photon_variance * (double)c.amplitude;
+        if ((double)c.amplitude * (double)c.amplitude > 1e6 * (dark_variance + by_light)) return 0;
+        // Without its brightest pixels a fit hangs on little.
+        const int used = last - first + 1;
+        for (int i = first; i <= last; ++i)
+            if (v[i] >= full_scale) return 0;
+        const int freedom = used - size + !width_is_fitted + plan.has_prior;
+        if (freedom < 1 + plan.has_prior) return 0;
+        const float chi2_limit = (float)chi2_limits[freedom];
+        const bool may_split = plan.further_peaks && plan.max_joint_peaks > 1;
+
+        const int origin = pixel_of(c), base = (int)floor(line_background);
+        const float dark_f = (float)dark_variance, photon_f = (float)photon_variance;
+        const float above_offset = (float)((double)base - offset);
+        const float shape_error2 = (float)plan.shape_error2;
+        const float prior = (float)plan.prior, prior_log = (float)plan.log_width;
+        const float narrow4 = (float)plan.narrow4;
+        const float min_log = (float)plan.min_log, max_log = (float)plan.max_log;
+        const float inverse_step = (float)plan.inverse_step;
+        const float zero_place = (float)(-plan.first * plan.inverse_step);
+        const float last_place = (float)(plan.pieces - 0.5);
+        const float middle = (float)(0.5 * (double)(first + last - 2 * origin));
+        const float low_end = (float)(first - origin) - 0.5f;
+        const float high_end = (float)(last - origin) + 0.5f;
+
+        // The pieces of the nodes about a place along the sensor.
+        const Piece_f* near_row = pieces_f;
+        const Piece_f* far_row = pieces_f;
+        float far_part = 0.0f;
+        auto rows_at = [&](float x) {
+            if (plan.nodes == 1) return;
+            const double node = ((double)origin + (double)x - plan.first_node) / plan.node_step;
+            int below = node > 0.0 ? (node < plan.nodes - 2 ? (int)node : plan.nodes - 2) : 0;
+            const double part = node - below;
+            near_row = pieces_f + below * plan.pieces;
+            far_row = near_row + plan.pieces;
+            far_part = (float)(part > 0.0 ? (part < 1.0 ? part : 1.0) : 0.0);
+        };
+        // The share of light below t widths, and its density by pieces.
+        auto edge_at = [&](float t, float* share, float* density) {
+            float place = t * inverse_step + zero_place;
+            place = place > 0.0f ? (place < last_place ? place : last_place) : 0.0f;
+            const int k = (int)place;
+            const float s = place - (float)k;
+            Piece_f piece = near_row[k];
+            if (plan.nodes > 1) {
+                const Piece_f far = far_row[k];
+                piece.c0 += far_part * (far.c0 - piece.c0);
+                piece.c1 += far_part * (far.c1 - piece.c1);
+                piece.c2 += far_part * (far.c2 - piece.c2);
+                piece.c3 += far_part * (far.c3 - piece.c3);
+            }
+            *share = piece.c0 + s * (piece.c1 + s * (piece.c2 + s * piece.c3));
+            *density = piece.c1 + s * (2.0f * piece.c2 + s * (3.0f * piece.c3));
+        };
+        auto central_pixel_fraction = [&](float w) -> float {
+            float below, above, density;
+            edge_at(-0.5f / w, &below, &density);
+            edge_at(0.5f / w, &above, &density);
+            return above - below;
+        };
+
+"""
+
+# Fisher scoring.
+_PASSES: Final = """
+        float w = (float)start_width(c), log_w = (float)log_of(start_width(c));
+        float x = (float)(c.position - (double)origin);
+        rows_at(x);
+        float light = c.amplitude / central_pixel_fraction(w);
+        float level = (float)(line_background - (double)base), slope = 0.0f;
+        bool ended = false;
+        float sigma2 = 0.0f, chi2 = 0.0f, last_rise = 0.0f;
+        for (int pass = 0; pass < max_passes && !ended; ++pass) {
+            rows_at(x);
+            float information[size * (size + 1) / 2], score[size];
+            #pragma unroll
+            for (int k = 0; k < size * (size + 1) / 2; ++k) information[k] = 0.0f;
+            #pragma unroll
+            for (int k = 0; k < size; ++k) score[k] = 0.0f;
+            chi2 = 0.0f;
+            const float by_width = 1.0f / w;
+            const float light_by_piece = light * inverse_step;
+            const float light_by_px = light_by_piece * by_width;
+            float t = (low_end - x) * by_width, share, density;
+            edge_at(t, &share, &density);
+            float moment = t * density;
+            for (int i = first; i <= last; ++i) {
+                const float share_before = share, density_before = density, before = moment;
+                t = ((float)(i - origin) + 0.5f - x) * by_width;
+                edge_at(t, &share, &density);
+                moment = t * density;
+                float by[size];
+                by[0] = 1.0f;
+                by[light_at] = share - share_before;
+                by[width_at] = light_by_piece * (before - moment);
+                by[place_at] = light_by_px * (density_before - density);
+                const float lit = light * by[light_at];
+                float mean = level + lit;
+                if (size == 5) {
+                    by[1] = (float)(i - origin) - middle;
+                    mean += slope * by[1];
+                }
+                const float above = mean + above_offset;
+                const float variance =
+                    dark_f + photon_f * (above > 0.0f ? above : 0.0f) + shape_error2 * lit * lit;
+                const float weight = 1.0f / variance;
+                const float residual = (float)(v[i] - base) - mean;
+                const float weighted = residual * weight;
+                chi2 += residual * weighted;
+                #pragma unroll
+                for (int a = 0, k = 0; a < size; ++a) {
+                    const float by_a = by[a] * weight;
+                    score[a] += by[a] * weighted;
+                    #pragma unroll
+                    for (int b = 0; b <= a; ++b, ++k) information[k] += by_a * by[b];
+                }
+            }
+"""
+
+# The width's prior, then the step by L D L', with the pivots' inverses on its diagonal.
+_STEP: Final = """
+            const float away = prior_log - log_w;
+            const int width_row = width_at * (width_at + 1) / 2;
+            const int place_row = place_at * (place_at + 1) / 2;
+            const float narrow = narrow4 * (by_width * by_width) * (by_width * by_width);
+            score[width_at] += prior * away + narrow_power_f * narrow;
+            information[width_row + width_at] += prior + narrow_power_f * narrow_power_f * narrow;
+            chi2 += prior * away * away;
+            const bool held = !width_is_fitted
+                || (log_w <= min_log && score[width_at] < 0.0f)
+                || (log_w >= max_log && score[width_at] > 0.0f);
+            if (held) {
+                score[width_at] = 0.0f;
+                #pragma unroll
+                for (int b = 0; b < width_at; ++b) information[width_row + b] = 0.0f;
+                information[width_row + width_at] = 1.0f;
+                information[place_row + width_at] = 0.0f;
+            }
+            bool regular = true;
+            float length2 = 0.0f;
+            #pragma unroll
+            for (int a = 0; a < size; ++a) {
+                const int row = a * (a + 1) / 2;
+                const float least = 1e-4f * information[row + a];
+                #pragma unroll
+                for (int b = 0; b < a; ++b) {
+                    const int other = b * (b + 1) / 2;
+                    #pragma unroll
+                    for (int k = 0; k < b; ++k)
+                        information[row + b] -= information[row + k] * information[other + k];
+                }
+                float pivot = information[row + a];
+                #pragma unroll
+                for (int b = 0; b < a; ++b) {
+                    const float factor = information[row + b] * information[b * (b + 1) / 2 + b];
+                    pivot -= factor * information[row + b];
+                    score[a] -= factor * score[b];
+                    information[row + b] = factor;
+                }
+                regular = regular && pivot > least && pivot < 1e30f;
+                information[row + a] = 1.0f / pivot;
+                length2 += score[a] * score[a] * information[row + a];
+            }
+            if (!regular) return 0;
+            sigma2 = information[place_row + place_at];
+            // Over open widths it is averaged, in float64; that soon shows.
+            const float by_width_column = information[place_row + width_at];
+            const float width2 = information[width_row + width_at]
+                + by_width_column * by_width_column * sigma2;
+            if (width_is_fitted && width2 > 2.0f * open_width2_f) return 0;
+            #pragma unroll
+            for (int a = size - 1; a >= 0; --a) {
+                score[a] *= information[a * (a + 1) / 2 + a];
+                #pragma unroll
+                for (int b = a + 1; b < size; ++b)
+                    score[a] -= information[b * (b + 1) / 2 + a] * score[b];
+            }
+            // Where the shape misfits, steps shrink slowly, and rounding may tell which is the
+            // last: float64 does then. Of others a further step is nothing.
+            const float misfit = chi2 / (float)freedom;
+            const float end = (float)converged2 * (misfit > 1.0f ? misfit : 1.0f);
+            if (misfit > 2.0f && length2 > 0.98f * end && length2 < 1.02f * end) return 0;
+            ended = length2 < end;
+            const float farthest = fabsf(score[place_at]) * by_width / step_widths_f;
+            const float broadest = fabsf(score[width_at]) / step_log_width_f;
+            float part = farthest > broadest ? farthest : broadest;
+            part = part > 1.0f && !ended ? 1.0f / part : 1.0f;
+            // Where the width turns back, the secant's step.
+            const float turned = score[width_at] * last_rise;
+            if (turned < 0.0f && !ended)
+                part *= fabsf(last_rise) / (fabsf(last_rise) + part * fabsf(score[width_at]));
+            level += part * score[0];
+            if (size == 5) slope += part * score[1];
+            light += part * score[light_at];
+            x += part * score[place_at];
+            if (width_is_fitted) {
+                // exp to 1e-7: a step is a quarter at most.
+                float rise = part * score[width_at];
+                if (log_w + rise < min_log) rise = min_log - log_w;
+                if (log_w + rise > max_log) rise = max_log - log_w;
+                log_w += rise;
+                last_rise = rise;
+                w *= 1.0f + rise * (1.0f + rise * (1.0f / 2.0f) * (1.0f + rise * (1.0f / 3.0f)
+                    * (1.0f + rise * (1.0f / 4.0f) * (1.0f + rise * (1.0f / 5.0f)
+                    * (1.0f + rise * (1.0f / 6.0f))))));
+            }
+            if (!(x > low_end && x < high_end && light > 0.0f)) return 0;
+            if (ended) {
+                if (width_is_fitted && !(width2 < 0.999f * open_width2_f)) return 0;
+                // The light's variance: its column of the inverse of L, by the pivots.
+                const float by_width_row = information[width_row + light_at];
+                const float by_place_row = information[place_row + light_at]
+                    - information[place_row + width_at] * by_width_row;
+                const float variance = information[light_at * (light_at + 1) / 2 + light_at]
+                    + by_width_row * by_width_row * information[width_row + width_at]
+                    + by_place_row * by_place_row * sigma2;
+                if (!(light * light > 1.01f * variance)) return 0;
+            }
+        }
+"""
+
+_END: Final = """
+        const bool good = chi2 < 0.999f * chi2_limit;
+        // Of a large misfit, steps shrink so slowly that the rounding of each adds up.
+        const bool small = chi2 < 100.0f * (float)freedom;
+        const bool poor = chi2 > 1.001f * chi2_limit && small && !may_split;
+        if (!ended || !(good || poor)) return 0;
+
+        rows_at(x);
+        const double position = (double)origin + (double)x, reach = 2.0 * (double)w;
+        if (position - reach < -0.5 || position + reach > pixels - 0.5) return 0;
+        *out = Fitted{
+            position, sqrtf(sigma2), light * central_pixel_fraction(w), w * (float)plan.width_unit,
+            (c.flags & merged) | (poor ? poor_fit : 0), chi2 / (float)freedom, {0.0f, 0.0f, 0.0f}};
+        return 1;
+    };
+    auto fit_alone = [&](const Candidate& c, int first, int last, Fitted* out) -> int {
+        if (plan.width_is_fitted)
+            return plan.sloped ? fit_alone_by(Slope{}, OpenWidth{}, c, first, last, out)
+                               : fit_alone_by(Level{}, OpenWidth{}, c, first, last, out);
+        return plan.sloped ? fit_alone_by(Slope{}, KnownWidth{}, c, first, last, out)
+                           : fit_alone_by(Level{}, KnownWidth{}, c, first, last, out);
+    };
+"""
+
+FIT_ALONE: Final = _STEPS + _BEGIN + _PASSES + _STEP + _END

@@ -1,0 +1,64 @@
+"""Finish: from centroids on a chain's last lines to the peaks of the raw ones."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.peaks import PeakFlag
+from compute.signal.thesis_pipeline.centroid import Centroid
+from compute.signal.thesis_pipeline.result import PipelinePeak
+from compute.signal.thesis_pipeline.steps import Array
+
+
+@dataclass(frozen=True, eq=False)
+class PeakOutput:
+    """What makes peaks of the centroids on one line.
+
+    Args:
+        pixels: of the raw line.
+        correction_px: subtracted from positions.
+        shift_px: by how much the last line lies to the right of the light.
+        reach_px: how near to an end what lies beyond it weighs in.
+        variance: of the raw line's pixels, shape (P,); None: not known.
+        full: which of them are saturated, shape (P,); None: not known.
+    """
+
+    pixels: int
+    correction_px: float
+    shift_px: float
+    reach_px: float
+    variance: Array | None
+    full: NDArray[np.bool_] | None
+
+    def peak(
+        self, centre: Centroid, height: float, derivative: Array | None, cut: bool
+    ) -> PipelinePeak | None:
+        """Return a peak; None: it is none.
+
+        None are centres that the filters' delay puts off the line, and those that are less sure
+        than they are wide: noise has such where there is no light.
+
+        Args:
+            centre: on the last line.
+            height: above its background.
+            derivative: of the position by each raw pixel, shape (P,); None: not known.
+            cut: whether it is cut at a valley.
+        """
+        position = centre.position_px - self.correction_px
+        if not -0.5 <= position <= self.pixels - 0.5:
+            return None
+        sigma = float("nan")
+        if self.variance is not None and derivative is not None:
+            sigma = float(derivative**2 @ self.variance) ** 0.5
+            if sigma > centre.width_px:
+                return None
+        first, last = centre.first_px - self.shift_px, centre.last_px - self.shift_px
+        flags = PeakFlag.MERGED if cut else PeakFlag.NONE
+        if first - self.reach_px <= 0.0 or last + self.reach_px >= self.pixels - 1:
+            flags |= PeakFlag.CLIPPED
+        if self.full is not None:
+            run = slice(max(int(np.floor(first)), 0), max(int(np.ceil(last)), 0) + 1)
+            if self.full[run].any():
+                flags |= PeakFlag.SATURATED
+        return PipelinePeak(position, sigma, height, centre.width_px, flags)

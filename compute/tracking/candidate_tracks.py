@@ -1,0 +1,386 @@
+"""Tracklets: markers, perhaps, each followed on its own until the peaks say which are."""
+
+from dataclasses import dataclass, fields, replace
+from math import log
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.tracking.imm_states import ImmStates, mean_positions, mix_and_predict
+from compute.tracking.max_weight_independent_set import (
+    best_alternatives,
+    max_weight_independent_set,
+)
+from compute.tracking.measurement_model import MeasurementModel
+from compute.tracking.measurements import Measurements
+from compute.tracking.motion_model import MotionModels
+from compute.tracking.native.associator import Associator
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.track_management import MIN_SUPPORT_SENSORS
+from compute.tracking.unresolved_neighbours import (
+    NEIGHBOUR_FIELDS,
+    inflate_unresolved,
+    predict_merged,
+    update_neighbours,
+)
+
+Array = NDArray[np.float64]
+
+WINDOW_EXPOSURES: Final = 16
+"""Exposures that are remembered."""
+MIN_AGE: Final = 6
+"""Exposures after which a tracklet may be a marker."""
+REJECTION_AGE: Final = 5
+"""Exposures after which a tracklet that too few sensors see is given up."""
+DETECTION_FRACTION_THRESHOLD: Final = 0.65
+"""Part of the exposures in which a sensor must have seen it, or a peak that may be shared."""
+REJECTION_FRACTION_THRESHOLD: Final = 0.45
+"""Part below which it is given up."""
+MIN_SEEN: Final = 3
+"""Exposures in which it must have been seen by each of the sensors that count."""
+MIN_PEAKS: Final = 2
+"""Peaks of its own that it must have in an exposure; without them it is given up."""
+MAX_BLIND_EXPOSURES: Final = 3
+"""Exposures without them, in a row."""
+CONFLICT_SHARE_THRESHOLD: Final = 0.2
+"""Part of its peaks beyond which a tracklet is in conflict with another one that has them too."""
+DUPLICATE_SHARE_THRESHOLD: Final = 0.6
+"""Part beyond which it is the same one."""
+SCORE_RATIO_THRESHOLD: Final = 1.5
+"""How many times the score of a rival leaves no doubt."""
+MAX_GHOSTS: Final = 0.1
+"""Ghosts to be expected, beyond which what is found is ambiguous."""
+MAX_CANDIDATES: Final = 80
+"""Tracklets that are followed."""
+
+
+@dataclass(eq=False)
+class _Candidates:
+    """T tracklets.
+
+    Args:
+        states: at the last exposure.
+        bias: as of tracks, shape (T, S, S).
+        position_mm: where that was worked out, shape (T, 3).
+        peaks: of the last exposures, the newest last; -1: none, shape (T, W, S).
+        missed: whether a sensor had no peak there, not even one that may be shared, (T, W, S).
+        score: log likelihood ratio to no one's peaks, of each exposure, shape (T, W).
+        age: exposures, shape (T,).
+        blind: exposures in a row without peaks enough, shape (T,).
+        nis: of the last exposure, shape (T,).
+        neighbours: other peaks beside its own; see ``strangers``, shape (T, S, 3).
+    """
+
+    states: ImmStates
+    bias: Array
+    position_mm: Array
+    peaks: NDArray[np.int32]
+    missed: NDArray[np.bool_]
+    score: Array
+    age: NDArray[np.intp]
+    blind: NDArray[np.intp]
+    nis: Array
+    neighbours: Array
+
+    def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "_Candidates":
+        return _Candidates(
+            self.states.rows(index),
+            *(getattr(self, field.name)[index] for field in fields(self)[1:]),
+        )
+
+    def concatenate(self, other: "_Candidates") -> "_Candidates":
+        return _Candidates(
+            self.states.concatenate(other.states),
+            *(
+                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
+                for field in fields(self)[1:]
+            ),
+        )
+
+    def __len__(self) -> int:
+        return len(self.age)
+
+
+@dataclass(frozen=True, eq=False)
+class ConfirmedCandidates:
+    """N markers.
+
+    Args:
+        states: at the exposure.
+        bias: as of tracks, shape (N, S, S).
+        position_mm: where that was worked out, shape (N, 3).
+        peaks: of the exposure; -1: none, shape (N, S).
+        nis: of the exposure, shape (N,).
+        ambiguous: whether they may be ghosts, shape (N,).
+    """
+
+    states: ImmStates
+    bias: Array
+    position_mm: Array
+    peaks: NDArray[np.int32]
+    nis: Array
+    ambiguous: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        """Return the number of markers."""
+        return len(self.nis)
+
+
+class CandidateTracks:
+    """Follows what may be markers, each as if it were alone, and says which are.
+
+    Ghosts have peaks of markers. Followed together with these they would take them; followed alone,
+    each peak may be several tracklets', and over some exposures it shows which set of them explains
+    all: a ghost loses a sensor when its markers move apart, and what it explains, its markers do as
+    well, each with more besides.
+
+    Args:
+        model: of the readings.
+        motion: M models.
+        settings: of the tracker.
+        associator: of peaks with tracks.
+    """
+
+    def __init__(
+        self,
+        model: MeasurementModel,
+        motion: MotionModels,
+        settings: TrackerSettings,
+        associator: Associator,
+    ) -> None:
+        self._model, self._motion, self._settings = model, motion, settings
+        self._associator = associator
+        self._blind_sensors = max(len(model) - MIN_SUPPORT_SENSORS, 0) // 2
+        self._kept: _Candidates | None = None
+        self._free = np.zeros(len(model), dtype=np.intp)
+        self._time_ns = 0
+
+    def __len__(self) -> int:
+        """Return the number of tracklets."""
+        return 0 if self._kept is None else len(self._kept)
+
+    def forget(self) -> None:
+        """Forget all."""
+        self._kept = None
+
+    def explained_peaks(self) -> NDArray[np.int32]:
+        """Return the peaks of the tracklets that are well seen, in the last exposure, (N, S)."""
+        if self._kept is None:
+            return np.empty((0, len(self._model)), dtype=np.int32)
+        kept = self._kept
+        well_seen = (kept.age >= REJECTION_AGE) & self._is_detected_steadily()
+        peaks: NDArray[np.int32] = kept.peaks[well_seen, -1]
+        return peaks
+
+    def is_new(self, peaks: NDArray[np.int32]) -> bool:
+        """Return whether no tracklet has three of these peaks (S,), and there is room."""
+        if self._kept is None or len(self._kept) == 0:
+            return True
+        same = ((self._kept.peaks[:, -1] == peaks) & (peaks >= 0)).sum(axis=1)
+        return len(self) < MAX_CANDIDATES and int(same.max()) < 3
+
+    def begin(
+        self,
+        states: ImmStates,
+        bias: Array,
+        position_mm: Array,
+        peaks: NDArray[np.int32],
+        time_ns: int,
+    ) -> None:
+        """Follow N more, seen now by these peaks (N, S)."""
+        rows = np.arange(len(states))
+        sensors = len(self._model)
+        history = np.full((len(rows), WINDOW_EXPOSURES, sensors), -1, dtype=np.int32)
+        history[:, -1] = peaks
+        added = _Candidates(
+            states,
+            bias,
+            position_mm,
+            history,
+            np.zeros(history.shape, dtype=np.bool_),
+            np.zeros((len(rows), WINDOW_EXPOSURES)),
+            np.zeros(len(rows), dtype=np.intp),
+            np.zeros(len(rows), dtype=np.intp),
+            np.zeros(len(rows)),
+            np.zeros((len(rows), sensors, NEIGHBOUR_FIELDS)),
+        )
+        self._kept = added if self._kept is None else self._kept.concatenate(added)
+        self._time_ns = time_ns
+
+    def follow(self, time_ns: int, peaks: Measurements, free: NDArray[np.bool_]) -> None:
+        """Update all by the peaks that are free, shape (S, K); give up those that fail."""
+        kept = self._kept
+        if kept is None or len(kept) == 0:
+            self._time_ns = time_ns
+            return
+        step = np.full(len(kept), (time_ns - self._time_ns) * 1e-9)
+        self._time_ns = time_ns
+        states = mix_and_predict(self._motion, kept.states, step)
+        left = replace(peaks, usable=free)
+        self._free = free.sum(axis=1)
+        crowd = _log_peak_density(peaks, self._settings)
+        kept.peaks = np.roll(kept.peaks, -1, axis=1)
+        kept.missed = np.roll(kept.missed, -1, axis=1)
+        kept.score = np.roll(kept.score, -1, axis=1)
+        base = log(self._settings.clutter_density_per_px)
+        hidden = predict_merged(kept.neighbours, step, self._settings)
+        reading = self._readings(states) if hidden.any() else None
+        for one in range(len(kept)):
+            row = np.array([one])
+            own = left
+            if reading is not None and hidden[one].any():
+                own = inflate_unresolved(left, reading[row], hidden[row], self._settings)
+            found = self._associator.associate(states.rows(row), kept.bias[row], own)
+            kept.states.put(row, found.states)
+            kept.peaks[one, -1] = found.peaks[0]
+            used = found.peaks[0] >= 0
+            # Against other markers' peaks, not against false ones.
+            kept.score[one, -1] = found.log_likelihood_ratio[0] - (used * (crowd - base)).sum()
+            kept.nis[one] = found.nis[0]
+        there = self._model.predict(mean_positions(kept.states))
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(peaks.position_px - there.reading_px[..., None])
+            shared = ((apart <= self._settings.resolution_px) & peaks.usable).any(axis=2)
+        kept.neighbours = update_neighbours(
+            kept.neighbours, kept.peaks[:, -1], peaks, peaks.usable, step, self._settings
+        )
+        used = kept.peaks[:, -1] >= 0
+        kept.missed[:, -1] = ~used & ~shared & there.in_view
+        kept.score[:, -1] += kept.missed[:, -1].sum(axis=1) * log(
+            1.0 - self._settings.detection_probability
+        )
+        kept.age += 1
+        kept.blind = np.where(used.sum(axis=1) >= MIN_PEAKS, 0, kept.blind + 1)
+        good = (kept.blind < MAX_BLIND_EXPOSURES) & (
+            (kept.age < REJECTION_AGE) | ~self._exceeds_miss_limit(REJECTION_FRACTION_THRESHOLD)
+        )
+        self._kept = kept.rows(good)
+        self._drop_duplicates()
+
+    def _readings(self, states: ImmStates) -> Array:
+        return self._model.predict(mean_positions(states)).reading_px
+
+    def decide(self) -> ConfirmedCandidates | None:
+        """Return those that are markers, and follow them no longer; None: there are none."""
+        kept = self._kept
+        if kept is None or len(kept) == 0:
+            return None
+        score = kept.score.sum(axis=1)
+        ready = np.flatnonzero(score > 0.0)
+        if len(ready) == 0:
+            return None
+        sizes, shared = _shared(kept.peaks[ready])
+        smaller = np.minimum(sizes[:, None], sizes[None])
+        conflict = shared > CONFLICT_SHARE_THRESHOLD * smaller
+        np.fill_diagonal(conflict, val=False)
+        score = score[ready]
+        taken = max_weight_independent_set(score, conflict)
+        old = kept.age[ready] >= WINDOW_EXPOSURES
+        lasting = (kept.age[ready] >= MIN_AGE) & self._is_detected_steadily()[ready]
+        good = (
+            taken
+            & lasting
+            & (score > SCORE_RATIO_THRESHOLD * best_alternatives(score, conflict, taken))
+        )
+        # Where ghosts last, time tells nothing: how many are there that nothing betrays?
+        ghosts = self._expected_ghosts(ready[taken], int((lasting & ~taken).sum()))
+        doubtful = ghosts > MAX_GHOSTS
+        if doubtful:
+            good &= old
+        # Handed over while it is seen well: what comes next may be merged with others.
+        least = np.where(old, MIN_SUPPORT_SENSORS - 1, MIN_SUPPORT_SENSORS)
+        good &= (kept.peaks[ready, -1] >= 0).sum(axis=1) >= least
+        if not good.any():
+            return None
+        found = ready[good]
+        markers = ConfirmedCandidates(
+            kept.states.rows(found),
+            kept.bias[found],
+            kept.position_mm[found],
+            kept.peaks[found, -1],
+            kept.nis[found],
+            np.full(len(found), doubtful),
+        )
+        stay = np.ones(len(kept), dtype=np.bool_)
+        stay[found] = False
+        # What lived on their peaks is a ghost.
+        stay[ready[conflict[good].any(axis=0)]] = False
+        self._kept = kept.rows(stay)
+        return markers
+
+    def _expected_ghosts(self, taken: NDArray[np.intp], explained_peaks: int) -> float:
+        """Return how many ghosts are to be expected among the peaks that nothing explains.
+
+        So many of all peaks' last that are known to be ghosts, since markers explain their peaks;
+        a ghost that has none of these looks like a marker.
+
+        Args:
+            taken: tracklets that explain peaks.
+            explained_peaks: ghosts that last.
+        """
+        assert self._kept is not None
+        left = []
+        for sensor, count in enumerate(self._free.tolist()):
+            own = self._kept.peaks[taken, -1, sensor]
+            unexplained = count - len(set(own[own >= 0].tolist()))
+            left.append(min(max(unexplained + 1.0, 1.0) / max(count, 1.0), 1.0))
+        return explained_peaks * float(np.exp(MIN_SUPPORT_SENSORS * np.log(left).mean()))
+
+    def _is_detected_steadily(self) -> NDArray[np.bool_]:
+        """Return which four sensors or more have mostly seen, and few have mostly not, (T,)."""
+        seen, asked = self._detection_counts()
+        good = (seen >= DETECTION_FRACTION_THRESHOLD * asked) & (seen >= MIN_SEEN)
+        steady: NDArray[np.bool_] = good.sum(axis=1) >= MIN_SUPPORT_SENSORS
+        return steady & ~self._exceeds_miss_limit(DETECTION_FRACTION_THRESHOLD)
+
+    def _exceeds_miss_limit(self, part: float) -> NDArray[np.bool_]:
+        """Return which too many sensors have seen in less than such a part of the exposures."""
+        seen, asked = self._detection_counts()
+        failed: NDArray[np.bool_] = (seen < part * asked).sum(axis=1) > self._blind_sensors
+        return failed
+
+    def _detection_counts(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return how often each sensor saw each, and how often it could have, (T, S)."""
+        assert self._kept is not None
+        seen = (self._kept.peaks >= 0).sum(axis=1)
+        # Where a peak may be shared, a sensor says nothing.
+        return seen, seen + self._kept.missed.sum(axis=1)
+
+    def _drop_duplicates(self) -> None:
+        """Of tracklets that have come to have the same peaks, keep the likeliest."""
+        kept = self._kept
+        if kept is None or len(kept) < 2:
+            return
+        sizes, shared = _shared(kept.peaks[:, -4:])
+        same = (shared > DUPLICATE_SHARE_THRESHOLD * np.minimum(sizes[:, None], sizes[None])) & (
+            shared > 0
+        )
+        order = np.argsort(-kept.score.sum(axis=1), kind="stable")
+        stay = np.zeros(len(kept), dtype=np.bool_)
+        for one in order.tolist():
+            stay[one] = not (same[one] & stay).any()
+        if not stay.all():
+            self._kept = kept.rows(stay)
+
+
+def _shared(peaks: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return how many peaks each of C has (C, W, S), and every two in common, shape (C, C)."""
+    there = peaks >= 0
+    same = (peaks[:, None] == peaks[None]) & there[:, None]
+    return there.sum(axis=(1, 2)), same.sum(axis=(2, 3))
+
+
+def _log_peak_density(peaks: Measurements, settings: TrackerSettings) -> Array:
+    """Return the log of how densely peaks lie, whoever's they are, shape (S,)."""
+    place = np.where(peaks.usable, peaks.position_px, np.nan)
+    count = peaks.usable.sum(axis=1)
+    density = np.full(len(place), settings.clutter_density_per_px)
+    many = count >= 3
+    if many.any():
+        width = np.nanmax(place[many], axis=1) - np.nanmin(place[many], axis=1)
+        density[many] = np.maximum(
+            density[many], (count[many] - 1) / np.maximum(width, settings.resolution_px)
+        )
+    crowd: Array = np.log(density)
+    return crowd

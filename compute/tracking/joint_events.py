@@ -1,0 +1,267 @@
+"""Joint hypotheses: which of a sensor's peaks belongs to which of the tracks that contend for them.
+
+All of a cluster's hypotheses that matter as long as there are few; beyond, the most likely partial
+ones are carried on, track by track, and the weight of what is given up is bounded.
+"""
+
+from dataclasses import dataclass
+from math import exp, log, pi, prod, sqrt
+
+from compute.tracking.settings import TrackerSettings
+
+SHARED_PEAK_REACH = 2.0
+"""Predictions nearer than so many ``resolution_px``, and two deviations, may share a peak."""
+_LOG_2 = log(2.0)
+MIN_MERGE_PROBABILITY = 1e-4
+"""Chance below which two tracks are not taken as one peak."""
+NEGLIGIBLE_WEIGHT_RATIO = 1e-6
+"""Partial hypotheses that lead to nothing but such a part of the likeliest are not followed."""
+SHARE_FRACTION_VARIANCE = 1.0 / 12.0
+"""Of the share of one of two markers in their common peak, which nothing is known of."""
+
+
+@dataclass(frozen=True)
+class ClusterTrack:
+    """A track in a cluster: its predicted reading and that one's variance, one sensor."""
+
+    reading_px: float
+    variance_px2: float
+
+
+@dataclass(frozen=True)
+class Marginals:
+    """A possibility for a track's reading, as a measurement of that track's own reading.
+
+    Args:
+        peak: its index in the line.
+        probability: probability of it.
+        difference_px: reading less prediction.
+        variance_px2: of the reading's noise.
+        merged: whether the peak is shared with another track.
+    """
+
+    peak: int
+    probability: float
+    difference_px: float
+    variance_px2: float
+    merged: bool
+
+
+@dataclass(frozen=True)
+class _Option:
+    """A way for one track, or for two that share a peak, to be read."""
+
+    tracks: tuple[int, ...]
+    peak: int
+    weight: float
+
+
+@dataclass(frozen=True)
+class _Partial:
+    weight: float
+    options: tuple[_Option, ...]
+    used_peaks: int
+    assigned_tracks: int
+
+
+def merge_probability(apart_px: float, variance_px2: float, resolution_px: float) -> float:
+    """Return the chance that two peaks, so far apart, are found as one.
+
+    ``exp(-log 2 (d / resolution_px)^2)`` (W. Koch, G. van Keuk, Multiple hypothesis track maintenance
+    with possibly unresolved measurements, 1997), averaged over the distance's own uncertainty.
+    """
+    spread = 1.0 + 2.0 * _LOG_2 * variance_px2 / resolution_px**2
+    return exp(-_LOG_2 * apart_px**2 / (resolution_px**2 * spread)) / sqrt(spread)
+
+
+def event_marginals(
+    cluster_tracks: list[ClusterTrack],
+    peaks: list[tuple[int, float, float]],
+    settings: TrackerSettings,
+) -> tuple[list[list[Marginals]], float]:
+    """Return each contender's possible readings, and a bound on what was given up.
+
+    Each track is read as a peak of its own, shares one with another track, or is missed. Of
+    hypotheses in which the same tracks have the same peaks only the likeliest counts: the average
+    over exchanged tracks would draw two that run side by side into one (JPDA*: H. A. P. Blom,
+    E. A. Bloem, 10.1109/9.839947). A shared peak lies anywhere between its two markers: it is
+    their mean, with the variance of a share that is not known, of which each track takes its own
+    part.
+
+    Args:
+        cluster_tracks: the cluster's tracks.
+        peaks: index, position [px] and variance [px^2] of the peaks that they contend for.
+        settings: detection, false peaks, merging, gate, most hypotheses.
+
+    Returns:
+        Claims of each contender, and the largest weight of hypotheses that were not followed,
+        in parts of all that were; 0 where all were.
+    """
+    merge_probabilities = {
+        (one, two): merge_probability(
+            a.reading_px - b.reading_px, a.variance_px2 + b.variance_px2, settings.resolution_px
+        )
+        for one, a in enumerate(cluster_tracks)
+        for two, b in enumerate(cluster_tracks)
+        if one < two
+    }
+    options = [
+        _options(track, cluster_tracks, peaks, merge_probabilities, settings)
+        for track in range(len(cluster_tracks))
+    ]
+    missed = 1.0 - settings.detection_probability
+    # What a track can multiply a hypothesis by, all its options together; 1 in a shared peak.
+    max_factor = [max(missed + sum(option.weight for option in own), 1.0) for own in options]
+    partials = [_Partial(1.0, (), 0, 0)]
+    pruned_weight = 0.0
+    min_weight = NEGLIGIBLE_WEIGHT_RATIO * _greedy(options, missed)
+    for track, own in enumerate(options):
+        grown: list[_Partial] = []
+        for partial in partials:
+            if partial.assigned_tracks >> track & 1:
+                # Another track has it in a shared peak already.
+                grown.append(partial)
+                continue
+            grown.append(
+                _Partial(
+                    partial.weight * missed,
+                    partial.options,
+                    partial.used_peaks,
+                    partial.assigned_tracks,
+                )
+            )
+            for option in own:
+                if partial.used_peaks >> option.peak & 1:
+                    continue
+                if any(partial.assigned_tracks >> other & 1 for other in option.tracks):
+                    continue
+                weight = partial.weight * option.weight
+                for earlier in partial.options:
+                    weight *= _resolved(earlier, option, merge_probabilities)
+                assigned_tracks = partial.assigned_tracks
+                for other in option.tracks:
+                    assigned_tracks |= 1 << other
+                grown.append(
+                    _Partial(
+                        weight,
+                        (*partial.options, option),
+                        partial.used_peaks | 1 << option.peak,
+                        assigned_tracks,
+                    )
+                )
+        ahead = prod(max_factor[track + 1 :])
+        partials = [partial for partial in grown if partial.weight * ahead >= min_weight]
+        if len(partials) > settings.max_hypotheses:
+            partials.sort(key=lambda partial: -partial.weight)
+            del partials[settings.max_hypotheses :]
+        if len(partials) < len(grown):
+            lost = sum(p.weight for p in grown) - sum(p.weight for p in partials)
+            pruned_weight += max(lost, 0.0) * ahead
+    kept: dict[tuple[int, tuple[tuple[int, int], ...]], _Partial] = {}
+    for partial in partials:
+        used = tuple(sorted((option.peak, len(option.tracks)) for option in partial.options))
+        key = (partial.assigned_tracks, used)
+        if key not in kept or partial.weight > kept[key].weight:
+            kept[key] = partial
+    total = sum(partial.weight for partial in kept.values())
+    found: list[dict[tuple[int, tuple[int, ...]], float]] = [{} for _ in cluster_tracks]
+    for partial in kept.values():
+        for option in partial.options:
+            for track in option.tracks:
+                place = (option.peak, option.tracks)
+                found[track][place] = found[track].get(place, 0.0) + partial.weight / total
+    marginals = [
+        [
+            _marginals(track, peaks[peak], tracks, probability, cluster_tracks)
+            for (peak, tracks), probability in sorted(own.items())
+        ]
+        for track, own in enumerate(found)
+    ]
+    return marginals, pruned_weight / total
+
+
+def _greedy(options: list[list[_Option]], missed: float) -> float:
+    """Return the weight of one good joint hypothesis: each track in turn has its best peak."""
+    weight, used_peaks = 1.0, 0
+    for own in options:
+        free = [
+            option
+            for option in own
+            if len(option.tracks) == 1 and not used_peaks >> option.peak & 1
+        ]
+        best = max(free, key=lambda option: option.weight, default=None)
+        if best is None or best.weight < missed:
+            weight *= missed
+        else:
+            weight *= best.weight
+            used_peaks |= 1 << best.peak
+    return weight
+
+
+def _options(
+    track: int,
+    cluster_tracks: list[ClusterTrack],
+    peaks: list[tuple[int, float, float]],
+    merge_probabilities: dict[tuple[int, int], float],
+    settings: TrackerSettings,
+) -> list[_Option]:
+    """Return how this track may be read, alone or with a later one; weights to ``missed``."""
+    gain = settings.detection_probability / settings.clutter_density_per_px
+    limit = settings.gate_sigma**2
+    own = cluster_tracks[track]
+    options = []
+    for place, (_, position, variance) in enumerate(peaks):
+        total = own.variance_px2 + variance
+        off = (position - own.reading_px) ** 2 / total
+        if off <= limit:
+            options.append(_Option((track,), place, gain * _density(off, total)))
+        for later in range(track + 1, len(cluster_tracks)):
+            probability = merge_probabilities[track, later]
+            if probability < MIN_MERGE_PROBABILITY:
+                continue
+            other = cluster_tracks[later]
+            shared = variance + _share_variance(own, other)
+            total = 0.25 * (own.variance_px2 + other.variance_px2) + shared
+            off = (position - 0.5 * (own.reading_px + other.reading_px)) ** 2 / total
+            if off <= limit:
+                weight = settings.detection_probability * gain * probability * _density(off, total)
+                options.append(_Option((track, later), place, weight))
+    return options
+
+
+def _resolved(
+    one: _Option, two: _Option, merge_probabilities: dict[tuple[int, int], float]
+) -> float:
+    """Return the chance that the tracks of two peaks were not found as one."""
+    if len(one.tracks) > 1 or len(two.tracks) > 1:
+        return 1.0
+    pair = (one.tracks[0], two.tracks[0])
+    return 1.0 - merge_probabilities[min(pair), max(pair)]
+
+
+def _share_variance(one: ClusterTrack, two: ClusterTrack) -> float:
+    """Return the variance of a shared peak about the middle of its two markers [px^2]."""
+    apart = (one.reading_px - two.reading_px) ** 2
+    return SHARE_FRACTION_VARIANCE * (apart + one.variance_px2 + two.variance_px2)
+
+
+def _marginals(
+    track: int,
+    peak: tuple[int, float, float],
+    tracks: tuple[int, ...],
+    probability: float,
+    cluster_tracks: list[ClusterTrack],
+) -> Marginals:
+    index, position, variance = peak
+    own = cluster_tracks[track]
+    if len(tracks) == 1:
+        return Marginals(index, probability, position - own.reading_px, variance, merged=False)
+    other = cluster_tracks[tracks[0] if tracks[1] == track else tracks[1]]
+    # position = own / 2 + other / 2 + error: solved for the own reading.
+    noise = 4.0 * (variance + _share_variance(own, other)) + other.variance_px2
+    difference = 2.0 * position - other.reading_px - own.reading_px
+    return Marginals(index, probability, difference, noise, merged=True)
+
+
+def _density(off_squared: float, variance: float) -> float:
+    return exp(-0.5 * off_squared) / sqrt(2.0 * pi * variance)

@@ -1,0 +1,218 @@
+"""Filtering on readings: the joint update by all sensors, and the soft one by a single sensor."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.tracking.imm_states import CombinedState, ImmStates
+from compute.tracking.motion_model import STATE_SIZE
+
+Array = NDArray[np.float64]
+
+_LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """What the chosen readings of T tracks say beyond the prediction; others are masked.
+
+    Args:
+        used: shape (T, S).
+        jacobian: d reading / d place, 0 where not used, shape (T, S, 3).
+        variance: of the readings' noise [px^2], 1 where not used, shape (T, S).
+        bias: covariance of the readings' constant errors, 0 where not used, shape (T, S, S).
+    """
+
+    used: NDArray[np.bool_]
+    jacobian: Array
+    variance: Array
+    bias: Array
+
+    @classmethod
+    def of(
+        cls, used: NDArray[np.bool_], jacobian: Array, variance: Array, bias: Array
+    ) -> "Innovation":
+        """Mask what is not used."""
+        return cls(
+            used,
+            np.where(used[..., None], jacobian, 0.0),
+            np.where(used, variance, 1.0),
+            bias * used[:, :, None],
+        )
+
+
+def joint_update(
+    states: ImmStates, innovation: Innovation, difference: Array
+) -> tuple[ImmStates, Array, Array]:
+    """Return the states after the chosen readings of all sensors at once.
+
+    Args:
+        states: of T tracks, predicted.
+        innovation: of these tracks.
+        difference: readings less predictions at each model's own mean, (T, M, S); 0 not used.
+
+    Returns:
+        The states, their probabilities not changed; the readings' log likelihood under each
+        model, and their normalised innovation squared, both (T, M).
+    """
+    jacobian = innovation.jacobian[:, None]
+    masked = states.bias_cross_covariance * innovation.used[:, None, None, :]
+    across = states.covariance[..., :3] @ jacobian.swapaxes(-1, -2) + masked
+    total = innovation_covariance(states.covariance, states.bias_cross_covariance, innovation)
+    inverse = np.linalg.inv(total)
+    gain = across @ inverse
+    nis = np.einsum("tms,tmsr,tmr->tm", difference, inverse, difference)
+    count = innovation.used.sum(axis=1)
+    log = -0.5 * (nis + np.linalg.slogdet(total)[1] + _LOG_2PI * count[:, None])
+    # Joseph's form: the difference of the covariances is negative by rounding where a track that
+    # was lost, known to half a metre, is seen to a hundredth of a millimetre again.
+    kept = np.eye(STATE_SIZE) - _of_places(gain @ jacobian)
+    common = kept @ masked @ gain.swapaxes(-1, -2)
+    noise = (innovation.bias * innovation.used[:, None, :])[:, None].copy()
+    diagonal = np.arange(jacobian.shape[-2])
+    noise[..., diagonal, diagonal] += innovation.variance[:, None]
+    covariance = kept @ states.covariance @ kept.swapaxes(-1, -2)
+    covariance += gain @ noise @ gain.swapaxes(-1, -2) - common - common.swapaxes(-1, -2)
+    bias_cross_covariance = states.bias_cross_covariance - gain @ (
+        jacobian @ states.bias_cross_covariance[..., :3, :] + innovation.bias[:, None]
+    )
+    return (
+        ImmStates(
+            states.mean + (gain @ difference[..., None])[..., 0],
+            0.5 * (covariance + covariance.swapaxes(-1, -2)),
+            bias_cross_covariance,
+            states.probability,
+        ),
+        log,
+        nis,
+    )
+
+
+def _of_places(change: Array) -> Array:
+    """Return changes (T, M, 9, 3) by the place as ones by the whole state, (T, M, 9, 9)."""
+    whole = np.zeros((*change.shape[:-1], STATE_SIZE))
+    whole[..., :3] = change
+    return whole
+
+
+def innovation_covariance(
+    covariance: Array, bias_cross_covariance: Array, innovation: Innovation
+) -> Array:
+    """Return the covariance of predictions and readings together, shape (T, M, S, S).
+
+    Args:
+        covariance: of the states, shape (T, M, 9, 9).
+        bias_cross_covariance: their covariance with the sensors' biases, shape (T, M, 9, S).
+        innovation: of the T tracks.
+    """
+    jacobian, used = innovation.jacobian[:, None], innovation.used[:, None, None, :]
+    half = jacobian @ bias_cross_covariance[..., :3, :] * used
+    total: Array = jacobian @ covariance[..., :3, :3] @ jacobian.swapaxes(-1, -2)
+    total += half + half.swapaxes(-1, -2) + innovation.bias[:, None] * used
+    diagonal = np.arange(jacobian.shape[-2])
+    total[..., diagonal, diagonal] += innovation.variance[:, None]
+    return total
+
+
+def leave_one_out_residuals(
+    whole: CombinedState, innovation: Innovation, difference: Array
+) -> Array:
+    """Return how far each reading is from what all others and the prediction say, in sigma.
+
+    With S the innovations' covariance and v their values, ``(S^-1 v)_s / sqrt((S^-1)_ss)`` is the
+    error of predicting v_s by the others, over its standard deviation.
+
+    Args:
+        whole: the combined prediction of T tracks.
+        innovation: of these tracks.
+        difference: readings less predictions at the combined mean, (T, S); 0 where not used.
+
+    Returns:
+        Shape (T, S); 0 where not used.
+    """
+    total = innovation_covariance(
+        whole.covariance[:, None], whole.bias_cross_covariance[:, None], innovation
+    )[:, 0]
+    inverse = np.linalg.inv(total)
+    weighted = (inverse @ difference[..., None])[..., 0]
+    diagonal = np.arange(difference.shape[1])
+    return np.where(innovation.used, weighted / np.sqrt(inverse[:, diagonal, diagonal]), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class PdaMixture:
+    """What one sensor may have read of each of T tracks: a mixture of C possibilities.
+
+    Args:
+        weight: of the possibilities, shape (T, C); the rest to 1 is that it read nothing.
+        difference: reading less prediction at the combined mean [px], shape (T, C).
+        variance: of the reading's noise [px^2], shape (T, C).
+    """
+
+    weight: Array
+    difference: Array
+    variance: Array
+
+
+def pda_update(
+    states: ImmStates,
+    whole: CombinedState,
+    soft: PdaMixture,
+    sensor: int,
+    jacobian: Array,
+    bias: Array,
+) -> ImmStates:
+    """Return the states after one sensor's reading that may be one of several, or none.
+
+    The mixture of all possible posteriors as one Gaussian: probabilistic data association
+    (Y. Bar-Shalom, F. Daum, J. Huang, 10.1109/MCS.2009.934469). All lie along one direction, that
+    of the gain, so that three numbers say it all.
+
+    Args:
+        states: of T tracks.
+        whole: their mixture.
+        soft: the possibilities.
+        sensor: which one read.
+        jacobian: d reading / d place, shape (T, 3).
+        bias: the readings' constant errors' covariance with this sensor's, shape (T, S).
+    """
+    column = states.bias_cross_covariance[..., sensor]
+    across = np.einsum("tmij,tj->tmi", states.covariance[..., :3], jacobian) + column
+    own = np.einsum("tmi,ti->tm", across[..., :3], jacobian)
+    own += np.einsum("tmi,ti->tm", column[..., :3], jacobian) + bias[:, sensor, None]
+    apart = np.einsum("tmi,ti->tm", states.mean[..., :3] - whole.mean[:, None, :3], jacobian)
+    difference = soft.difference[:, None] - apart[..., None]
+    total = own[..., None] + soft.variance[:, None]
+    middle = np.einsum("ti,tij,tj->t", jacobian, whole.covariance[:, :3, :3], jacobian)
+    middle += (
+        2.0 * np.einsum("ti,ti->t", jacobian, whole.bias_cross_covariance[:, :3, sensor])
+        + bias[:, sensor]
+    )
+    of_whole = middle[:, None] + soft.variance
+    # The chances were worked out for the mixture: under each model they are as much more or less.
+    log = -0.5 * (difference**2 / total + np.log(total))
+    log -= (-0.5 * (soft.difference**2 / of_whole + np.log(of_whole)))[:, None]
+    likelihood = soft.weight[:, None] * np.exp(np.minimum(log, 50.0))
+    nothing = np.maximum(1.0 - soft.weight.sum(axis=1), 0.0)
+    sums = nothing[:, None] + likelihood.sum(axis=2)
+    posterior_weight = likelihood / np.maximum(sums, 1e-300)[..., None]
+    gain = posterior_weight / total
+    shift = (gain * difference).sum(axis=2)
+    known = gain.sum(axis=2)
+    spread = (posterior_weight * (difference / total) ** 2).sum(axis=2) - shift**2
+    covariance = states.covariance - (known - spread)[..., None, None] * (
+        across[..., :, None] * across[..., None, :]
+    )
+    towards = (
+        np.einsum("ti,tmis->tms", jacobian, states.bias_cross_covariance[..., :3, :])
+        + bias[:, None]
+    )
+    probability = states.probability * np.maximum(sums, 1e-12)
+    return ImmStates(
+        states.mean + shift[..., None] * across,
+        covariance,
+        states.bias_cross_covariance
+        - known[..., None, None] * across[..., :, None] * towards[..., None, :],
+        probability / probability.sum(axis=1, keepdims=True),
+    )

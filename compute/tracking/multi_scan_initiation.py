@@ -1,0 +1,113 @@
+"""Crowd: the search for markers where one exposure does not tell which peaks are whose."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.tracking.candidate_tracks import CandidateTracks, ConfirmedCandidates
+from compute.tracking.measurement_model import MeasurementModel
+from compute.tracking.measurements import Measurements
+from compute.tracking.motion_model import MotionModels
+from compute.tracking.native.associator import Associator
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.state_initialisation import filter_sequence
+from compute.tracking.unassociated_points import UnassociatedPointFinder
+from compute.tracking.viterbi_linking import ViterbiLinker
+
+DENSE_COMBINATIONS_THRESHOLD: Final = 700.0
+"""Combinations of one peak of each of four sensors: more than five markers make. Fewer are grouped
+exposure by exposure."""
+MAX_FRUITLESS_EXPOSURES: Final = 12
+"""Exposures that are searched one after the other though nothing comes of it."""
+MAX_PAUSE_DOUBLINGS: Final = 3
+"""How often the pause after them doubles; it begins with ``initiation_interval_s``."""
+
+
+class MultiScanInitiator:
+    """Searches in exposures that follow one another; in few of them where there is nothing to find.
+
+    Args:
+        model: of the readings.
+        motion: M models.
+        settings: of the tracker.
+        finder: of points.
+        associator: of peaks with tracks.
+    """
+
+    def __init__(
+        self,
+        model: MeasurementModel,
+        motion: MotionModels,
+        settings: TrackerSettings,
+        finder: UnassociatedPointFinder,
+        associator: Associator,
+    ) -> None:
+        self._model, self._motion, self._settings = model, motion, settings
+        self._sequences = ViterbiLinker(settings, finder)
+        self._tracklets = CandidateTracks(model, motion, settings, associator)
+        self._fruitless = self._pauses = 0
+        self._resume_ns: int | None = None
+
+    def forget(self) -> None:
+        """Forget what was found so far."""
+        self._sequences.forget()
+        self._tracklets.forget()
+        self._fruitless = self._pauses = 0
+        self._resume_ns = None
+
+    def is_dense(self, free: NDArray[np.bool_], *, ghost_suspected: bool) -> bool:
+        """Return whether one exposure does not tell the markers of these peaks.
+
+        Args:
+            free: peaks that no track explains, shape (S, K).
+            ghost_suspected: whether some are those of a track that may be a ghost.
+        """
+        counts = np.sort(free.sum(axis=1))[-4:]
+        if len(counts) < 4 or counts[0] == 0:
+            return False
+        return (
+            ghost_suspected
+            or len(self._tracklets) > 0
+            or float(np.prod(counts, dtype=float)) > DENSE_COMBINATIONS_THRESHOLD
+        )
+
+    def search(
+        self, time_ns: int, peaks: Measurements, free: NDArray[np.bool_]
+    ) -> ConfirmedCandidates | None:
+        """Return the markers found with this exposure; None: there are none, or it is a pause.
+
+        Args:
+            time_ns: of the exposure.
+            peaks: of the exposure.
+            free: those that no track explains, shape (S, K).
+        """
+        if self._resume_ns is not None:
+            if time_ns < self._resume_ns:
+                return None
+            self._resume_ns = None
+        self._tracklets.follow(time_ns, peaks, free)
+        left = free.copy()
+        explained_peaks = self._tracklets.explained_peaks()
+        row, sensor = np.nonzero(explained_peaks >= 0)
+        left[sensor, explained_peaks[row, sensor]] = False
+        for one in self._sequences.find(time_ns, peaks, left):
+            if self._tracklets.is_new(one.peaks[-1]):
+                begun = filter_sequence(self._model, self._motion, self._settings, one)
+                if begun is not None:
+                    self._tracklets.begin(*begun, one.position_mm[-1:], one.peaks[-1:], time_ns)
+        found = self._tracklets.decide()
+        if found is not None:
+            self._fruitless = self._pauses = 0
+        elif len(self._tracklets) == 0:
+            self._fruitless += 1
+            if self._fruitless >= MAX_FRUITLESS_EXPOSURES:
+                self._pause(time_ns)
+        return found
+
+    def _pause(self, time_ns: int) -> None:
+        pause_s = self._settings.initiation_interval_s * 2.0**self._pauses
+        self._resume_ns = time_ns + round(pause_s * 1e9)
+        self._pauses = min(self._pauses + 1, MAX_PAUSE_DOUBLINGS)
+        self._fruitless = 0
+        self._sequences.forget()

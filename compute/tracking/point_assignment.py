@@ -1,0 +1,90 @@
+"""Points of left-over peaks matched with tracks that are new or were lost."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from compute.reconstruction.triangulation import chi2_limit
+from compute.tracking.imm_states import ImmStates, combine_modes, update_mode_probabilities
+from compute.tracking.measurement_model import MeasurementModel, PredictedMeasurements
+from compute.tracking.measurement_update import Innovation, joint_update
+from compute.tracking.motion_model import MotionModels
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.unassociated_points import UnassociatedPoints
+
+Array = NDArray[np.float64]
+
+GATE_EXCLUSION_PROBABILITY = 1e-5
+"""Chance that a track's own point lies outside its gate."""
+_FAR = 1e12
+
+
+def assign_points(
+    motion: MotionModels, states: ImmStates, points: UnassociatedPoints
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return which of T tracks is seen at which of N points: rows of the one, of the other.
+
+    The assignment with the least sum of squared Mahalanobis distances, within the gate.
+    """
+    if len(states) == 0:
+        nobody = np.empty(0, dtype=np.intp)
+        return nobody, nobody
+    whole = combine_modes(motion, states)
+    off = points.position_mm[None] - whole.mean[:, None, :3]
+    total = whole.covariance[:, None, :3, :3] + points.covariance_mm2[None]
+    solved = np.linalg.solve(total, off[..., None])[..., 0]
+    cost = (off * solved).sum(axis=2) + np.linalg.slogdet(total)[1]
+    inside = (off * solved).sum(axis=2) <= chi2_limit(3, GATE_EXCLUSION_PROBABILITY)
+    rows, columns = linear_sum_assignment(np.where(inside, cost, _FAR))
+    good = inside[rows, columns]
+    return rows[good], columns[good]
+
+
+@dataclass(frozen=True, eq=False)
+class PointUpdate:
+    """ImmStates of tracks after the readings of their points.
+
+    Args:
+        states: of T tracks.
+        nis: shape (T,).
+        log_likelihood_ratio: log likelihood ratio of the readings to false peaks, missed ones with it, (T,).
+        predicted: the readings of the points.
+    """
+
+    states: ImmStates
+    nis: Array
+    log_likelihood_ratio: Array
+    predicted: PredictedMeasurements
+
+
+def update_with_points(
+    model: MeasurementModel,
+    settings: TrackerSettings,
+    states: ImmStates,
+    bias: Array,
+    position_px: Array,
+    variance_px2: Array,
+    position_mm: Array,
+) -> PointUpdate:
+    """Update T tracks by the readings (T, S) of a point each; NaN where a sensor has none.
+
+    The readings themselves are filtered; the point only says where to linearise.
+    """
+    used = np.isfinite(position_px)
+    predicted = model.predict(position_mm)
+    innovation = Innovation.of(used, predicted.jacobian, variance_px2, bias)
+    apart = states.mean[..., :3] - position_mm[:, None]
+    expected = predicted.reading_px[:, None] + np.einsum("tsi,tmi->tms", predicted.jacobian, apart)
+    difference = np.where(used[:, None], position_px[:, None] - expected, 0.0)
+    after, log, nis = joint_update(states, innovation, difference)
+    top = log.max(axis=1)
+    share = (states.probability * np.exp(log - top[:, None])).sum(axis=1)
+    gain = np.log(settings.detection_probability / settings.clutter_density_per_px)
+    missed = (predicted.in_view & ~used).sum(axis=1)
+    log_likelihood_ratio = top + np.log(share) + used.sum(axis=1) * gain
+    log_likelihood_ratio += missed * np.log(1.0 - settings.detection_probability)
+    update_mode_probabilities(after, log)
+    nis = (after.probability * nis).sum(axis=1)
+    return PointUpdate(after, nis, log_likelihood_ratio, predicted)

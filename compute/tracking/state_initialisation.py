@@ -1,0 +1,123 @@
+"""ImmStates of new tracks: at a place by readings, of any velocity, or as they are given."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.reconstruction.triangulation import chi2_limit
+from compute.tracking.imm_states import ImmStates, mix_and_predict
+from compute.tracking.measurement_model import MeasurementModel
+from compute.tracking.motion_model import STATE_SIZE, MotionModels
+from compute.tracking.point_assignment import update_with_points
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.viterbi_linking import PointSequence
+
+Array = NDArray[np.float64]
+
+REPLAY_EXCLUSION_PROBABILITY = 1e-4
+"""Chance that a marker's own point lies outside its gate."""
+_MOVING = 6
+_SPEEDS, _ACCELERATIONS = np.arange(3, 6), np.arange(6, 9)
+
+
+def states_from_points(
+    model: MeasurementModel,
+    motion: MotionModels,
+    settings: TrackerSettings,
+    position_mm: Array,
+    sigma_px: Array,
+) -> tuple[ImmStates, Array]:
+    """Return the states of markers just seen, and the covariance of the constant errors there.
+
+    The place has the covariance of the readings' weighted least squares, and the covariance with
+    the sensors' constant errors that this solution gives it.
+
+    Args:
+        model: of the readings.
+        motion: M models.
+        settings: deviations of speed and acceleration at the start.
+        position_mm: shape (N, 3).
+        sigma_px: of the readings that made the places, shape (N, S); NaN where there is none.
+
+    Returns:
+        The states, and the constant errors' covariance, shape (N, S, S) [px^2].
+    """
+    count, sensors = sigma_px.shape
+    used = np.isfinite(sigma_px)
+    bias = model.bias_covariance(position_mm)
+    jacobian = np.where(used[..., None], model.predict(position_mm).jacobian, 0.0)
+    both = used[:, :, None] & used[:, None, :]
+    noise = np.where(both, bias, 0.0)
+    diagonal = np.arange(sensors)
+    noise[:, diagonal, diagonal] += np.where(used, sigma_px, 1.0) ** 2
+    weighted = np.linalg.solve(noise, jacobian).swapaxes(-1, -2)
+    place = np.linalg.inv(weighted @ jacobian)
+    bias_cross_covariance = -(place @ weighted) @ bias
+
+    mean = np.zeros((count, _MOVING))
+    mean[:, :3] = position_mm
+    covariance = np.zeros((count, _MOVING, _MOVING))
+    covariance[:, :3, :3] = place
+    covariance[:, _SPEEDS, _SPEEDS] = settings.start_speed_mm_s**2
+    states = states_from_prior(motion, settings, mean, covariance, sensors)
+    states.bias_cross_covariance[..., :3, :] = bias_cross_covariance[:, None]
+    return states, bias
+
+
+def states_from_prior(
+    motion: MotionModels,
+    settings: TrackerSettings,
+    mean: Array,
+    covariance: Array,
+    sensors: int,
+) -> ImmStates:
+    """Return the states of markers whose place and velocity are given.
+
+    Args:
+        motion: M models, all as likely.
+        settings: deviation of the acceleration at the start.
+        mean: places and velocities, shape (N, 6).
+        covariance: of these, shape (N, 6, 6).
+        sensors: how many there are; what is given owes nothing to their constant errors.
+    """
+    count, models = len(mean), len(motion)
+    whole = np.zeros((count, models, STATE_SIZE))
+    whole[..., :_MOVING] = mean[:, None]
+    spread = np.zeros((count, models, STATE_SIZE, STATE_SIZE))
+    spread[..., :_MOVING, :_MOVING] = covariance[:, None]
+    for own, has in enumerate(motion.has_acceleration):
+        if has:
+            spread[:, own, _ACCELERATIONS, _ACCELERATIONS] = settings.start_acceleration_mm_s2**2
+    return ImmStates(
+        whole,
+        spread,
+        np.zeros((count, models, STATE_SIZE, sensors)),
+        np.full((count, models), 1.0 / models),
+    )
+
+
+def filter_sequence(
+    model: MeasurementModel, motion: MotionModels, settings: TrackerSettings, points: PointSequence
+) -> tuple[ImmStates, Array] | None:
+    """Return the state after a sequence of points, and the constant errors' covariance there.
+
+    None: a point is off, it does not move as markers do.
+    """
+    states, bias = states_from_points(
+        model, motion, settings, points.position_mm[:1], points.sigma_px[:1]
+    )
+    used = points.peaks >= 0
+    for at in range(1, len(points.time_ns)):
+        step = np.array([(points.time_ns[at] - points.time_ns[at - 1]) * 1e-9])
+        update = update_with_points(
+            model,
+            settings,
+            mix_and_predict(motion, states, step),
+            bias,
+            points.position_px[at : at + 1],
+            np.where(used[at : at + 1], points.sigma_px[at : at + 1], 1.0) ** 2,
+            points.position_mm[at : at + 1],
+        )
+        if float(update.nis[0]) > chi2_limit(int(used[at].sum()), REPLAY_EXCLUSION_PROBABILITY):
+            return None
+        states = update.states
+    return states, bias

@@ -1,0 +1,383 @@
+"""TrackInitiator: markers found in left-over peaks, as new tracks or as those that were lost."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.reconstruction.correspondence import PredictedPoints
+from compute.tracking.associations import Associations
+from compute.tracking.candidate_tracks import ConfirmedCandidates
+from compute.tracking.imm_states import combine_modes, is_finite, mean_positions
+from compute.tracking.measurement_model import MeasurementModel, PredictedMeasurements
+from compute.tracking.measurements import Measurements
+from compute.tracking.motion_model import MotionModels
+from compute.tracking.multi_scan_initiation import MultiScanInitiator
+from compute.tracking.native.associator import Associator
+from compute.tracking.point_assignment import assign_points, update_with_points
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.state_initialisation import states_from_points
+from compute.tracking.track_management import (
+    MIN_SUPPORT_SENSORS,
+    MIN_SUPPORTED_HITS_AMBIGUOUS,
+    PROBATION_EXPOSURES,
+    UNSUPPORTED_EXPOSURES,
+    expired,
+    find_replaced_track,
+    match_lost_track,
+    possibly_swapped,
+    select_confirmed,
+)
+from compute.tracking.tracks import Tracks
+from compute.tracking.unassociated_points import UnassociatedPointFinder, UnassociatedPoints
+
+Array = NDArray[np.float64]
+
+
+class TrackInitiator:
+    """Starts, confirms, finds again and ends tracks; counts their identity numbers.
+
+    A track whose state is no longer finite ends: its marker is found anew.
+
+    A tentative track lives on peaks that confirmed tracks leave: a ghost of theirs has none. It
+    begins with two points of at least three sensors; then it is followed as others are.
+
+    Args:
+        model: of the readings.
+        motion: M models.
+        settings: of the tracker.
+        finder: of points.
+        associator: of peaks with tracks.
+    """
+
+    def __init__(
+        self,
+        model: MeasurementModel,
+        motion: MotionModels,
+        settings: TrackerSettings,
+        finder: UnassociatedPointFinder,
+        associator: Associator,
+    ) -> None:
+        self._model, self._motion, self._settings = model, motion, settings
+        self._finder, self._associator = finder, associator
+        self._crowd = MultiScanInitiator(model, motion, settings, finder, associator)
+        self._next = 1
+        self._searched_ns: dict[int | None, int] = {}
+
+    def set_cameras(
+        self, model: MeasurementModel, finder: UnassociatedPointFinder, associator: Associator
+    ) -> None:
+        """Go on with other cameras."""
+        self._model, self._finder, self._associator = model, finder, associator
+        self._crowd = MultiScanInitiator(model, self._motion, self._settings, finder, associator)
+
+    def reset(self) -> None:
+        """Forget when it was searched; numbers go on."""
+        self._searched_ns.clear()
+        self._crowd.forget()
+
+    def numbers(self, count: int) -> int:
+        """Return the first of so many identity numbers that nobody has had."""
+        first = self._next
+        self._next += count
+        return first
+
+    def find(
+        self,
+        tracks: Tracks,
+        part: NDArray[np.intp],
+        seen: Associations,
+        peaks: Measurements,
+        unassociated: NDArray[np.bool_],
+        marker: int | None,
+        time_ns: int,
+    ) -> tuple[Tracks, Associations]:
+        """Return the tracks after the search, and what they saw.
+
+        Args:
+            tracks: all; those that take part are changed.
+            part: rows of those that the exposure may show.
+            seen: what they saw so far.
+            peaks: of the frame.
+            unassociated: those that no track has seen so far, shape (S, K).
+            marker: the one that was lit; None: all were.
+            time_ns: of the frame.
+        """
+        last = self._searched_ns.get(marker)
+        due = last is None or time_ns - last >= round(self._settings.initiation_interval_s * 1e9)
+        due |= marker is not None and not (tracks.marker == marker).any()
+        if not due and self._nothing_to_do(tracks, unassociated, marker, time_ns):
+            return tracks, seen
+        hits = tracks.hits[part].copy()
+        tentative = part[~tracks.confirmed[part]]
+        self._update_tentative(
+            tracks, tentative[tracks.hits[tentative] > 0], seen, peaks, marker, time_ns
+        )
+        sound = is_finite(tracks.states)
+        hits, part = hits[sound[part]], part[sound[part]]
+        tentative = tentative[sound[tentative]]
+        begun = tentative[tracks.hits[tentative] == 0]
+        new: tuple[Tracks, Associations] | None = None
+        # What a weak track has may be another marker's; it may find it again itself.
+        unsupported = self._possible_ghosts(tracks, part, seen)
+        free = free_peaks(peaks, seen, unsupported)
+        if marker is None and self._crowd.is_dense(free, ghost_suspected=bool(unsupported.any())):
+            found = self._crowd.search(time_ns, peaks, free)
+            new = None if found is None else self._confirmed_tracks(found, time_ns)
+        elif due or len(begun):
+            self._searched_ns[marker] = time_ns
+            lost = tracks.confirmed & (seen.sensor_counts() < 3)
+            open_ = np.union1d(begun, part[unsupported[part] | lost[part]])
+            points = self._finder.find(peaks, free, self._expected(tracks, open_))
+            if points is not None:
+                others = self._match(tracks, open_, points, seen, peaks, marker, time_ns)
+                if len(others):
+                    new = self._start(points, others, marker, time_ns)
+        tracks.misses[part] += ~tracks.confirmed[part] & (tracks.hits[part] == hits)
+        if new is not None:
+            tracks, seen = tracks.concatenate(new[0]), seen.concatenate(new[1])
+        keep = self._confirm(tracks, part, seen, unsupported, time_ns)
+        keep &= ~expired(tracks, self._settings, time_ns)
+        # What is not finite now never will be again, and its place is nowhere.
+        keep[: len(sound)] &= sound
+        return (tracks, seen) if keep.all() else (tracks.rows(keep), seen.rows(keep))
+
+    def _nothing_to_do(
+        self, tracks: Tracks, unassociated: NDArray[np.bool_], marker: int | None, time_ns: int
+    ) -> bool:
+        """Return whether nothing is to be done where no search is due: the short way out."""
+        if not tracks.confirmed.all() or (tracks.unsupported >= UNSUPPORTED_EXPOSURES).any():
+            return False
+        coast_ns = round(self._settings.coast_s * 1e9)
+        if len(tracks) and time_ns - int(tracks.seen_ns.min()) > coast_ns:
+            return False
+        states = tracks.states
+        # One that is not finite makes the sum so.
+        whole = states.mean.sum() + states.covariance.sum() + states.probability.sum()
+        if not np.isfinite(whole):
+            return False
+        return marker is not None or not self._crowd.is_dense(unassociated, ghost_suspected=False)
+
+    def _possible_ghosts(
+        self, tracks: Tracks, part: NDArray[np.intp], seen: Associations
+    ) -> NDArray[np.bool_]:
+        """Return which tracks may be ghosts, or have peaks of those that may be, shape (T,)."""
+        unsupported = tracks.confirmed & (tracks.unsupported >= UNSUPPORTED_EXPOSURES)
+        unsupported &= seen.sensor_counts() >= 2
+        if not unsupported[part].any():
+            return unsupported
+        reading = self._model.predict(mean_positions(tracks.states)).reading_px
+        return possibly_swapped(
+            reading, unsupported, tracks.confirmed, self._settings.resolution_px
+        )
+
+    def _update_tentative(
+        self,
+        tracks: Tracks,
+        rows: NDArray[np.intp],
+        seen: Associations,
+        peaks: Measurements,
+        marker: int | None,
+        time_ns: int,
+    ) -> None:
+        """Update tentative tracks, of which the velocity is known, by peaks that are left."""
+        if len(rows) == 0:
+            return
+        unassociated = replace(
+            peaks, usable=free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_))
+        )
+        found = self._associator.associate(
+            tracks.states.rows(rows), tracks.bias[rows], unassociated
+        )
+        tracks.states.put(rows, found.states)
+        seen.peaks[rows], seen.nis[rows] = found.peaks, found.nis
+        seen.merged[rows] = found.merged.any(axis=1)
+        sensor_counts = (found.peaks >= 0).sum(axis=1)
+        hit = sensor_counts >= 3
+        predicted = self._model.predict(combine_modes(self._motion, found.states).mean[:, :3])
+        tracks.supported_hits[rows] += hit & self._supported(predicted, found.peaks, peaks, marker)
+        tracks.hits[rows] += hit
+        tracks.log_likelihood_ratio[rows] += found.log_likelihood_ratio
+        missed = np.maximum(found.in_view - sensor_counts, 0)
+        tracks.log_likelihood_ratio[rows] += missed * np.log(
+            1.0 - self._settings.detection_probability
+        )
+        tracks.seen_ns[rows[hit]] = time_ns
+
+    def _expected(self, tracks: Tracks, rows: NDArray[np.intp]) -> PredictedPoints:
+        whole = combine_modes(self._motion, tracks.states.rows(rows))
+        return PredictedPoints(whole.mean[:, :3], whole.covariance[:, :3, :3])
+
+    def _match(
+        self,
+        tracks: Tracks,
+        open_: NDArray[np.intp],
+        points: UnassociatedPoints,
+        seen: Associations,
+        peaks: Measurements,
+        marker: int | None,
+        time_ns: int,
+    ) -> NDArray[np.intp]:
+        """Update open tracks by their points; return the points that start others."""
+        rows, columns = assign_points(self._motion, tracks.states.rows(open_), points)
+        rows = open_[rows]
+        if len(rows):
+            self._update(tracks, rows, points, columns, seen, peaks, marker, time_ns)
+            if marker is not None:
+                tracks.marker[rows] = marker
+        if marker is not None:
+            known = tracks.confirmed & (tracks.marker == marker)
+            if (known & (seen.sensor_counts() >= 3)).any():
+                return np.empty(0, dtype=np.intp)
+        return np.setdiff1d(np.arange(len(points)), columns)
+
+    def _update(
+        self,
+        tracks: Tracks,
+        rows: NDArray[np.intp],
+        points: UnassociatedPoints,
+        columns: NDArray[np.intp],
+        seen: Associations,
+        peaks: Measurements,
+        marker: int | None,
+        time_ns: int,
+    ) -> None:
+        """Update tracks by the readings of their points."""
+        sensor = np.arange(len(self._model))
+        chosen = points.peaks[columns]
+        at = np.maximum(chosen, 0)
+        # A sensor whose peak the track has already says nothing new.
+        fresh = (chosen >= 0) & (seen.peaks[rows] < 0)
+        update = update_with_points(
+            self._model,
+            self._settings,
+            tracks.states.rows(rows),
+            tracks.bias[rows],
+            np.where(fresh, peaks.position_px[sensor, at], np.nan),
+            peaks.variance_px2[sensor, at],
+            points.position_mm[columns],
+        )
+        tracks.states.put(rows, update.states)
+        seen.peaks[rows] = np.where(fresh, chosen, seen.peaks[rows])
+        seen.nis[rows] += update.nis
+        tracks.hits[rows] += 1
+        tracks.supported_hits[rows] += self._supported(update.predicted, chosen, peaks, marker)
+        tracks.log_likelihood_ratio[rows] += update.log_likelihood_ratio
+        tracks.seen_ns[rows] = time_ns
+        confirmed, doubt = tracks.confirmed[rows], points.ambiguous[columns] & fresh.any(axis=1)
+        tracks.ambiguous_identity[rows] = np.where(
+            confirmed,
+            tracks.ambiguous_identity[rows] | doubt,
+            tracks.ambiguous_identity[rows] & doubt,
+        )
+
+    def _supported(
+        self,
+        predicted: PredictedMeasurements,
+        chosen: NDArray[np.int32],
+        peaks: Measurements,
+        marker: int | None,
+    ) -> NDArray[np.bool_]:
+        """Return whether these points are no ghosts by what sensors see of them, shape (N,).
+
+        A peak that another track has says so, too, where it may be shared.
+        """
+        if marker is not None or int(peaks.usable.sum(axis=1).max()) == 1:
+            # A marker that is lit alone, or alone in view, has no ghosts.
+            return np.ones(len(chosen), dtype=np.bool_)
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(peaks.position_px - predicted.reading_px[..., None])
+            shared = ((apart <= self._settings.resolution_px) & peaks.usable).any(axis=2)
+        count = ((chosen >= 0) | shared).sum(axis=1)
+        few = predicted.in_view.sum(axis=1) < MIN_SUPPORT_SENSORS
+        supported: NDArray[np.bool_] = (count >= MIN_SUPPORT_SENSORS) | few
+        return supported
+
+    def _start(
+        self,
+        points: UnassociatedPoints,
+        rows: NDArray[np.intp],
+        marker: int | None,
+        time_ns: int,
+    ) -> tuple[Tracks, Associations]:
+        """Return tentative tracks at these points, and what they saw."""
+        place = points.position_mm[rows]
+        states, bias = states_from_points(
+            self._model, self._motion, self._settings, place, points.sigma_px[rows]
+        )
+        seen = Associations.empty(len(rows), len(self._model))
+        seen.peaks[:] = points.peaks[rows]
+        tracks = Tracks.create(
+            states,
+            bias,
+            place,
+            first=self.numbers(len(rows)),
+            marker=marker,
+            time_ns=time_ns,
+            confirmed=False,
+            ambiguous_identity=points.ambiguous[rows],
+        )
+        return tracks, seen
+
+    def _confirmed_tracks(
+        self, found: ConfirmedCandidates, time_ns: int
+    ) -> tuple[Tracks, Associations]:
+        """Return the tracks of markers that have been followed for long enough."""
+        count = len(found)
+        seen = Associations.empty(count, len(self._model))
+        seen.peaks[:], seen.nis[:] = found.peaks, found.nis
+        tracks = Tracks.create(
+            found.states,
+            found.bias,
+            found.position_mm,
+            first=self.numbers(count),
+            marker=None,
+            time_ns=time_ns,
+            confirmed=False,
+            ambiguous_identity=found.ambiguous,
+        )
+        tracks.hits[:] = self._settings.confirm_hits
+        tracks.supported_hits[:] = MIN_SUPPORTED_HITS_AMBIGUOUS
+        tracks.log_likelihood_ratio[:] = np.inf
+        tracks.probation_left[:] = PROBATION_EXPOSURES
+        return tracks, seen
+
+    def _confirm(
+        self,
+        tracks: Tracks,
+        part: NDArray[np.intp],
+        seen: Associations,
+        doubted: NDArray[np.bool_],
+        time_ns: int,
+    ) -> NDArray[np.bool_]:
+        """Confirm tracks, as the lost ones that they are; return which tracks to keep."""
+        doubtful = part[doubted[part]]
+        keep = np.ones(len(tracks), dtype=np.bool_)
+        sensor_counts = seen.sensor_counts()
+        for row in select_confirmed(tracks, self._settings):
+            others = part[tracks.confirmed[part] & keep[part]]
+            lost = others[tracks.seen_ns[others] < time_ns]
+            tracks.confirmed[row] = True
+            found = match_lost_track(self._motion, tracks, int(row), lost)
+            if found is None and sensor_counts[row] >= MIN_SUPPORT_SENSORS:
+                ghost = find_replaced_track(seen.peaks, int(row), doubtful[keep[doubtful]])
+                found = None if ghost is None else (ghost, True)
+            if found is None:
+                continue
+            old, ambiguous = found
+            keep[old] = False
+            tracks.identity[row] = tracks.identity[old]
+            if tracks.marker[row] < 0:
+                tracks.marker[row] = tracks.marker[old]
+            tracks.ambiguous_identity[row] |= ambiguous | tracks.ambiguous_identity[old]
+        return keep
+
+
+def free_peaks(
+    peaks: Measurements, seen: Associations, unsupported: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return which peaks no track explains that is to be relied on, shape (S, K)."""
+    free = peaks.usable.copy()
+    track, sensor = np.nonzero((seen.peaks >= 0) & ~unsupported[:, None])
+    free[sensor, seen.peaks[track, sensor]] = False
+    return free

@@ -1,0 +1,257 @@
+"""Life of tracks: which tentative one is a marker, which lost one it is, and when one ends."""
+
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.reconstruction.triangulation import chi2_limit
+from compute.tracking.imm_states import ImmStates, combine_modes
+from compute.tracking.motion_model import MotionModels
+from compute.tracking.settings import TrackerSettings
+from compute.tracking.tracks import Tracks
+
+Array = NDArray[np.float64]
+
+REACQUISITION_SIGNIFICANCE = 1e-4
+"""Chance that a lost marker is not known again though it moved as it was believed to."""
+INDISTINGUISHABLE_SIGNIFICANCE = 0.01
+"""Chance of a difference in place and velocity beyond which two tracks are told apart."""
+UNSUPPORTED_EXPOSURES = 5
+"""A track that so many more exposures did not vouch for than did may be at a ghost."""
+MIN_SUPPORT_SENSORS = 4
+"""Three planes meet anywhere: the fourth says that they do where a marker is."""
+MIN_SUPPORTED_HITS = 2
+"""Exposures in which so many sensors must have seen a new track."""
+MIN_SUPPORTED_HITS_AMBIGUOUS = 10
+"""In which they must where other points explained its first peaks as well."""
+MAX_HIT_FACTOR = 5
+"""A track that has been seen this many times as often as it need be, and is none yet, ends."""
+UNSUPPORTED_COAST_FACTOR = 0.2
+"""Part of ``coast_s`` that is left to a track that may have been at a ghost."""
+SWAP_RESOLUTION_FACTOR = 6.0
+"""Two tracks whose readings are nearer than so many ``resolution_px`` may have exchanged peaks."""
+_SWAP_MIN_SENSORS = 2
+PROBATION_EXPOSURES = 20
+"""Exposures in which they must see one of many that were found together, until it lives on less."""
+_MOTION = 6
+
+
+def select_confirmed(tracks: Tracks, settings: TrackerSettings) -> NDArray[np.intp]:
+    """Return the rows of tentative tracks that are markers: seen so often, and so well.
+
+    Three planes meet at ghosts too, and go on doing so: what no fourth sensor sees is none, where
+    there is a fourth sensor and more than one marker.
+
+    The evidence is a sequential test of a marker against false peaks (A. Wald, Sequential
+    Analysis, 1947).
+    """
+    enough = log((1.0 - settings.false_track_probability) / settings.false_track_probability)
+    good = ~tracks.confirmed & (tracks.hits >= settings.confirm_hits)
+    good &= tracks.log_likelihood_ratio >= enough
+    good &= tracks.supported_hits >= np.where(
+        tracks.ambiguous_identity, MIN_SUPPORTED_HITS_AMBIGUOUS, MIN_SUPPORTED_HITS
+    )
+    return np.flatnonzero(good)
+
+
+def update_support(
+    tracks: Tracks,
+    rows: NDArray[np.intp],
+    sensor_counts: NDArray[np.integer],
+    possible: NDArray[np.integer],
+    in_view: NDArray[np.integer],
+) -> None:
+    """Count, for these tracks, exposures of fewer sensors than vouch for a place; forget others.
+
+    Args:
+        tracks: all.
+        rows: of those that were looked for.
+        sensor_counts: how many sensors saw each of them.
+        possible: how many saw it or have a peak there that it may share.
+        in_view: how many could have.
+    """
+    unsupported = tracks.unsupported[rows]
+    if (
+        not unsupported.any()
+        and (sensor_counts >= MIN_SUPPORT_SENSORS).all()
+        and not tracks.probation_left.any()
+    ):
+        return
+    # What nothing is seen of is hidden, not contradicted.
+    few = (possible < MIN_SUPPORT_SENSORS) & (in_view >= MIN_SUPPORT_SENSORS) & (sensor_counts > 0)
+    step = np.where(sensor_counts >= MIN_SUPPORT_SENSORS, -1, np.where(few, 1, 0))
+    tracks.unsupported[rows] = np.clip(unsupported + step, 0, 2 * UNSUPPORTED_EXPOSURES)
+    tracks.probation_left[rows] = np.maximum(
+        tracks.probation_left[rows] - (sensor_counts >= MIN_SUPPORT_SENSORS), 0
+    )
+
+
+def possibly_swapped(
+    reading_px: Array,
+    unsupported: NDArray[np.bool_],
+    confirmed: NDArray[np.bool_],
+    resolution_px: float,
+) -> NDArray[np.bool_]:
+    """Return which tracks may have another's peaks: the weak ones, and those beside them, (T,).
+
+    Two that have passed each other may each have a peak of the other, while only one of them lacks
+    a sensor for it.
+
+    Args:
+        reading_px: predicted, shape (T, S).
+        unsupported: shape (T,).
+        confirmed: shape (T,).
+        resolution_px: the merging distance.
+    """
+    with np.errstate(invalid="ignore"):
+        near = (
+            np.abs(reading_px[:, None] - reading_px[unsupported][None])
+            <= SWAP_RESOLUTION_FACTOR * resolution_px
+        )
+    beside: NDArray[np.bool_] = (near.sum(axis=2) >= _SWAP_MIN_SENSORS).any(axis=1)
+    return unsupported | (beside & confirmed)
+
+
+def find_replaced_track(
+    peaks: NDArray[np.int32], row: int, doubted: NDArray[np.intp]
+) -> int | None:
+    """Return which doubted track lives on peaks of this new marker; None: none.
+
+    Args:
+        peaks: what each saw now, shape (T, S).
+        row: the new marker's; four sensors have seen it.
+        doubted: rows of tracks that may be ghosts.
+    """
+    unsupported = doubted[doubted != row]
+    if len(unsupported) == 0:
+        return None
+    same = ((peaks[unsupported] == peaks[row]) & (peaks[row] >= 0)).sum(axis=1)
+    best = int(same.argmax())
+    return int(unsupported[best]) if same[best] >= 2 else None
+
+
+def match_lost_track(
+    motion: MotionModels, tracks: Tracks, row: int, lost: NDArray[np.intp]
+) -> tuple[int, bool] | None:
+    """Return which lost track a new marker is, and whether that is ambiguous; None: none of them.
+
+    The one that moved there most likely, by place and velocity; with the same strobed marker the
+    one that it is anyway.
+
+    Args:
+        motion: M models.
+        tracks: all, those in question at the same time.
+        row: the new marker's.
+        lost: rows of confirmed tracks that are not seen.
+    """
+    marker = int(tracks.marker[row])
+    same = [int(one) for one in lost if marker >= 0 and tracks.marker[one] == marker]
+    if same:
+        return same[0], False
+    free = [int(one) for one in lost if marker < 0 or tracks.marker[one] < 0]
+    if not free:
+        return None
+    both = combine_modes(motion, tracks.states.rows(np.array([row, *free])))
+    mean, covariance = both.mean[:, :_MOTION], both.covariance[:, :_MOTION, :_MOTION]
+    off = mean[1:] - mean[0]
+    total = covariance[1:] + covariance[0]
+    squared = (off * np.linalg.solve(total, off[..., None])[..., 0]).sum(axis=1)
+    limit = chi2_limit(_MOTION, REACQUISITION_SIGNIFICANCE)
+    near = np.flatnonzero(squared <= limit)
+    if len(near) == 0:
+        return None
+    cost = squared[near] + np.linalg.slogdet(total[near])[1]
+    best = int(near[np.argmin(cost)])
+    return free[best], len(near) > 1
+
+
+def exclude_prior_duplicates(
+    motion: MotionModels, tracks: Tracks, given: ImmStates, position_mm: Array
+) -> NDArray[np.intp]:
+    """Return the rows of tracks that stay when markers are given; tentative ones may give way.
+
+    Args:
+        motion: M models.
+        tracks: all, at the time of what is given.
+        given: states of N markers.
+        position_mm: of these, shape (N, 3).
+
+    Raises:
+        InvalidParameter: a given marker may be one that is tracked.
+    """
+    keep = np.ones(len(tracks), dtype=np.bool_)
+    own, other = combine_modes(motion, tracks.states), combine_modes(motion, given)
+    for marker, (mean, covariance) in enumerate(zip(other.mean, other.covariance, strict=True)):
+        off = own.mean[:, :_MOTION] - mean[:_MOTION]
+        total = own.covariance[:, :_MOTION, :_MOTION] + covariance[:_MOTION, :_MOTION]
+        squared = (off * np.linalg.solve(total, off[..., None])[..., 0]).sum(axis=1)
+        same = squared <= chi2_limit(_MOTION, INDISTINGUISHABLE_SIGNIFICANCE)
+        for row in np.flatnonzero(same & tracks.confirmed)[:1]:
+            raise InvalidParameter(
+                f"marker {marker} at {position_mm[marker].tolist()} mm may be track "
+                f"{tracks.identity[row]} at {own.mean[row, :3].round(3).tolist()} mm; give only "
+                "markers that are not tracked"
+            )
+        keep &= ~same
+    return np.flatnonzero(keep)
+
+
+def indistinguishable_tracks(
+    motion: MotionModels, tracks: Tracks, rows: NDArray[np.intp]
+) -> NDArray[np.intp]:
+    """Return those of the rows whose place and velocity are not told from another one's.
+
+    Two tracks that meet go on as two, each with its own velocity; where even that is the same
+    within what is known, either may be either from there on.
+    """
+    if len(rows) < 2:
+        return np.empty(0, dtype=np.intp)
+    whole = combine_modes(motion, tracks.states.rows(rows))
+    place = whole.mean[:, :3]
+    size = np.sqrt(np.trace(whole.covariance[:, :3, :3], axis1=1, axis2=2))
+    limit = chi2_limit(_MOTION, INDISTINGUISHABLE_SIGNIFICANCE)
+    apart = np.sqrt(((place[:, None] - place[None]) ** 2).sum(axis=2))
+    close = apart <= np.sqrt(limit) * (size[:, None] + size[None])
+    np.fill_diagonal(close, val=False)
+    if not close.any():
+        return np.empty(0, dtype=np.intp)
+    found: set[int] = set()
+    for one, two in np.argwhere(np.triu(close)):
+        # What the calibration's error does to both alike does not part them.
+        common = _common(
+            whole.bias_cross_covariance[one],
+            whole.bias_cross_covariance[two],
+            tracks.bias[rows[one]],
+        )
+        total = whole.covariance[one] + whole.covariance[two] - common - common.T
+        total = total[:_MOTION, :_MOTION]
+        off = whole.mean[one, :_MOTION] - whole.mean[two, :_MOTION]
+        if off @ np.linalg.solve(total, off) <= limit:
+            found |= {int(one), int(two)}
+    return rows[sorted(found)]
+
+
+def _common(one: Array, two: Array, bias: Array) -> Array:
+    if not bias.any():
+        return np.zeros((len(one), len(two)))
+    common: Array = one @ np.linalg.pinv(bias, hermitian=True) @ two.T
+    return common
+
+
+def expired(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[np.bool_]:
+    """Return which tracks end: not confirmed in time, not seen for long, or not vouched for."""
+    unsupported = tracks.unsupported >= UNSUPPORTED_EXPOSURES
+    unseen_ns, coast_ns = time_ns - tracks.seen_ns, round(settings.coast_s * 1e9)
+    if tracks.confirmed.all() and not unsupported.any():
+        return unseen_ns > coast_ns
+    # Where one goes on that was in doubt when it was lost nobody knows.
+    unseen = unseen_ns > np.where(
+        unsupported & tracks.confirmed, UNSUPPORTED_COAST_FACTOR * coast_ns, coast_ns
+    )
+    vain = tracks.misses > np.where(tracks.hits > 0, settings.confirm_misses, 0)
+    vain |= tracks.hits >= MAX_HIT_FACTOR * settings.confirm_hits
+    # One of many that came up together may be a ghost even so.
+    ghost = tracks.confirmed & (tracks.probation_left > 0) & unsupported
+    return unseen | ghost | (~tracks.confirmed & vain)

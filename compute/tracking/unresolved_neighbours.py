@@ -1,0 +1,141 @@
+"""Strangers: peaks of markers that are not tracked, before they merge with a track's peak.
+
+Two tracked markers that one peak shows are told by joint hypotheses. One that is not tracked yet
+draws the peak of the other just as much. So a peak that comes near a track's own is followed along
+the line; where it should be hidden in the track's peak now, that peak says less.
+"""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.tracking.measurements import Measurements
+from compute.tracking.settings import TrackerSettings
+
+Array = NDArray[np.float64]
+
+NEIGHBOUR_FIELDS: Final = 3
+"""Distance from the track's own peak [px], its rate [px/s], and how often it was seen."""
+_REACH: Final = 4.0
+"""Strangers are looked for within so many ``resolution_px``."""
+_HIDDEN: Final = 1.25
+"""They are taken as hidden within so many."""
+_STEADY: Final = 1.0
+"""How far one may be, in ``resolution_px``, from where its rate leads it."""
+_LEAST_SEEN: Final = 2
+_MOST_SEEN: Final = 100.0
+
+
+def predict_merged(
+    neighbours: Array, step_s: Array, settings: TrackerSettings
+) -> NDArray[np.bool_]:
+    """Return whether a stranger should be hidden in each track's peaks, shape (T, S).
+
+    Args:
+        neighbours: strangers at the last exposure, shape (T, S, 3).
+        step_s: time since then, shape (T,).
+        settings: the merging distance.
+    """
+    ahead = neighbours[..., 0] + neighbours[..., 1] * step_s[:, None]
+    near = np.abs(ahead) <= _HIDDEN * settings.resolution_px
+    hidden: NDArray[np.bool_] = near & (neighbours[..., 2] >= _LEAST_SEEN)
+    return hidden
+
+
+def inflate_unresolved(
+    peaks: Measurements, reading_px: Array, hidden: NDArray[np.bool_], settings: TrackerSettings
+) -> Measurements:
+    """Return the peaks, those of them less certain that may be merged with a stranger's.
+
+    Args:
+        peaks: of the exposure.
+        reading_px: where tracks are predicted, shape (T, S).
+        hidden: whether a stranger should be hidden there, shape (T, S).
+        settings: the merging distance.
+    """
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(peaks.position_px[None] - reading_px[..., None])
+    near = (apart <= (_HIDDEN + 1.0) * settings.resolution_px) & peaks.usable
+    # Two peaks there: they are not merged.
+    alone = near & ((near.sum(axis=2) == 1) & hidden)[..., None]
+    spread = settings.resolution_px**2 / 12.0
+    variance = peaks.variance_px2 + np.where(alone.any(axis=0), spread, 0.0)
+    return replace(peaks, variance_px2=variance)
+
+
+def any_neighbour(
+    own: NDArray[np.int32],
+    peaks: Measurements,
+    free: NDArray[np.bool_],
+    settings: TrackerSettings,
+) -> bool:
+    """Return whether a free peak is near any track's own, as a stranger would be.
+
+    Args:
+        own: index of each track's peaks; -1: none, shape (T, S).
+        peaks: of the exposure.
+        free: peaks that may be strangers', shape (S, K).
+        settings: the merging distance.
+    """
+    sensor, peak = free.nonzero()
+    if len(sensor) == 0:
+        return False
+    there = own[:, sensor]
+    apart = peaks.position_px[sensor, there] - peaks.position_px[sensor, peak]
+    near = (np.abs(apart) <= _REACH * settings.resolution_px) & (there >= 0) & (there != peak)
+    return bool(near.any())
+
+
+def update_neighbours(
+    neighbours: Array,
+    own: NDArray[np.int32],
+    peaks: Measurements,
+    free: NDArray[np.bool_],
+    step_s: Array,
+    settings: TrackerSettings,
+) -> Array:
+    """Return the strangers beside each track's peaks after an exposure, shape (T, S, 3).
+
+    Args:
+        neighbours: after the last one, shape (T, S, 3).
+        own: index of each track's peaks; -1: none, shape (T, S).
+        peaks: of the exposure.
+        free: peaks that may be strangers', shape (S, K).
+        step_s: time since the last exposure, shape (T,).
+        settings: the merging distance.
+    """
+    sensor = np.arange(own.shape[1])
+    step = np.maximum(step_s, 1e-9)[:, None]
+    ahead = neighbours[..., 0] + neighbours[..., 1] * step
+    known = neighbours[..., 2] >= _LEAST_SEEN
+    after = np.zeros_like(neighbours)
+    after[..., 0], after[..., 1], after[..., 2] = ahead, neighbours[..., 1], neighbours[..., 2]
+    there = own >= 0
+    place = np.where(there, peaks.position_px[sensor, np.maximum(own, 0)], np.nan)
+    distance = np.where(free, peaks.position_px, np.nan)[None] - place[..., None]
+    is_own = np.arange(peaks.position_px.shape[1]) == own[..., None]
+    distance = np.where(is_own | ~np.isfinite(distance), np.inf, distance)
+    expected = np.where(known, ahead, neighbours[..., 0])
+    off = np.abs(distance - np.where(neighbours[..., 2] > 0, expected, 0.0)[..., None])
+    best = off.argmin(axis=2)[..., None]
+    nearest = np.take_along_axis(distance, best, axis=2)[..., 0]
+    off = np.take_along_axis(off, best, axis=2)[..., 0]
+    merge = settings.resolution_px
+    reach = np.where(known, _STEADY, np.where(neighbours[..., 2] > 0, 0.5 * _REACH, _REACH)) * merge
+    found = (off <= reach) & (np.abs(nearest) <= _REACH * merge)
+    with np.errstate(invalid="ignore"):
+        rate = (nearest - neighbours[..., 0]) / step
+    rate = np.where(known, 0.5 * (rate + neighbours[..., 1]), rate)
+    # What is hidden goes on as it went; what should be seen and is not has gone.
+    hidden = known & (np.abs(ahead) <= _HIDDEN * merge)
+    unknown = neighbours[..., 2] == 0
+    after[..., 0] = np.where(found, nearest, ahead)
+    after[..., 1] = np.where(found & ~unknown, rate, np.where(unknown, 0.0, neighbours[..., 1]))
+    after[..., 2] = np.where(
+        found, np.minimum(neighbours[..., 2] + 1.0, _MOST_SEEN), neighbours[..., 2]
+    )
+    after[~found & ~hidden & there] = 0.0
+    after[~np.isfinite(after).all(axis=2)] = 0.0
+    return after

@@ -1,0 +1,71 @@
+"""The blink schedule: markers that are lit together and dimmed by codes, a bit an exposure.
+
+Thesis, section 4.6: a target's pulses "could also be modulated for easier identification".
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
+
+from compute.errors import InvalidParameter
+
+MAX_CODE_BITS: Final = 20
+"""Bits of a word at most, as of ``compute.tracking.blink_codes``."""
+MAX_CODE_WORDS: Final = 64
+
+
+@dataclass(frozen=True)
+class BlinkSchedule:
+    """Words that markers show again and again, each a bit an exposure, in phases of their own.
+
+    Args:
+        words: of marker 0, 1, ..., all equally long: "1" full light, "0" little.
+        low: light of a "0", relative to a "1".
+        phases: bit of each word in exposure 0; None: the first bit of all.
+
+    Raises:
+        InvalidParameter: words of several lengths or of other characters, other numbers of phases.
+    """
+
+    words: Annotated[
+        tuple[Annotated[str, Field(min_length=2, max_length=MAX_CODE_BITS)], ...],
+        Field(min_length=1, max_length=MAX_CODE_WORDS),
+    ]
+    low: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.4
+    phases: tuple[Annotated[int, Field(ge=0, lt=MAX_CODE_BITS)], ...] | None = None
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    def __post_init__(self) -> None:
+        lengths = {len(word) for word in self.words}
+        if len(lengths) != 1 or not 2 <= min(lengths) <= max(lengths) <= MAX_CODE_BITS:
+            raise InvalidParameter(
+                f"words have the lengths {sorted(lengths)}; they must all have one, of 2 to "
+                f"{MAX_CODE_BITS} bits"
+            )
+        if not len(self.words) <= MAX_CODE_WORDS:
+            raise InvalidParameter(f"there are {len(self.words)} words; at most {MAX_CODE_WORDS}")
+        strange = sorted(set("".join(self.words)) - {"0", "1"})
+        if strange:
+            raise InvalidParameter(f"a word has {strange[0]!r}; words are of 0 and 1")
+        if not 0.0 <= self.low < 1.0:
+            raise InvalidParameter(f"low is {self.low}; it must be from 0 to less than 1")
+        if self.phases is not None and len(self.phases) != len(self.words):
+            raise InvalidParameter(
+                f"phases are {len(self.phases)}, words {len(self.words)}; give one of each word"
+            )
+
+    def light(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the light of M markers in F exposures relative to full, shape (F, M).
+
+        Args:
+            sequence: the exposures' numbers, shape (F,).
+        """
+        bits = np.array([[bit == "1" for bit in word] for word in self.words])
+        phases = np.array(self.phases or (0,) * len(self.words))
+        at = (sequence[:, None] + phases) % bits.shape[1]
+        light: NDArray[np.float64] = np.where(bits[np.arange(len(bits)), at], 1.0, self.low)
+        return light

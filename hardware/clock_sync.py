@@ -1,0 +1,226 @@
+"""A device's clock on the host's: when an exposure was, from when its frame arrived.
+
+A frame arrives late, never early: the line, the operating system and a busy host add delays of
+one sign. A regression averages them in; the earliest arrivals do not have them. So the clock is
+the highest straight line below the arrivals (Moon, Skelly, Towsley, "Estimation and removal of
+clock skew from network delay measurements", IEEE INFOCOM 1999, doi 10.1109/INFCOM.1999.749287),
+over the earliest arrival of each quarter of a second, older ones with less weight. docs/devices.md
+has the figures of both beside each other.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+from compute.errors import InvalidParameter
+
+BUCKET_NS: Final = 250_000_000
+"""Of the arrivals in so long a time the earliest is kept."""
+BUCKETS: Final = 240
+DECAY_NS: Final = 20e9
+"""An arrival so long ago weighs 1/e of one now."""
+RATE_PRIOR: Final = 1e-4
+"""How far a crystal's rate may be off: what a rate is drawn to until the arrivals say better."""
+MAX_LEAD_NS: Final = 500_000_000
+"""A clock that is so far ahead of what is possible, or goes back, began anew."""
+MIN_WRAP_NS: Final = 50_000_000
+"""Turns that are shorter cannot be counted: arrivals are late by as much."""
+RECENT_NS: Final = 1_000_000_000
+"""When all arrivals in so long a time lie above the line, the line may be wrong by so much."""
+MIN_UNCERTAINTY_NS: Final = 1_000.0
+"""No uncertainty below that is stated."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureTimestamp:
+    """When an exposure was.
+
+    Args:
+        device_ns: on the device's clock, counted on when the clock begins anew [ns].
+        host_ns: on the host's monotonic clock [ns].
+        restarted: the clock began anew with this exposure.
+    """
+
+    device_ns: int
+    host_ns: int
+    restarted: bool
+
+
+class DeviceClock:
+    """Maps ticks that may begin anew after 2**bits of them to the host's monotonic clock.
+
+    Args:
+        ticks_per_s: the clock's nominal rate.
+        bits: its width. Turns are counted right while no exposure arrives late by more than a
+            turn less MAX_LEAD_NS, or, where that is less, by half a turn.
+        delay_ns: known time from the moment of the ticks to the earliest possible arrival.
+
+    Raises:
+        InvalidParameter: it begins anew after less than MIN_WRAP_NS.
+    """
+
+    def __init__(self, ticks_per_s: int, bits: int = 64, delay_ns: int = 0) -> None:
+        self.restarts = 0
+        self._base_ns = 0
+        self._set(ticks_per_s, bits, delay_ns)
+        self._last_ticks: int | None = None
+        self._rate = 0.0
+        self._offset_ns = math.inf
+        self._begin(0, 0.0)
+
+    @property
+    def uncertainty_ns(self) -> float:
+        """Standard deviation of host times, beyond the shortest delay; inf before the first."""
+        return self._uncertainty_ns
+
+    @property
+    def rate(self) -> float:
+        """How much longer a second of the device is on the host's clock, less one."""
+        return self._rate
+
+    def stamp(self, ticks: int, arrival_ns: int) -> ExposureTimestamp:
+        """Return when an exposure was whose frame arrived at a time of the monotonic clock [ns]."""
+        unwrapped = self._unwrap(ticks, arrival_ns)
+        restarted = unwrapped is None and self._last_ticks is not None
+        if unwrapped is None:
+            self.restart(arrival_ns, counted=restarted)
+            self._first_ticks = self._last_ticks = unwrapped = ticks
+        self._last_ticks = unwrapped
+        elapsed_ns = (unwrapped - self._first_ticks) * 1_000_000_000 // self._per_s
+        late_ns = arrival_ns - self._origin_ns - elapsed_ns
+        self._add_arrival(elapsed_ns, late_ns)
+        line_ns = self._offset_ns + self._rate * elapsed_ns
+        if late_ns < line_ns:  # earlier than any before: the line was too high
+            self._offset_ns -= line_ns - late_ns
+            line_ns = late_ns
+        self._latest_ns = elapsed_ns
+        host_ns = self._origin_ns + elapsed_ns + round(line_ns) - self._delay_ns
+        return ExposureTimestamp(self._base_ns + elapsed_ns, host_ns, restarted)
+
+    def restart(self, arrival_ns: int, *, counted: bool = True) -> None:
+        """Begin anew with the next exposure: the device was reset; the rate stays."""
+        if self._last_ticks is not None:
+            self.restarts += counted
+            gone_ns = arrival_ns - self._origin_ns - round(self._offset_ns)
+            self._base_ns += max(self._latest_ns, gone_ns)
+        self._last_ticks = None
+        self._begin(arrival_ns, self._rate)
+
+    def reconfigure(self, ticks_per_s: int, bits: int, delay_ns: int, now_ns: int) -> bool:
+        """Go on as another clock, from a time of the monotonic clock [ns]; raises as the class.
+
+        Returns:
+            Whether it is another: one of which only the delay is new is the same clock.
+        """
+        other = (ticks_per_s, 2**bits) != (self._per_s, self._wrap)
+        self._set(ticks_per_s, bits, delay_ns)
+        if other:
+            self.restart(now_ns)
+            self._begin(now_ns, 0.0)
+        return other
+
+    def _set(self, ticks_per_s: int, bits: int, delay_ns: int) -> None:
+        turn_ns = 2**bits * 1_000_000_000 // ticks_per_s
+        if turn_ns < MIN_WRAP_NS:
+            raise InvalidParameter(
+                f"a clock of {bits} bits at {ticks_per_s:,} ticks a second begins anew every "
+                f"{turn_ns * 1e-6:.3g} ms; it must be {MIN_WRAP_NS // 1_000_000} ms at least: "
+                "let the device count the turns, or more slowly",
+                bits=bits,
+                ticks_per_s=ticks_per_s,
+            )
+        self._per_s = ticks_per_s
+        self._wrap = 2**bits
+        self._slack_ns = min(MAX_LEAD_NS, turn_ns // 2)
+        self._delay_ns = delay_ns
+
+    def _begin(self, origin_ns: int, rate: float) -> None:
+        self._origin_ns = origin_ns
+        self._first_ticks = 0
+        self._latest_ns = 0
+        self._rate = rate
+        self._rate_known = rate
+        self._offset_ns = math.inf
+        self._uncertainty_ns = math.inf
+        self._earliest: tuple[int, int] | None = None
+        self._bucket = 0
+        self._points: deque[tuple[int, int]] = deque(maxlen=BUCKETS)
+
+    def _unwrap(self, ticks: int, arrival_ns: int) -> int | None:
+        """Return the ticks since the clock began, turns included; None: it began anew."""
+        if self._last_ticks is None:
+            return None
+        # What the clock shows now: an exposure is not after its arrival, but for the slack.
+        gone_ns = arrival_ns - self._origin_ns - self._offset_ns - self._rate * self._latest_ns
+        most = self._first_ticks + int((gone_ns + self._slack_ns) * self._per_s * 1e-9)
+        step = (ticks - self._last_ticks) % self._wrap
+        turns = max(0, (most - self._last_ticks - step) // self._wrap)
+        unwrapped: int = self._last_ticks + step + turns * self._wrap
+        # A clock of short turns may be ahead of itself by one or two, after a stall of the host.
+        ahead = int((MAX_LEAD_NS - self._slack_ns) * self._per_s * 1e-9)
+        return unwrapped if unwrapped <= most + ahead else None
+
+    def _add_arrival(self, elapsed_ns: int, late_ns: int) -> None:
+        """Keep the earliest arrival of each bucket; with each new bucket lay the line anew."""
+        bucket = elapsed_ns // BUCKET_NS
+        if self._earliest is not None and bucket != self._bucket:
+            self._points.append(self._earliest)
+            self._earliest = None
+            self._fit_hull_edge()
+        self._bucket = bucket
+        beyond = late_ns - self._rate * elapsed_ns
+        if self._earliest is None or beyond < self._earliest[1] - self._rate * self._earliest[0]:
+            self._earliest = (elapsed_ns, late_ns)
+        self._offset_ns = min(self._offset_ns, beyond)
+
+    def _fit_hull_edge(self) -> None:
+        """Lay the highest line below the kept arrivals that weighs their distances least."""
+        points = self._points
+        now = points[-1][0]
+        weights = [math.exp((x - now) / DECAY_NS) for x, _ in points]
+        centre_ns = sum(w * x for w, (x, _) in zip(weights, points, strict=True)) / sum(weights)
+        left, right = _edge_below(list(points), centre_ns)
+        rate = (right[1] - left[1]) / (right[0] - left[0]) if right[0] > left[0] else self._rate
+        offset = min(y - rate * x for x, y in points)
+        above = _median([y - rate * x - offset for x, y in points], weights)
+        spread = max(1.5 * above * (1.0 + 2.0 / len(points)), MIN_UNCERTAINTY_NS)
+        # The rate between two arrivals that are each so far off; beside it, what crystals are.
+        doubt = 2.0 * spread / max(right[0] - left[0], 1)
+        share = RATE_PRIOR**2 / (RATE_PRIOR**2 + doubt**2)
+        self._rate = self._rate_known + share * (rate - self._rate_known)
+        self._offset_ns = min(y - self._rate * x for x, y in points)
+        # A clock that lost ticks, or became slower: all that comes now is above the line.
+        recent = (x_y for x_y in reversed(points) if x_y[0] > now - RECENT_NS)
+        beyond = min(y - self._rate * x for x, y in recent) - self._offset_ns
+        self._uncertainty_ns = max(spread, beyond)
+
+
+def _edge_below(
+    points: list[tuple[int, int]], centre_ns: float
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return the edge of the points' lower hull at an abscissa; points go from left to right."""
+    hull: list[tuple[int, int]] = []
+    for x, y in points:
+        while len(hull) > 1:
+            (x0, y0), (x1, y1) = hull[-2:]
+            if (y1 - y0) * (x - x0) < (y - y0) * (x1 - x0):
+                break
+            hull.pop()
+        hull.append((x, y))
+    for left, right in pairwise(hull):
+        if right[0] >= centre_ns:
+            return left, right
+    return hull[-1], hull[-1]
+
+
+def _median(values: list[float], weights: list[float]) -> float:
+    """Return the weighted median: a stall of the host leaves it as it is."""
+    half, below = 0.5 * sum(weights), 0.0
+    ordered = sorted(zip(values, weights, strict=True))
+    for value, weight in ordered:
+        below += weight
+        if below >= half:
+            return value
+    return ordered[-1][0]

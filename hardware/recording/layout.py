@@ -1,0 +1,241 @@
+"""The layout of recordings: what lies where in the HDF5 file, and in which types.
+
+Version 2. Attributes of the root: ``format``, ``version``, ``description`` (the device's
+description as JSON) and ``provenance`` (a JSON object: who wrote it, when, with which settings).
+
+- ``frames``: a group with one row for each frame in the datasets of ``COLUMNS`` and, unless only
+  results were recorded, in ``lines``, uint16, shape (frames, sensors, pixels). A marker of -1
+  stands for none. ``in_force`` is the row of ``in_force/rows`` that the results were made with,
+  -1: none. ``peaks_end`` and ``points_end`` count the rows of ``peaks`` and ``points`` up to and
+  with this frame. ``checksum`` is the CRC-32 of the frame's FRAME row and its lines,
+  ``results_checksum`` that of its rows of peaks and points.
+- ``peaks``, ``points``: results as they were made live, one row each, ``frame`` says of which.
+- ``in_force``: calibrations and correction tables, whole: ``bytes``, and ``rows`` that say where
+  in them a JSON document and a table's HDF5 file begin and how long they are.
+- ``state``: two rows, written in turn at each flush; that of the larger ``number`` whose
+  checksum is right holds. Rows of the other datasets beyond what it counts are not there yet.
+
+Version 1 has no results, no ``state`` (all datasets are of one length), and its attribute
+``complete`` says whether the writer closed it.
+"""
+
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+FORMAT: Final = "lumiline-recording"
+VERSION: Final = 2
+COLUMNS_1: Final[dict[str, np.dtype[Any]]] = {
+    "sequence": np.dtype(np.int64),
+    "exposure_device_ns": np.dtype(np.int64),
+    "exposure_host_ns": np.dtype(np.int64),
+    "marker": np.dtype(np.int32),
+    "flags": np.dtype(np.uint32),
+}
+"""The columns of version 1."""
+COLUMNS: Final[dict[str, np.dtype[Any]]] = COLUMNS_1 | {
+    "in_force": np.dtype(np.int32),
+    "peaks_end": np.dtype(np.int64),
+    "points_end": np.dtype(np.int64),
+    "checksum": np.dtype(np.uint32),
+    "results_checksum": np.dtype(np.uint32),
+}
+NO_MARKER: Final = -1
+NO_CALIBRATION_ROW: Final = -1
+CHUNK_FRAMES: Final = 32
+"""Frames of one chunk of lines, at most."""
+CHUNK_BYTES: Final = 2**22
+"""Largest chunk of lines of more than one frame."""
+
+FRAME: Final = np.dtype(
+    [
+        ("sequence", "<i8"),
+        ("exposure_device_ns", "<i8"),
+        ("exposure_host_ns", "<i8"),
+        ("marker", "<i4"),
+        ("flags", "<u4"),
+        ("in_force", "<i4"),
+        ("peaks", "<u4"),
+        ("points", "<u4"),
+    ]
+)
+"""A frame without its lines; ``peaks`` and ``points`` are how many it has."""
+PEAK: Final = np.dtype(
+    [
+        ("frame", "<i8"),
+        ("sensor", "<i4"),
+        ("flags", "<i4"),
+        ("position_px", "<f8"),
+        ("sigma_px", "<f4"),
+        ("amplitude", "<f4"),
+        ("width_px", "<f4"),
+        ("reduced_chi2", "<f4"),
+        ("covariance_px2", "<f4", (3,)),
+    ]
+)
+"""A peak: of which row of ``frames`` and which sensor (from 0), and the members of PeakBatch."""
+CALIBRATION_EXTENT: Final = np.dtype(
+    [
+        ("document_start", "<i8"),
+        ("document_bytes", "<i8"),
+        ("table_start", "<i8"),
+        ("table_bytes", "<i8"),
+    ]
+)
+"""Where in ``in_force/bytes`` a document and its table lie; a table of 0 bytes is none."""
+STATE: Final = np.dtype(
+    [
+        ("number", "<i8"),
+        ("frames", "<i8"),
+        ("peaks", "<i8"),
+        ("points", "<i8"),
+        ("in_force", "<i8"),
+        ("missing", "<i8"),
+        ("dropped_compute", "<i8"),
+        ("dropped_writer", "<i8"),
+        ("refused", "<i8"),
+        ("complete", "<i4"),
+        ("reason_bytes", "<i4"),
+        ("reason", "u1", (400,)),
+        ("checksum", "<u4"),
+    ]
+)
+
+
+def point_dtype(sensors: int) -> np.dtype[Any]:
+    """Return the type of a row of ``points``: its frame, and the members of PointBatch."""
+    return np.dtype(
+        [
+            ("frame", "<i8"),
+            ("position_mm", "<f8", (3,)),
+            ("covariance_mm2", "<f8", (3, 3)),
+            ("chi2", "<f8"),
+            ("flags", "<i4"),
+            ("used", "u1", (sensors,)),
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class RecordingState:
+    """What of a recording is safe, what was lost, and how it ended.
+
+    Args:
+        frames: frames that are in the file.
+        peaks: rows of peaks.
+        points: rows of points.
+        in_force: calibrations with their tables.
+        missing: sequence numbers missing between the first frame and the last, for whatever
+            reason.
+        dropped_compute: frames dropped because the live pipeline did not keep up; those behind
+            the last frame are not among the missing ones.
+        dropped_writer: frames dropped because the writer did not keep up; likewise.
+        refused: frames that did not follow the one before (the device's count or clock went
+            back), and are not in the file.
+        complete: whether the writer closed the file; False: it still writes, or ended before.
+        reason: why it ended; empty while it is written.
+    """
+
+    frames: int = 0
+    peaks: int = 0
+    points: int = 0
+    in_force: int = 0
+    missing: int = 0
+    dropped_compute: int = 0
+    dropped_writer: int = 0
+    refused: int = 0
+    complete: bool = False
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Losses:
+    """What did not come to a recording, as of RecordingState."""
+
+    dropped_compute: int = 0
+    dropped_writer: int = 0
+    refused: int = 0
+
+
+NO_LOSSES: Final = Losses()
+
+_NUMBERS: Final = tuple(
+    name
+    for name in STATE.names or ()
+    if name not in ("number", "reason", "reason_bytes", "checksum")
+)
+
+
+def pack_state(state: RecordingState, number: int) -> NDArray[np.void]:
+    """Return the state as a row of STATE, shape (), with its checksum."""
+    row = np.zeros((), STATE)
+    row["number"] = number
+    for name in _NUMBERS:
+        row[name] = getattr(state, name)
+    text = state.reason.encode()[: STATE["reason"].shape[0]]
+    row["reason_bytes"] = len(text)
+    row["reason"][: len(text)] = np.frombuffer(text, np.uint8)
+    row["checksum"] = _state_checksum(row)
+    return row
+
+
+def unfinished_path(path: Path, pid: int) -> Path:
+    """Return where the process writes a recording until it can be read under its own name."""
+    return path.with_name(f".{path.name}.{pid}.new")
+
+
+def unpack_state(rows: NDArray[np.void]) -> tuple[RecordingState, int] | None:
+    """Return the state that holds of rows of STATE, and its number; None: none is whole."""
+    whole = [row for row in rows if int(row["checksum"]) == _state_checksum(row)]
+    if not whole:
+        return None
+    row = max(whole, key=lambda one: int(one["number"]))
+    values: dict[str, Any] = {name: int(row[name]) for name in _NUMBERS}
+    values["complete"] = bool(values["complete"])
+    text = row["reason"][: int(row["reason_bytes"])].tobytes().decode(errors="replace")
+    return RecordingState(**values, reason=text), int(row["number"])
+
+
+def _state_checksum(row: Any) -> int:
+    return zlib.crc32(row.tobytes()[: -STATE["checksum"].itemsize])
+
+
+def frame_checksums(rows: NDArray[np.void], lines: NDArray[np.uint16] | None) -> NDArray[np.uint32]:
+    """Return the checksums of frames, shape (F,).
+
+    Args:
+        rows: of FRAME, shape (F,), contiguous.
+        lines: their lines, shape (F, S, P), contiguous; None: there are none.
+    """
+    heads = rows.view(np.uint8).reshape(len(rows), FRAME.itemsize)
+    if lines is None:
+        return np.array([zlib.crc32(head.data) for head in heads], np.uint32)
+    both = zip(heads, lines, strict=True)
+    return np.array(
+        [zlib.crc32(line.data, zlib.crc32(head.data)) for head, line in both], np.uint32
+    )
+
+
+def result_checksums(
+    rows: NDArray[np.void], peaks: NDArray[np.void], points: NDArray[np.void]
+) -> NDArray[np.uint32]:
+    """Return the checksums of the results of frames, shape (F,).
+
+    Args:
+        rows: of FRAME, shape (F,).
+        peaks: the peaks of all of them in order.
+        points: the points of all of them in order.
+    """
+    found = np.zeros(len(rows), np.uint32)
+    peak = point = 0
+    counts = zip(rows["peaks"].tolist(), rows["points"].tolist(), strict=True)
+    for number, (of_peaks, of_points) in enumerate(counts):
+        if of_peaks or of_points:
+            first = zlib.crc32(peaks[peak : peak + of_peaks].tobytes())
+            found[number] = zlib.crc32(points[point : point + of_points].tobytes(), first)
+            peak, point = peak + of_peaks, point + of_points
+    return found

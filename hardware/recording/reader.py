@@ -1,0 +1,313 @@
+"""The reader of recordings: checks a file from end to end, then gives its frames back."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from hardware.driver import DeviceDescription
+from hardware.line_frame import FrameFlag, LineFrame
+from hardware.recording.columns import check_columns, read_column
+from hardware.recording.frame_block import FrameBlock, scan_shape
+from hardware.recording.hdf5_file import RecordingFile
+from hardware.recording.info import RecordingInfo
+from hardware.recording.layout import (
+    CALIBRATION_EXTENT,
+    CHUNK_FRAMES,
+    COLUMNS,
+    COLUMNS_1,
+    FORMAT,
+    FRAME,
+    NO_CALIBRATION_ROW,
+    NO_MARKER,
+    PEAK,
+    STATE,
+    VERSION,
+    RecordingState,
+    frame_checksums,
+    point_dtype,
+    result_checksums,
+    unpack_state,
+)
+from hardware.recording.stored_description import read_description
+
+
+class RecordingReader:
+    """An open recording, checked from end to end but for the lines; a context manager.
+
+    A file that is still written is read up to the writer's last flush; ``refresh`` goes on to
+    its next.
+
+    Args:
+        path: the file.
+        columns: whether the frames' columns are looked through, too.
+
+    Raises:
+        InvalidRecording: it cannot be read, is not a recording, of another version, cut short,
+            or contradicts itself; the message says which.
+    """
+
+    def __init__(self, path: Path, *, columns: bool = True) -> None:
+        self._file = RecordingFile(path)
+        try:
+            self.info = self._check_header()
+            if columns:
+                check_columns(self._file, self.info)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def refresh(self) -> RecordingInfo:
+        """Return what the recording holds now; new columns are not looked through."""
+        self.info = self._build_info(self.info.description, self.info.version, self.info.provenance)
+        return self.info
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return one of COLUMNS for all frames, shape (frames,), as it was recorded."""
+        return read_column(self._file, self.info, name)
+
+    def frames(self) -> Iterator[LineFrame]:
+        """Yield the frames as they were recorded.
+
+        Raises:
+            InvalidRecording: the stored data are damaged, or there are no lines.
+        """
+        for first in self.chunk_starts():
+            yield from self.chunk(first)
+
+    def chunk_starts(self) -> range:
+        """Return the rows to read chunks from, one after the other."""
+        return range(0, self.info.frames, CHUNK_FRAMES)
+
+    def chunk(self, first: int) -> list[LineFrame]:
+        """Return up to CHUNK_FRAMES frames from row ``first`` on; see ``frames``."""
+        if not self.info.lines:
+            raise self._file.invalid("holds results only, and no lines that could be replayed")
+        block = self.block(first, first + CHUNK_FRAMES, results=False)
+        assert block.lines is not None
+        block.lines.setflags(write=False)
+        return [
+            LineFrame(
+                device=self.info.description.name,
+                sequence=sequence,
+                exposure_device_ns=device_ns,
+                exposure_host_ns=host_ns,
+                marker=None if marker == NO_MARKER else marker,
+                lines=lines,
+                flags=FrameFlag(flags),
+            )
+            for (sequence, device_ns, host_ns, marker, flags, *_), lines in zip(
+                block.rows.tolist(), block.lines, strict=True
+            )
+        ]
+
+    def block(self, first: int, end: int, *, results: bool = True) -> FrameBlock:
+        """Return the frames of these rows, with their results where they were recorded.
+
+        ``frame`` of a peak or a point counts within the block.
+
+        Raises:
+            InvalidRecording: the stored data are damaged.
+        """
+        rows = slice(first, max(first, min(end, self.info.frames)))
+        names = COLUMNS if self.info.version > 1 else COLUMNS_1
+        columns = {name: self._file.read(f"frames/{name}", rows) for name in names}
+        lines = self._file.read("frames/lines", rows) if self.info.lines else None
+        found = np.zeros(rows.stop - rows.start, FRAME)
+        found["in_force"] = NO_CALIBRATION_ROW
+        for name in FRAME.names or ():
+            if name in columns:
+                found[name] = columns[name]
+        peaks = np.empty(0, PEAK)
+        points = np.empty(0, point_dtype(len(self.info.description.sensors)))
+        if self.info.version == 1:
+            return FrameBlock(found, lines, peaks, points)
+        ends = {}
+        for name in ("peaks", "points"):
+            before = self._file.read(f"frames/{name}_end", slice(first - 1, first))
+            ends[name] = np.concatenate((before if first else [0], columns[f"{name}_end"]))
+            found[name] = np.diff(ends[name])
+        self._compare(frame_checksums(found, lines), columns["checksum"], "lines", first)
+        if results and self.info.results and len(found):
+            peaks, points = (
+                self._file.read(name, slice(int(ends[name][0]), int(ends[name][-1])))
+                for name in ("peaks", "points")
+            )
+            sums = result_checksums(found, peaks, points)
+            self._compare(sums, columns["results_checksum"], "results", first)
+            peaks["frame"] -= first
+            points["frame"] -= first
+        return FrameBlock(found, lines, peaks, points)
+
+    def in_force(self, row: int) -> tuple[bytes, bytes]:
+        """Return a calibration (JSON) and its table (HDF5), empty without one.
+
+        Raises:
+            InvalidRecording: there is none of this row.
+        """
+        if not 0 <= row < self.info.state.in_force:
+            raise self._file.invalid(
+                f"has no row {row} of in_force; it has {self.info.state.in_force}"
+            )
+        place = self._file.read("in_force/rows", slice(row, row + 1))[0]
+        document, table = (
+            self._file.read("in_force/bytes", slice(start, start + size)).tobytes()
+            for start, size in (
+                (int(place["document_start"]), int(place["document_bytes"])),
+                (int(place["table_start"]), int(place["table_bytes"])),
+            )
+        )
+        if (len(document), len(table)) != (place["document_bytes"], place["table_bytes"]):
+            raise self._file.invalid(f"is cut short in row {row} of in_force")
+        return document, table
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _check_header(self) -> RecordingInfo:
+        attributes = self._file.attributes()
+        if attributes.get("format") != FORMAT:
+            raise self._file.invalid(
+                f"is an HDF5 file of format {attributes.get('format')!r}, not {FORMAT!r}"
+            )
+        version = attributes.get("version")
+        if version not in (1, VERSION) or isinstance(version, bool):
+            raise self._file.invalid(
+                f"has version {version}; this program reads the versions 1 and {VERSION}"
+            )
+        try:
+            description = read_description(str(attributes.get("description", "")))
+            scan_shape(description)
+        except InvalidParameter as error:
+            unusable = error.detail if error.detail.startswith(("has ", "describes ")) else None
+            raise self._file.invalid(
+                unusable or f"describes an unusable device: {error.detail}"
+            ) from error
+        return self._build_info(
+            description, int(str(version)), self._provenance(attributes.get("provenance", "{}"))
+        )
+
+    def _provenance(self, text: object) -> dict[str, Any]:
+        try:
+            found = json.loads(str(text))
+        except (ValueError, RecursionError) as error:
+            raise self._file.invalid(f"has a provenance that is not JSON ({error})") from error
+        if not isinstance(found, dict):
+            raise self._file.invalid("has a provenance that is no JSON object")
+        return found
+
+    def _build_info(
+        self, description: DeviceDescription, version: int, provenance: dict[str, Any]
+    ) -> RecordingInfo:
+        results = version > 1 and "peaks" in self._file
+        lines = version == 1 or "frames/lines" in self._file
+        state = self._state(version)
+        frames = self._check_shapes(description, version, state, lines=lines, results=results)
+        ends = [slice(0, min(frames, 1)), slice(max(frames - 1, 0), frames)]
+        device_ns, sequence = (
+            np.concatenate([self._file.read(f"frames/{name}", rows) for rows in ends]).tolist()
+            or [0, 0]
+            for name in ("exposure_device_ns", "sequence")
+        )
+        return RecordingInfo(
+            description=description,
+            frames=frames,
+            duration_s=(device_ns[-1] - device_ns[0]) * 1e-9,
+            lost=sequence[-1] - sequence[0] + 1 - frames if frames else 0,
+            complete=state.complete if state else self._file.attributes().get("complete") is True,
+            version=version,
+            lines=lines,
+            results=results,
+            provenance=provenance,
+            state=state or RecordingState(frames),
+        )
+
+    def _state(self, version: int) -> RecordingState | None:
+        """Return the state that holds; None in version 1."""
+        if version == 1:
+            return None
+        rows = self._file.rows("state", STATE)
+        if rows != 2:
+            raise self._file.invalid(f"holds {rows} rows in state; there must be 2")
+        found = unpack_state(self._file.read("state", slice(None)))
+        if found is None:
+            raise self._file.invalid("has no whole state: it is damaged")
+        return found[0]
+
+    def _check_shapes(
+        self,
+        description: DeviceDescription,
+        version: int,
+        state: RecordingState | None,
+        *,
+        lines: bool,
+        results: bool,
+    ) -> int:
+        """Check that all datasets are there, of their type and long enough; return the frames."""
+        names = COLUMNS_1 if version == 1 else COLUMNS
+        expected: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {
+            f"frames/{name}": (dtype, ()) for name, dtype in names.items()
+        }
+        if lines:
+            expected["frames/lines"] = (np.dtype(np.uint16), scan_shape(description))
+        lengths = {name: self._file.rows(name, *kind) for name, kind in expected.items()}
+        if state is None:
+            if len(set(lengths.values())) != 1:
+                listed = ", ".join(
+                    f"{name.removeprefix('frames/')} {length}" for name, length in lengths.items()
+                )
+                raise self._file.invalid(f"has datasets of different lengths: {listed}")
+            return int(next(iter(lengths.values())))
+        counts = dict.fromkeys(expected, state.frames)
+        more: dict[str, tuple[np.dtype[Any], int]] = {
+            "in_force/rows": (CALIBRATION_EXTENT, state.in_force)
+        }
+        if results:
+            more["peaks"] = (PEAK, state.peaks)
+            more["points"] = (point_dtype(len(description.sensors)), state.points)
+        for name, (dtype, count) in more.items():
+            lengths[name], counts[name] = self._file.rows(name, dtype), count
+        self._file.rows("in_force/bytes", np.dtype(np.uint8))
+        for name, count in counts.items():
+            if not 0 <= count <= lengths[name]:
+                raise self._file.invalid(
+                    f"holds {lengths[name]} rows in {name}; its state says {count}"
+                )
+        return state.frames
+
+    def _compare(
+        self, found: NDArray[np.uint32], kept: NDArray[np.uint32], what: str, first: int
+    ) -> None:
+        wrong = found != kept
+        if wrong.any():
+            raise self._file.invalid(
+                f"has damaged data in frames/{what} (the checksum of row "
+                f"{first + int(wrong.argmax())} is another)"
+            )
+
+
+def read_recording(path: Path) -> RecordingInfo:
+    """Return what a recording holds.
+
+    Raises:
+        InvalidRecording: see ``RecordingReader``.
+    """
+    with RecordingReader(path) as recording:
+        return recording.info

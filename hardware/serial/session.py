@@ -1,0 +1,267 @@
+"""One opening of a serial device: its connections one after the other, and their frames."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from threading import Lock
+from typing import Final
+
+from hardware.driver import DeviceDescription, SensorDescription
+from hardware.errors import DeviceNotConnected
+from hardware.line_frame import LineFrame
+from hardware.link import LinkCounters, LinkPhase, LinkState
+from hardware.serial.connection import Connection
+from hardware.serial.decoder import Decoder
+from hardware.serial.describe_policy import DescribePolicy
+from hardware.serial.frame_builder import FrameBuilder
+from hardware.serial.identity_check import check_identity
+from hardware.serial.link_watchdog import LinkWatchdog
+from hardware.serial.messages import Answer, Description, DeviceStatus, Lines, Message
+from hardware.serial.port import CloseSignal, PortDisconnected
+from hardware.serial.settings import SerialSettings
+
+RETRY_S: Final = (0.05, 0.1, 0.2, 0.5, 1.0)
+"""How long to wait before the next attempt to connect; the last for all that follow."""
+_EXPOSURES: Final = 3.0
+
+
+class SerialSession:
+    """A device from ``open`` to ``close``; see SerialDriver.
+
+    Args:
+        name: the device's name.
+        settings: where it is, and what it is told.
+
+    Raises:
+        DeviceNotConnected, InvalidParameter: see ``SerialDriver.open``.
+    """
+
+    def __init__(self, name: str, settings: SerialSettings) -> None:
+        self._settings = settings
+        self._closing = CloseSignal()
+        self._decoder = Decoder()
+        self._owned = Lock()
+        self._state: tuple[LinkPhase, str | None] = ("disconnected", "it was not opened yet")
+        self._reconnects = 0
+        self._incomplete = 0
+        self._asking = DescribePolicy()
+        self._temperature_c: float | None = None
+        self._connection: Connection | None = None
+        self._name = name
+        self._maker: FrameBuilder | None = None
+        self._changed: Callable[[LinkState], None] = lambda _: None
+
+    def open(self) -> None:
+        """Connect for the first time; raises as the class says."""
+        with self._owned:
+            try:
+                self._connect()
+            except PortDisconnected as error:
+                self._release()
+                raise DeviceNotConnected(f"{self._settings.url}: {error}") from error
+            except BaseException:
+                self._release()
+                raise
+        if self._closing.is_set():  # closed when it was open already
+            self.close()
+
+    @property
+    def description(self) -> DeviceDescription:
+        """What the device said it is, with what it was told."""
+        return self._description
+
+    def close(self) -> None:
+        """End the frames; whoever runs them releases the port, else it is done here."""
+        self._closing.set()
+        if self._owned.acquire(blocking=False):
+            try:
+                self._release()
+            finally:
+                self._owned.release()
+
+    def link(self) -> LinkState:
+        """Return how the link stands."""
+        state, reason = self._state
+        maker, connection, decoder = self._maker, self._connection, self._decoder.counters
+        if maker is None:
+            return LinkState(state, reason)
+        open_ones = connection.assembler.incomplete if connection else 0
+        uncertainty = maker.clock.uncertainty_ns
+        return LinkState(
+            state,
+            reason,
+            LinkCounters(
+                bytes_received=decoder.bytes_received,
+                frames=maker.built,
+                frames_garbled=decoder.discarded + maker.refused,
+                frames_incomplete=self._incomplete + open_ones,
+                frames_lost=maker.lost,
+                reconnects=self._reconnects,
+                clock_restarts=maker.clock.restarts,
+            ),
+            uncertainty * 1e-3 if math.isfinite(uncertainty) else None,
+            self._temperature_c,
+        )
+
+    def frames(self, changed: Callable[[LinkState], None]) -> Iterator[LineFrame]:
+        """Yield frames until closed; tell changes of the link."""
+        with self._owned:
+            self._changed = changed
+            try:
+                while not self._closing.is_set():
+                    try:
+                        connection = self._connection or self._reconnected()
+                        if connection is not None:
+                            yield from self._stream(connection)
+                    except PortDisconnected as error:
+                        self._lose(f"{self._settings.url} was lost: {error}; trying again")
+            finally:
+                self._closing.set()
+                self._release()
+
+    def _stream(self, connection: Connection) -> Iterator[LineFrame]:
+        """Yield the frames of one connection; raises PortDisconnected."""
+        maker, watch = self._maker, self._watch
+        assert maker is not None
+        while not self._closing.is_set():
+            messages, now_ns, received = connection.read(watch.limit_s / 2.0)
+            built, others = maker.built, False
+            for message in messages:
+                if isinstance(message, Lines):
+                    exposed = connection.assembler.add(message)
+                    frame = None if exposed is None else maker.build(exposed, now_ns)
+                    if frame is not None:
+                        yield frame
+                        if self._closing.is_set():
+                            return
+                else:
+                    others = True
+                    self._other(connection, message, now_ns)
+            frames = maker.built > built
+            if received:
+                watch.received(
+                    now_ns, frames=frames, messages=others, rejected=self._bad(connection)
+                )
+            if frames:
+                self._decoder.complaint = None
+                self._asking.frames_came()
+            state, reason = watch.check(now_ns)
+            if state == "garbled" and self._decoder.complaint is not None:
+                reason = f"{self._decoder.complaint}; check the device's firmware"
+            self._tell(state, reason)
+            if state != "connected" and self._asking.ask(now_ns):
+                connection.ask()
+
+    def _bad(self, connection: Connection) -> int:
+        """Return how many messages and exposures could not be used."""
+        parts, maker = connection.assembler, self._maker
+        assert maker is not None
+        return self._decoder.counters.discarded + parts.incomplete + parts.orphaned + maker.refused
+
+    def _other(self, connection: Connection, message: Message, now_ns: int) -> None:
+        """Take what is no line: a device that was reset says what it is, and is told anew."""
+        if isinstance(message, Description):
+            self._come_back(message)
+            connection.description = message
+            if self._asking.tell(now_ns):
+                connection.tell()
+        elif isinstance(message, Answer):
+            connection.take_answer(message, now_ns)
+        elif isinstance(message, DeviceStatus) and math.isfinite(message.temperature_c):
+            self._temperature_c = message.temperature_c
+
+    def _connect(self) -> Connection:
+        """Connect and let the device send; raises DeviceNotConnected, PortDisconnected, ..."""
+        connection = Connection(self._settings, self._decoder, self._closing)
+        try:
+            if self._maker is None:
+                self._begin(connection.description)
+            else:
+                self._come_back(connection.description)
+            connection.start()
+        except BaseException:
+            connection.close()
+            raise
+        self._connection = connection
+        now_ns = time.monotonic_ns()
+        self._asking.begin(now_ns)
+        self._watch.begin(now_ns, self._bad(connection))
+        self._tell("connected", None)
+        return connection
+
+    def _begin(self, described: Description) -> None:
+        """Make what depends on what the device is."""
+        told = self._settings
+        markers = told.strobe.markers if told.strobe else described.markers
+        self._described = described
+        self._maker = FrameBuilder(self._name, described, markers)
+        self._watch = LinkWatchdog(self._limit_s(described))
+        self._description = DeviceDescription(
+            name=self._name,
+            sensors=tuple(
+                SensorDescription(name, described.pixels, described.pitch_um)
+                for name in described.sensors
+            ),
+            frame_rate_hz=told.frame_rate_hz or described.frame_rate_hz,
+            bits=described.bits,
+            electrons_per_count=described.electrons_per_count,
+            read_noise_electrons=described.read_noise_electrons,
+            offset_counts=described.offset_counts,
+            markers=markers,
+            peaks=told.peaks,
+            line_sigma_px=described.line_sigma_px or None,
+        )
+
+    def _limit_s(self, described: Description) -> float:
+        """Return how long no frame may come."""
+        rate = self._settings.frame_rate_hz or described.frame_rate_hz
+        return max(self._settings.silent_after_s, _EXPOSURES / rate if rate else 0.0)
+
+    def _come_back(self, described: Description) -> None:
+        """Take what a device says that came back.
+
+        Raises:
+            DeviceChanged: it is another one.
+        """
+        check_identity(self._described, described)
+        assert self._maker is not None
+        self._maker.reconnect(described)
+        self._watch.limit_s = self._limit_s(described)
+
+    def _reconnected(self) -> Connection | None:
+        """Connect again, as often as it takes; None when closed meanwhile."""
+        attempts = 0
+        while not self._closing.wait(RETRY_S[min(attempts, len(RETRY_S) - 1)]):
+            attempts += 1
+            try:
+                connection = self._connect()
+            except DeviceNotConnected as error:
+                self._tell("disconnected", f"{error.detail}; trying again")
+            except PortDisconnected as error:
+                self._tell("disconnected", f"{self._settings.url}: {error}; trying again")
+            else:
+                self._reconnects += 1
+                return connection
+        return None
+
+    def _lose(self, reason: str) -> None:
+        self._release_connection()
+        if not self._closing.is_set():
+            self._tell("disconnected", reason)
+
+    def _tell(self, state: LinkPhase, reason: str | None) -> None:
+        if (state, reason) != self._state:
+            self._state = (state, reason)
+            self._changed(self.link())
+
+    def _release_connection(self) -> None:
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            self._incomplete += connection.assembler.incomplete
+            connection.close()
+
+    def _release(self) -> None:
+        if self._connection is not None:
+            self._connection.stop()
+        self._release_connection()
+        self._closing.close()

@@ -1,0 +1,109 @@
+"""Batches of rendered exposures, and what renders them."""
+
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+BATCH: Final = 8
+"""Frames rendered at once; the noise of a frame depends on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """BATCH consecutive exposures.
+
+    Args:
+        lines: counts, uint16, shape (BATCH, sensors, pixels), read-only.
+        saturated: whether an exposure has a saturated pixel, shape (BATCH,).
+    """
+
+    lines: NDArray[np.uint16]
+    saturated: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When exposures are made, and which marker each lights.
+
+    Args:
+        frame_rate_hz: exposures per second.
+        strobed_markers: their number; 0: all markers are lit together.
+        duration_s: length of the scene [s]; None: endless.
+        realtime: whether a frame is delivered when it is exposed, and not before.
+        schedule: the markers that exposures light, one after the other and again from the first;
+            empty: each of the strobed ones in turn.
+    """
+
+    frame_rate_hz: float
+    strobed_markers: int
+    duration_s: float | None
+    realtime: bool
+    schedule: tuple[int, ...] = ()
+
+    @property
+    def frames(self) -> int | None:
+        """Number of exposures in the duration, at least one; None: endless."""
+        if self.duration_s is None:
+            return None
+        # A fraction of a frame forgives the rounding of a product meant to be whole.
+        return max(1, int(self.duration_s * self.frame_rate_hz + 5e-7))
+
+    def time_s(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the middle of exposures on the device's clock, same shape [s]."""
+        return (sequence.astype(np.float64) + 0.5) / self.frame_rate_hz
+
+    def time_ns(self, sequence: int) -> int:
+        """Return the middle of an exposure on the device's clock [ns]."""
+        return round((sequence + 0.5) * 1e9 / self.frame_rate_hz)
+
+    def marker(self, sequence: int) -> int | None:
+        """Return which marker an exposure lights; None: all."""
+        if self.schedule:
+            return self.schedule[sequence % len(self.schedule)]
+        return sequence % self.strobed_markers if self.strobed_markers else None
+
+    def lit(
+        self, points_mm: NDArray[np.float64], sequence: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Return the markers that are lit in F exposures, shape (F, lit markers, 3) [mm].
+
+        Args:
+            points_mm: all markers at the exposures' times, shape (F, M, 3) [mm].
+            sequence: the exposures' numbers, shape (F,).
+        """
+        if not self.strobed_markers:
+            return points_mm
+        turns = np.array(self.schedule or range(self.strobed_markers))
+        lit: NDArray[np.float64] = points_mm[np.arange(len(sequence)), turns[sequence % len(turns)]]
+        return lit[:, None]
+
+
+class Renderer(Protocol):
+    """Renders exposures by their number, the same whenever and in whatever order."""
+
+    def batch(self, number: int) -> Batch:
+        """Render exposures ``BATCH * number`` to ``BATCH * (number + 1) - 1``."""
+        ...
+
+
+def batch_rng(seed: int, number: int) -> np.random.Generator:
+    """Return the source of noise of a batch, by the simulation's seed and its number alone."""
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(number,))))
+
+
+def batch_sequence(number: int) -> NDArray[np.int64]:
+    """Return the numbers of a batch's exposures, shape (BATCH,)."""
+    return np.arange(BATCH * number, BATCH * (number + 1), dtype=np.int64)
+
+
+def frame_batch(lines: NDArray[np.uint16], full_counts: int) -> Batch:
+    """Return the batch of these lines, which nobody writes to any more.
+
+    Args:
+        lines: counts, shape (BATCH, sensors, pixels).
+        full_counts: the count from which on a pixel is saturated.
+    """
+    lines.setflags(write=False)
+    return Batch(lines, lines.max(axis=(1, 2)) >= full_counts)

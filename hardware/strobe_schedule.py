@@ -1,0 +1,69 @@
+"""The strobe schedule: which marker is lit in which exposure, by time division.
+
+Markers that are lit one at a time identify themselves, and no two of them meet on a sensor
+(thesis, chapter 6, Time Division Identification); each of N is seen at the line rate over N
+(equation 3.3).
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Final, Self
+
+from pydantic import ConfigDict, Field
+
+from compute.errors import InvalidParameter
+
+MAX_SLOTS: Final = 254
+MAX_MARKERS: Final = 254
+
+
+@dataclass(frozen=True)
+class StrobeSchedule:
+    """Slots that follow one another, one exposure each, and begin again after the last.
+
+    Args:
+        slots: the number of the marker that is lit in each, from 0; None: all are.
+
+    Raises:
+        InvalidParameter: no slots, too many, or a marker that cannot be.
+    """
+
+    slots: Annotated[
+        tuple[Annotated[int, Field(ge=0, lt=MAX_MARKERS)] | None, ...],
+        Field(
+            min_length=1,
+            max_length=MAX_SLOTS,
+            description="The marker that is lit in each exposure, from 0; null: all are.",
+        ),
+    ]
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.slots) <= MAX_SLOTS:
+            raise InvalidParameter(
+                f"the schedule has {len(self.slots)} slots; it must have 1 to {MAX_SLOTS}"
+            )
+        for slot in self.slots:
+            if slot is not None and not 0 <= slot < MAX_MARKERS:
+                raise InvalidParameter(
+                    f"a slot lights marker {slot}; markers are 0 to {MAX_MARKERS - 1}",
+                    marker=slot,
+                )
+
+    @classmethod
+    def cyclic(cls, markers: int) -> Self:
+        """Return the schedule that lights each of so many markers once, in their order."""
+        return cls(tuple(range(markers)))
+
+    @property
+    def markers(self) -> int:
+        """How many markers a device needs for it; 0: all are lit together, always."""
+        return 1 + max((slot for slot in self.slots if slot is not None), default=-1)
+
+    def marker(self, sequence: int) -> int | None:
+        """Return the marker that an exposure lights, counted from the schedule's begin."""
+        return self.slots[sequence % len(self.slots)]
+
+    def rate_hz(self, marker: int, frame_rate_hz: float) -> float:
+        """Return how often a second a marker is seen [Hz] (thesis, equation 3.3)."""
+        return frame_rate_hz * self.slots.count(marker) / len(self.slots)

@@ -1,0 +1,236 @@
+"""REST resource /api/v1/beam-holds."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Path, Response
+from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+
+from compute.errors import InvalidParameter, NotStationary
+from service.api.base_models import SLUG_PATTERN, Page
+from service.api.beam_holds import store
+from service.api.beam_holds.examples import BEAM_HOLD_IDS, CHANGES, NEW_BEAM_HOLDS, REFERENCES
+from service.api.beam_holds.monitor_config import to_spec, to_watch
+from service.api.beam_holds.schema import (
+    BeamHold,
+    BeamHoldChange,
+    BeamHoldStatus,
+    NewBeamHold,
+    NewReference,
+)
+from service.api.beam_holds.state import state_of
+from service.api.dependencies import DatabaseDep, DeviceServiceDep, LiveDep
+from service.api.json_body import JsonRoute, JsonTypes
+from service.api.openapi import problems
+from service.api.pagination import PagingDep, page_of
+from service.api.request_parameters import DeviceFilter
+from service.api.tools.concurrency_limits import capture_slot
+from service.database.models import HoldRow
+from service.pipeline.pipeline_manager import PipelineManager
+from service.problems.errors import (
+    BeamHoldExists,
+    BeamHoldReplaced,
+    Busy,
+    CalibrationSwitched,
+    DeviceNotRunning,
+    NoActiveCalibration,
+    NoObservation,
+    TooManyBeamHolds,
+    UnknownBeamHold,
+    UnknownDevice,
+    UnknownTool,
+)
+
+router = APIRouter(prefix="/api/v1", tags=["beam-holds"], route_class=JsonRoute)
+
+NewBeamHoldBody = Annotated[NewBeamHold, JsonTypes(), Body(openapi_examples=NEW_BEAM_HOLDS)]
+ChangeBody = Annotated[BeamHoldChange, JsonTypes(), Body(openapi_examples=CHANGES)]
+ReferenceBody = Annotated[NewReference, JsonTypes(), Body(openapi_examples=REFERENCES)]
+BeamHoldPath = Annotated[
+    str, Path(pattern=SLUG_PATTERN, description="The hold's id.", openapi_examples=BEAM_HOLD_IDS)
+]
+
+
+@router.get("/beam-holds", operation_id="list-beam-holds", summary="List beam holds")
+def list_beam_holds(
+    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
+) -> Page[BeamHold]:
+    """Holds by id."""
+    with database.read() as session:
+        return page_of(session, store.holds(device), paging, store.document)
+
+
+@router.post(
+    "/beam-holds",
+    operation_id="create-beam-hold",
+    summary="Create a beam hold",
+    status_code=HTTP_201_CREATED,
+    responses=problems(
+        UnknownDevice, UnknownTool, BeamHoldExists, TooManyBeamHolds, InvalidParameter
+    ),
+)
+def create_beam_hold(
+    request: NewBeamHoldBody, live: LiveDep, operation: DeviceServiceDep, response: Response
+) -> BeamHold:
+    """Say what is watched, and how far it may move.
+
+    The beam is held from the first: until there is a reference, and all was near it for as long
+    as `settle_s`.
+    """
+    with operation.tools_change(request.device) as session:
+        made = _set_up(live, store.add_beam_hold(session, request))
+    response.headers["Location"] = f"/api/v1/beam-holds/{made.id}"
+    return made
+
+
+@router.get(
+    "/beam-holds/{hold_id}",
+    operation_id="get-beam-hold",
+    summary="Read a beam hold",
+    responses=problems(UnknownBeamHold),
+)
+def get_beam_hold(hold_id: BeamHoldPath, database: DatabaseDep) -> BeamHold:
+    """One hold."""
+    with database.read() as session:
+        return store.document(store.get_beam_hold(session, hold_id))
+
+
+@router.patch(
+    "/beam-holds/{hold_id}",
+    operation_id="change-beam-hold",
+    summary="Change a beam hold's limits, rules or title",
+    responses=problems(UnknownBeamHold, InvalidParameter),
+)
+def change_beam_hold(
+    hold_id: BeamHoldPath, request: ChangeBody, database: DatabaseDep, operation: DeviceServiceDep
+) -> BeamHold:
+    """Change what is given; other limits or rules hold the beam, and it settles anew.
+
+    What is watched never changes: delete the hold and create another.
+    """
+    with operation.tools_change(_device_of(database, hold_id)) as session:
+        return store.document(
+            store.change_beam_hold(session, store.get_beam_hold(session, hold_id), request)
+        )
+
+
+@router.delete(
+    "/beam-holds/{hold_id}",
+    operation_id="delete-beam-hold",
+    summary="Delete a beam hold",
+    status_code=HTTP_204_NO_CONTENT,
+    responses=problems(UnknownBeamHold),
+)
+def delete_beam_hold(
+    hold_id: BeamHoldPath, database: DatabaseDep, operation: DeviceServiceDep
+) -> None:
+    """Delete a hold; the last that clients of the stream hear of it is that it is held."""
+    with operation.tools_change(_device_of(database, hold_id)) as session:
+        session.delete(store.get_beam_hold(session, hold_id))
+
+
+@router.post(
+    "/beam-holds/{hold_id}/reference",
+    operation_id="set-beam-hold-reference",
+    summary="Say that all is where it is to be",
+    responses=problems(
+        UnknownBeamHold,
+        BeamHoldReplaced,
+        Busy,
+        DeviceNotRunning,
+        NoActiveCalibration,
+        CalibrationSwitched,
+        NoObservation,
+        NotStationary,
+        InvalidParameter,
+    ),
+)
+def set_beam_hold_reference(
+    hold_id: BeamHoldPath,
+    request: ReferenceBody,
+    database: DatabaseDep,
+    live: LiveDep,
+    operation: DeviceServiceDep,
+) -> BeamHold:
+    """Measure the set-up, with the patient at rest, or take what is given.
+
+    It belongs to the calibration and table in force: with others in force the beam is held. A
+    latch of the reference before ends with it.
+    """
+    from service.api.beam_holds.reference_capture import capture_reference
+
+    with database.read() as session:
+        row = store.get_beam_hold(session, hold_id)
+        device, created, spec = row.device_id, row.created_at, to_spec(to_watch(row))
+        before = store.reference_id(row)
+    if request.given is not None:
+        with operation.tools_change(device) as session:
+            row = store.get_same_beam_hold(session, hold_id, created, before)
+            return _set_up(live, store.set_given(session, row, request.given))
+    with capture_slot():
+        measured, calibration, table = capture_reference(live, device, spec, request)
+    with operation.tools_change(device) as session:
+        row = store.get_same_beam_hold(session, hold_id, created, before)
+        return _set_up(live, store.set_captured(session, row, measured, calibration, table))
+
+
+@router.delete(
+    "/beam-holds/{hold_id}/reference",
+    operation_id="remove-beam-hold-reference",
+    summary="Take a beam hold's reference away",
+    responses=problems(UnknownBeamHold),
+)
+def delete_beam_hold_reference(
+    hold_id: BeamHoldPath, database: DatabaseDep, operation: DeviceServiceDep
+) -> BeamHold:
+    """The beam is held until there is another: between two patients."""
+    with operation.tools_change(_device_of(database, hold_id)) as session:
+        return store.document(
+            store.remove_reference(session, store.get_beam_hold(session, hold_id))
+        )
+
+
+@router.post(
+    "/beam-holds/{hold_id}/acknowledge",
+    operation_id="acknowledge-beam-hold",
+    summary="Acknowledge a latched hold",
+    responses=problems(UnknownBeamHold),
+)
+def acknowledge_beam_hold(
+    hold_id: BeamHoldPath, database: DatabaseDep, live: LiveDep, response: Response
+) -> BeamHoldStatus:
+    """Let a latched hold end, with the next frames and once all is back; nothing else changes."""
+    device = _device_of(database, hold_id)
+    live.holds.acknowledge(hold_id)
+    response.headers["Cache-Control"] = "no-store"
+    return state_of(live, device, hold_id)
+
+
+@router.get(
+    "/beam-holds/{hold_id}/state",
+    operation_id="get-beam-hold-state",
+    summary="Whether the beam is held now",
+    responses=problems(UnknownBeamHold),
+)
+def get_beam_hold_state(
+    hold_id: BeamHoldPath, database: DatabaseDep, live: LiveDep, response: Response
+) -> BeamHoldStatus:
+    """Whether the beam is held now, and why; never to be kept by a cache.
+
+    To act on it use the stream with content `holds`, which tells of changes at once.
+    """
+    device = _device_of(database, hold_id)
+    response.headers["Cache-Control"] = "no-store"
+    return state_of(live, device, hold_id)
+
+
+def _set_up(live: PipelineManager, row: HoldRow) -> BeamHold:
+    """Return a hold whose reference, if it has one, is taken now; said before it is watched."""
+    made = store.document(row)
+    if made.reference is not None:
+        live.holds.set_up(made.reference.id)
+    return made
+
+
+def _device_of(database: DatabaseDep, hold_id: str) -> str:
+    with database.read() as session:
+        return store.get_beam_hold(session, hold_id).device_id

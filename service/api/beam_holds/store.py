@@ -1,0 +1,213 @@
+"""Beam holds in the database."""
+
+import secrets
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from sqlalchemy import Select, func, select
+from sqlalchemy.orm import Session
+
+from compute.errors import InvalidParameter
+from service.api.beam_holds.monitor_config import to_limits, to_spec, to_watch, validate_reference
+from service.api.beam_holds.schema import (
+    BeamHold,
+    BeamHoldChange,
+    Limits,
+    NewBeamHold,
+    Reference,
+    ReferenceInput,
+    Rules,
+    ToolWatch,
+)
+from service.api.calibrations.activation import active
+from service.api.tools.store import get_tool
+from service.database.engine import insert
+from service.database.models import HoldRow
+from service.problems.errors import (
+    BeamHoldExists,
+    BeamHoldReplaced,
+    TooManyBeamHolds,
+    UnknownBeamHold,
+)
+
+MAX_BEAM_HOLDS: Final = 8
+"""Of one device: each takes its time with every frame."""
+
+
+def get_beam_hold(session: Session, hold_id: str) -> HoldRow:
+    """Return a hold; raises UnknownBeamHold."""
+    row = session.get(HoldRow, hold_id)
+    if row is None:
+        raise UnknownBeamHold(
+            f'there is no hold "{hold_id}"; GET /api/v1/beam-holds lists them', hold=hold_id
+        )
+    return row
+
+
+def reference_id(row: HoldRow) -> str | None:
+    """Return which reference a hold has; None: it has none."""
+    return None if row.reference is None else str(row.reference["id"])
+
+
+def get_same_beam_hold(
+    session: Session, hold_id: str, created_at: datetime, reference: str | None
+) -> HoldRow:
+    """Return a hold that was measured for.
+
+    Raises:
+        UnknownBeamHold.
+        BeamHoldReplaced: it is another, or its reference was changed meanwhile.
+    """
+    row = get_beam_hold(session, hold_id)
+    if reference_id(row) != reference:
+        raise BeamHoldReplaced(
+            f'the reference of hold "{hold_id}" was changed or taken away while this one was '
+            "measured, which was not kept; do it again",
+            hold=hold_id,
+        )
+    if row.created_at != created_at:
+        raise BeamHoldReplaced(
+            f'hold "{hold_id}" was deleted and created again while its reference was measured, '
+            "which was not kept; do it again",
+            hold=hold_id,
+        )
+    return row
+
+
+def holds(device_id: str | None) -> Select[HoldRow]:
+    """Return those that the filter matches, by id."""
+    found = select(HoldRow).order_by(HoldRow.id)
+    return found if device_id is None else found.where(HoldRow.device_id == device_id)
+
+
+def add_beam_hold(session: Session, request: NewBeamHold) -> HoldRow:
+    """Store a hold; the device's row is locked.
+
+    Raises:
+        BeamHoldExists: the id is taken.
+        TooManyBeamHolds: the device has as many as it may.
+        UnknownTool: there is no such tool.
+        InvalidParameter: what is asked contradicts itself, or the tool is another device's.
+    """
+    taken = BeamHoldExists(
+        f'hold "{request.id}" exists already; choose another id', hold=request.id
+    )
+    if session.get(HoldRow, request.id) is not None:
+        raise taken
+    device = request.device
+    count = session.scalar(
+        select(func.count()).select_from(HoldRow).where(HoldRow.device_id == device)
+    )
+    if (count or 0) >= MAX_BEAM_HOLDS:
+        raise TooManyBeamHolds(
+            f'device "{device}" has {count} holds already, as many as it may; delete one',
+            holds=count,
+        )
+    watch = request.watch
+    to_spec(watch)
+    to_limits(request.limits, request.rules, watch)
+    tool_id = watch.tool if isinstance(watch, ToolWatch) else None
+    if tool_id is not None:
+        tool = get_tool(session, tool_id)
+        if tool.device_id != device:
+            raise InvalidParameter(
+                f'tool "{tool_id}" is of device "{tool.device_id}"; a hold of "{device}" watches '
+                "its own",
+                tool=tool_id,
+            )
+    now = datetime.now(UTC)
+    row = HoldRow(
+        id=request.id,
+        device_id=device,
+        tool_id=tool_id,
+        title=request.title,
+        watch=watch.model_dump(mode="json"),
+        limits=request.limits.model_dump(mode="json"),
+        rules=request.rules.model_dump(mode="json"),
+        reference=None,
+        note=request.note,
+        created_at=now,
+        updated_at=now,
+    )
+    if request.reference is not None:
+        row.reference = _given(session, row, request.reference)
+    insert(session, row, taken)
+    return row
+
+
+def change_beam_hold(session: Session, row: HoldRow, change: BeamHoldChange) -> HoldRow:
+    """Change what the request gives; raises InvalidParameter: it contradicts itself."""
+    given = change.model_fields_set
+    members = change.model_dump(mode="json", exclude_unset=True)
+    limits = Limits.model_validate(row.limits | members.get("limits", {}))
+    rules = Rules.model_validate(row.rules | members.get("rules", {}))
+    to_limits(limits, rules, to_watch(row))
+    row.limits = limits.model_dump(mode="json")
+    row.rules = rules.model_dump(mode="json")
+    if "title" in given:
+        row.title = change.title
+    if "note" in given:
+        row.note = change.note
+    row.updated_at = datetime.now(UTC)
+    session.flush()
+    return row
+
+
+def set_given(session: Session, row: HoldRow, given: ReferenceInput) -> HoldRow:
+    """Give a hold a reference with the calibration that is active; raises InvalidParameter."""
+    return _set(session, row, _given(session, row, given))
+
+
+def set_captured(
+    session: Session, row: HoldRow, measured: dict[str, Any], calibration: str, table: str | None
+) -> HoldRow:
+    """Give a hold what was measured."""
+    return _set(session, row, _completed(measured, calibration, table))
+
+
+def remove_reference(session: Session, row: HoldRow) -> HoldRow:
+    """Take a hold's reference away: the beam is held."""
+    return _set(session, row, None)
+
+
+def _set(session: Session, row: HoldRow, reference: dict[str, Any] | None) -> HoldRow:
+    row.reference = reference
+    row.updated_at = datetime.now(UTC)
+    session.flush()
+    return row
+
+
+def _given(session: Session, row: HoldRow, given: ReferenceInput) -> dict[str, Any]:
+    members = validate_reference(given, to_watch(row))
+    pointer = active(session, row.device_id)
+    if pointer is None:
+        return _completed(members, None, None)
+    return _completed(members, pointer.calibration_id, pointer.table_id)
+
+
+def _completed(
+    members: dict[str, Any], calibration: str | None, table: str | None
+) -> dict[str, Any]:
+    own = {
+        "id": f"reference-{secrets.token_hex(8)}",
+        "calibration": calibration,
+        "table": table,
+        "set_at": datetime.now(UTC).isoformat(),
+    }
+    return Reference.model_validate(members | own).model_dump(mode="json")
+
+
+def document(row: HoldRow) -> BeamHold:
+    """Return a hold as clients see it."""
+    return BeamHold(
+        id=row.id,
+        device=row.device_id,
+        title=row.title,
+        watch=to_watch(row),
+        limits=Limits.model_validate(row.limits),
+        rules=Rules.model_validate(row.rules),
+        reference=None if row.reference is None else Reference.model_validate(row.reference),
+        note=row.note,
+        created_at=row.created_at,
+        updated_at=row.updated_at,
+    )

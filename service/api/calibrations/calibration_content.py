@@ -1,0 +1,170 @@
+"""One calibration run: from a request's control points to the content that is stored."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+
+from compute.calibration.assessment.cross_validation import control_errors
+from compute.calibration.calibrate import Progress
+from compute.calibration.calibrate_and_assess import calibrate_and_assess
+from compute.calibration.effective_readings import count_readings, effective_readings
+from compute.calibration.result import AxisErrors, Calibration
+from compute.calibration.settings import CalibrationSettings
+from compute.errors import InvalidParameter
+from hardware.driver import SensorDescription
+from service.api.calibrations.observations import geometry, observations
+from service.api.calibrations.schema import (
+    LEAVE_ONE_OUT_POINTS,
+    ControlPoint,
+    ControlPointErrors,
+    NewCalibration,
+    PointErrors,
+    Provenance,
+)
+
+_RESULT = TypeAdapter(Calibration)
+_POINTS = TypeAdapter(list[ControlPoint])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run yields.
+
+    Args:
+        result: the calibration.
+        content: the JSON object that is stored and hashed.
+        errors: the control-point errors as a JSON object.
+    """
+
+    result: Calibration
+    content: dict[str, Any]
+    errors: dict[str, Any]
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 of the content's canonical JSON, in hexadecimal."""
+        return content_hash(self.content)
+
+
+def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription]) -> Outcome:
+    """Calibrate within a request.
+
+    Raises:
+        InvalidParameter: what is asked for takes longer than a request should.
+        LumilineError: what was wrong with the points; see compute.calibration.calibrate_and_assess.assess.
+    """
+    settings = request.settings()
+    few = len(request.points) <= LEAVE_ONE_OUT_POINTS
+    if not few and settings != CalibrationSettings(settings.method):
+        raise InvalidParameter(
+            f"{len(request.points)} points are calibrated with distortion, uncertain points, a "
+            f"robust loss or labels in a run only: POST it to /api/v1/calibration-runs, or give at "
+            f"most {LEAVE_ONE_OUT_POINTS} points",
+            points=len(request.points),
+        )
+    return calibration_outcome(None, request.device, request.points, sensors, settings)
+
+
+def calibration_outcome(
+    progress: Progress | None,
+    device_id: str,
+    given: list[ControlPoint],
+    sensors: Sequence[SensorDescription],
+    settings: CalibrationSettings,
+) -> Outcome:
+    """Calibrate, and reconstruct the control points with the result and without each point.
+
+    Args:
+        progress: called with the share done and the stage.
+        device_id: the device.
+        given: the control points.
+        sensors: the device's sensors.
+        settings: what is asked for.
+
+    Raises:
+        LumilineError: what was wrong with the points; see compute.calibration.calibrate_and_assess.assess.
+    """
+    points, observed, sigma = control_arrays(given, sensors)
+    result = calibrate_and_assess(points, observed, geometry(sensors), sigma, settings, progress)
+    used, _ = effective_readings(result, observed)
+    left_out = {
+        check.scheme: point_errors(
+            differences := optional_rows(check.differences_mm), count_readings(used, differences)
+        )
+        for check in result.cross_validation
+    }
+    errors = ControlPointErrors(
+        fitted=point_errors(*control_errors(result, points, observed, sigma)),
+        leave_one_out=left_out.get("points"),
+        blocks_left_out=left_out.get("blocks"),
+    )
+    content = calibration_content(device_id, "fitted", given, result)
+    return Outcome(result, content, errors.model_dump(mode="json"))
+
+
+def control_arrays(
+    given: Sequence[ControlPoint], sensors: Sequence[SensorDescription]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None]:
+    """Return positions (N, 3) [mm], readings (N, S) [px] and their deviations or None.
+
+    Raises:
+        DuplicatePoint, UnknownSensor, ReadingOutsideSensor, InvalidParameter.
+    """
+    observed = observations(given, sensors)
+    sigma = observed.all_or_no_sigma()
+    points = np.array([point.position_mm for point in given], dtype=np.float64).reshape(-1, 3)
+    return points, observed.readings_px, sigma
+
+
+def optional_rows(rows: Sequence[tuple[float, float, float] | None]) -> NDArray[np.float64]:
+    """Return rows as an array (N, 3); NaN for those that there are not."""
+    return np.array([(np.nan,) * 3 if row is None else row for row in rows]).reshape(-1, 3)
+
+
+def point_errors(differences_mm: NDArray[np.float64], readings: int) -> PointErrors:
+    """Return differences (N, 3) [mm] with their figures; NaN where there is no position.
+
+    Args:
+        differences_mm: reconstructed minus given points, shape (N, 3) [mm].
+        readings: how many readings they rest on.
+    """
+    statistics = AxisErrors.of(differences_mm)
+    return PointErrors(
+        statistics=statistics if statistics.points else None,
+        differences_mm=[
+            (row[0], row[1], row[2]) if np.isfinite(row).all() else None
+            for row in differences_mm.tolist()
+        ],
+        readings=readings,
+    )
+
+
+def calibration_content(
+    device_id: str, provenance: Provenance, points: list[ControlPoint], result: Calibration
+) -> dict[str, Any]:
+    """Return the immutable content of a calibration as a JSON object."""
+    return {
+        "device": device_id,
+        "provenance": provenance,
+        "points": _POINTS.dump_python(points, mode="json"),
+        "result": _RESULT.dump_python(result, mode="json"),
+    }
+
+
+def result_of(content: dict[str, Any]) -> Calibration:
+    """Return the calibration that a stored content holds."""
+    return _RESULT.validate_python(content["result"])
+
+
+def content_hash(content: dict[str, Any]) -> str:
+    """Return the SHA-256 of the canonical JSON: sorted keys, no spaces, UTF-8."""
+    text = json.dumps(
+        content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    )
+    return hashlib.sha256(text.encode()).hexdigest()

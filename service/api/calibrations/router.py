@@ -1,0 +1,200 @@
+"""REST resource /api/v1/calibrations."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Path, Query
+from starlette.responses import JSONResponse
+from starlette.status import HTTP_201_CREATED
+
+from compute.errors import (
+    DegeneratePoints,
+    DuplicatePoint,
+    InvalidParameter,
+    NoConvergence,
+    ReadingOutsideSensor,
+    TooFewPoints,
+    UnknownSensor,
+)
+from service.api.base_models import SLUG_PATTERN, Page
+from service.api.calibrations import store
+from service.api.calibrations.calibration_content import result_of, run_calibration
+from service.api.calibrations.examples import NEW_CALIBRATIONS
+from service.api.calibrations.schema import (
+    CalibrationDocument,
+    CalibrationSummary,
+    ComparisonDocument,
+    NewCalibration,
+    State,
+)
+from service.api.calibrations.sensor_check import check_sensors
+from service.api.dependencies import DatabaseDep, DeviceServiceDep
+from service.api.devices.store import get_device, sensors_of_row
+from service.api.json_body import JsonRoute, JsonTypes
+from service.api.openapi import problems
+from service.api.pagination import PagingDep, page_of
+from service.api.request_parameters import CalibrationPath, DeviceFilter, ExpectedActive
+from service.problems.errors import (
+    ActivationConflict,
+    CalibrationActive,
+    CalibrationExists,
+    CalibrationOfAnotherDevice,
+    CalibrationRetired,
+    SensorsChanged,
+    UnknownCalibration,
+    UnknownDevice,
+)
+
+router = APIRouter(prefix="/api/v1/calibrations", tags=["calibrations"], route_class=JsonRoute)
+
+NewCalibrationBody = Annotated[NewCalibration, JsonTypes(), Body(openapi_examples=NEW_CALIBRATIONS)]
+OtherPath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The other calibration's id.",
+        openapi_examples={"frame": {"summary": "of the example body", "value": "sim-frame"}},
+    ),
+]
+RetiredPath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The calibration's id.",
+        openapi_examples={"frame": {"summary": "one that is not active", "value": "sim-frame"}},
+    ),
+]
+
+
+@router.get("", operation_id="list-calibrations", summary="List calibrations")
+def list_calibrations(
+    database: DatabaseDep,
+    paging: PagingDep,
+    device: DeviceFilter = None,
+    state: Annotated[State | None, Query(description="Only those in this state.")] = None,
+) -> Page[CalibrationSummary]:
+    """Calibrations without their numbers, newest first."""
+    with database.read() as session:
+        return page_of(
+            session,
+            store.calibrations(device, state),
+            paging,
+            lambda row: store.summary(session, row),
+        )
+
+
+@router.post(
+    "",
+    operation_id="create-calibration",
+    summary="Calibrate a device",
+    status_code=HTTP_201_CREATED,
+    response_model=CalibrationDocument,
+    responses=problems(
+        UnknownDevice,
+        CalibrationExists,
+        SensorsChanged,
+        TooFewPoints,
+        DegeneratePoints,
+        DuplicatePoint,
+        UnknownSensor,
+        ReadingOutsideSensor,
+        InvalidParameter,
+        NoConvergence,
+    ),
+)
+def create_calibration(request: NewCalibrationBody, database: DatabaseDep) -> JSONResponse:
+    """Calibrate every sensor from control points. The calibration is stored, not activated.
+
+    Each sensor needs at least seven points that do not lie in one plane. The control points are
+    reconstructed with the result, and each by a calibration without it (at most 100 points).
+    """
+    with database.read() as session:
+        sensors = sensors_of_row(get_device(session, request.device))
+        store.check_unused(session, request.id)
+    outcome = run_calibration(request, sensors)
+    with database.write() as session:
+        # The run held no lock: the device may have been given other sensors meanwhile.
+        device = get_device(session, request.device, lock=True)
+        check_sensors(device.id, sensors_of_row(device), sensors)
+        row = store.add_calibration(session, request.device, outcome, request.note, request.id)
+        made = store.document(session, row)
+    location = {"Location": f"/api/v1/calibrations/{made['id']}"}
+    return JSONResponse(made, HTTP_201_CREATED, location)
+
+
+@router.get(
+    "/{calibration_id}",
+    operation_id="get-calibration",
+    summary="Read a calibration",
+    response_model=CalibrationDocument,
+    responses=problems(UnknownCalibration),
+)
+def get_calibration(calibration_id: CalibrationPath, database: DatabaseDep) -> JSONResponse:
+    """One calibration: models, joint covariance, residuals, control-point errors.
+
+    What is hashed is sent as it was stored: one that an earlier version made has no members that
+    came later.
+    """
+    with database.read() as session:
+        found = store.document(session, store.get_calibration(session, calibration_id))
+    return JSONResponse(found)
+
+
+@router.get(
+    "/{calibration_id}/compare/{other_id}",
+    operation_id="compare-calibrations",
+    summary="Compare two calibrations",
+    responses=problems(UnknownCalibration, CalibrationOfAnotherDevice, SensorsChanged),
+)
+def compare_calibrations(
+    calibration_id: CalibrationPath, other_id: OtherPath, database: DatabaseDep
+) -> ComparisonDocument:
+    """Two calibrations of one device: parameters in their deviations, positions over the control
+    points' box, and which is better on the same observations.
+    """
+    from service.api.calibrations.comparison import compare
+    from service.api.calibrations.with_control_points import with_control_points
+
+    with database.read() as session:
+        rows = [store.get_calibration(session, name) for name in (calibration_id, other_id)]
+        if rows[0].device_id != rows[1].device_id:
+            raise CalibrationOfAnotherDevice(
+                f'calibration "{rows[1].id}" is of device "{rows[1].device_id}"; "{rows[0].id}" is '
+                f'of device "{rows[0].device_id}": compare calibrations of one device',
+                calibration=rows[1].id,
+            )
+        sensors = sensors_of_row(get_device(session, rows[0].device_id))
+        for row in rows:
+            check_sensors(row.device_id, sensors, result_of(row.content).models)
+        held = [with_control_points(row, sensors) for row in rows]
+    return ComparisonDocument(
+        one=calibration_id, other=other_id, comparison=compare(held[0], held[1])
+    )
+
+
+@router.post(
+    "/{calibration_id}/activate",
+    operation_id="activate-calibration",
+    summary="Activate a calibration",
+    responses=problems(UnknownCalibration, CalibrationRetired, SensorsChanged, ActivationConflict),
+)
+def activate_calibration(
+    calibration_id: CalibrationPath, operation: DeviceServiceDep, expected: ExpectedActive = None
+) -> CalibrationSummary:
+    """Make this the active calibration of its device, in a running one from the next frame on.
+
+    The move is written into the device's history of activations. To roll back, activate the
+    previous one again. Of activations at the same moment one wins; the others are told.
+    """
+    return operation.activate(calibration_id, expected)
+
+
+@router.post(
+    "/{calibration_id}/retire",
+    operation_id="retire-calibration",
+    summary="Retire a calibration",
+    responses=problems(UnknownCalibration, CalibrationActive),
+)
+def retire_calibration(calibration_id: RetiredPath, database: DatabaseDep) -> CalibrationSummary:
+    """Take a calibration out of use for good. It stays readable; it cannot be activated again."""
+    with database.write() as session:
+        return store.summary(session, store.retire(session, calibration_id))

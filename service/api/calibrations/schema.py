@@ -1,0 +1,208 @@
+"""Calibrations as clients send and receive them."""
+
+from typing import Annotated, Any, Final, Literal, get_args
+
+from pydantic import Discriminator, Field, StringConstraints, Tag
+
+from compute.calibration.result import AxisErrors, Calibration, MethodWithoutControl
+from compute.calibration.settings import (
+    CalibrationSettings,
+    LabelPolicy,
+    Loss,
+    Method,
+)
+from compute.calibration.single_sensor.distortion_terms import Preset
+from compute.camera.field_distortion import Term
+from compute.camera.model import Vector3
+from service.api.base_models import Moment, Name, Note, Position, RequestModel, ResponseModel, Slug
+from service.api.calibrations.comparison import Comparison
+
+MAX_POINTS = 10_000
+LEAVE_ONE_OUT_POINTS = 100
+"""Most control points that are left out one by one, and that a request calibrates in full."""
+
+State = Literal["active", "available", "retired"]
+Provenance = Literal["fitted", "self-calibrated", "updated", "nominal"]
+
+
+class Reading(RequestModel):
+    """One reading with its standard deviation."""
+
+    position_px: float = Field(description="Peak position; 0 is the centre of the first pixel.")
+    sigma_px: float = Field(ge=1e-6, le=1e4, description="Its standard deviation.")
+
+
+def _reading_kind(value: Any) -> str:
+    return "with-deviation" if isinstance(value, dict | Reading) else "position"
+
+
+ReadingValue = Annotated[
+    Annotated[float, Tag("position")] | Annotated[Reading, Tag("with-deviation")],
+    Discriminator(_reading_kind),
+]
+# Without a pattern, which JSON schema would apply to the values only, not to other keys; a name
+# that no sensor has is refused anyway.
+SensorName = Annotated[str, StringConstraints(min_length=1, max_length=64)]
+Readings = Annotated[
+    dict[SensorName, ReadingValue],
+    Field(
+        max_length=64,
+        description="By sensor: the peak's position [px], or it and its standard deviation. "
+        "Leave out sensors that did not see the point.",
+    ),
+]
+
+
+_SETS: Final = ("none", "auto", *get_args(Preset))
+
+
+def _distortion_kind(value: Any) -> str | None:
+    if isinstance(value, list | tuple):
+        return "terms"
+    return "set" if value in _SETS else None
+
+
+# One message for what is neither, where a plain union has one of each member's.
+GivenDistortion = Annotated[
+    Annotated[Literal["none", "auto", Preset], Tag("set")]
+    | Annotated[tuple[Term, ...], Tag("terms")],
+    Discriminator(
+        _distortion_kind,
+        custom_error_type="unknown_distortion",
+        custom_error_message=f"Input should be one of {', '.join(_SETS)}, or terms u^i v^j as "
+        "pairs of powers such as [[3, 0], [1, 2]]",
+    ),
+]
+
+
+class ControlPoint(RequestModel):
+    """A point of known position and what the sensors read of it."""
+
+    name: Name
+    position_mm: Position = Field(description="X, Y, Z in the world frame [mm].")
+    readings: Readings
+
+
+class CalibrationOptions(RequestModel):
+    """How a device is calibrated; the members of CalibrationSettings as clients give them."""
+
+    method: Method = Field(
+        default="metric",
+        description="`metric`: the seven-parameter camera, refined geometrically, with the "
+        "distortion asked for. `dlt-iterative`: the published direct linear transformation with a "
+        "cubic term, for comparison.",
+    )
+    distortion: GivenDistortion = Field(
+        default="none",
+        description="Terms of the lens's distortion: `none`, `auto` (chosen by cross-validation "
+        "over blocks of space), the name of a set, or the terms themselves as pairs of powers of "
+        "the two field angles.",
+    )
+    control_sigma_mm: Annotated[float, Field(ge=1e-6, le=1e3)] | None = Field(
+        default=None,
+        description="Standard deviation of each coordinate of the control points; null: exact.",
+    )
+    loss: Loss = Field(default="linear", description="`robust`: wrong readings lose their weight.")
+    labels: LabelPolicy = Field(
+        default="off",
+        description="What is done with wrong and exchanged labels: not looked for, reported, "
+        "left out, or mended.",
+    )
+
+    def settings(self) -> CalibrationSettings:
+        """Return them for the computation.
+
+        Raises:
+            InvalidParameter: one means nothing, or contradicts another.
+        """
+        return CalibrationSettings(
+            self.method, self.distortion, self.control_sigma_mm, self.loss, self.labels
+        )
+
+
+class NewCalibration(CalibrationOptions):
+    """Control points from which a device is calibrated."""
+
+    id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
+    device: Slug
+    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS)]
+    note: Note = ""
+
+
+class PointErrors(ResponseModel):
+    """Differences between given and reconstructed control points."""
+
+    statistics: AxisErrors | None = Field(description="Null when no point could be had.")
+    differences_mm: list[Vector3 | None] = Field(
+        description="Reconstructed minus given, in the order of the points; null: no position."
+    )
+    readings: int | None = Field(
+        default=None,
+        description="How many readings the statistics rest on: those that the calibration used, "
+        "with labels repaired or left out and without outliers that a robust loss gave no weight. "
+        "Null in documents from before it was counted.",
+    )
+
+
+class ControlPointErrors(ResponseModel):
+    """How well a calibration reproduces its control points."""
+
+    fitted: PointErrors | None = Field(description="The points that made it; null without any.")
+    leave_one_out: PointErrors | None = Field(
+        description="Each point by a calibration that never saw it; null without any point, or "
+        f"with more than {LEAVE_ONE_OUT_POINTS}: see `blocks_left_out`."
+    )
+    blocks_left_out: PointErrors | None = Field(
+        default=None,
+        description="Each point by a calibration that never saw its block of space, as in the "
+        "result's `cross_validation`; null where that was not made.",
+    )
+
+
+class ParentCalibration(ResponseModel):
+    """The calibration that an updated one was made from."""
+
+    id: str
+    content_hash: str
+
+
+class CalibrationSummary(ResponseModel):
+    """A calibration without its numbers."""
+
+    id: str
+    device: str
+    state: State
+    provenance: Provenance = Field(
+        description="`fitted`: from control points. `self-calibrated`: from subjects at unknown "
+        "places. `updated`: from its `parent` and still markers. `nominal`: a design's values, "
+        "not measured."
+    )
+    method: Method | MethodWithoutControl
+    note: str
+    point_count: int
+    content_hash: str = Field(
+        description="SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) of the object "
+        "of the members device, provenance, points, result and, of an updated one, parent, as a "
+        "GET of the calibration sends them."
+    )
+    created_at: Moment
+    retired_at: Moment | None
+
+
+class CalibrationDocument(CalibrationSummary):
+    """A calibration, whole."""
+
+    parent: ParentCalibration | None = Field(
+        default=None, description="Of an updated one, which was made from it."
+    )
+    points: list[ControlPoint]
+    result: Calibration
+    errors: ControlPointErrors
+
+
+class ComparisonDocument(ResponseModel):
+    """Two calibrations of one device beside one another."""
+
+    one: str
+    other: str
+    comparison: Comparison

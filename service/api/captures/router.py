@@ -1,0 +1,205 @@
+"""REST resource /api/v1/captures: place, hold, capture, next."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from threading import Lock
+from typing import Annotated
+
+import numpy as np
+from fastapi import APIRouter, Body, Path, Query, Response
+from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+
+from compute.errors import DuplicatePoint
+from service.api.base_models import SLUG_PATTERN, Page
+from service.api.captures import store
+from service.api.captures.averaging import average
+from service.api.captures.examples import NEW_CAPTURES
+from service.api.captures.schema import (
+    Capture,
+    CapturedSensor,
+    CapturedTarget,
+    CaptureSettings,
+    NewCapture,
+)
+from service.api.dependencies import DatabaseDep, LiveDep
+from service.api.devices.store import get_device
+from service.api.json_body import JsonRoute, JsonTypes
+from service.api.openapi import problems
+from service.api.pagination import PagingDep, page_of
+from service.api.request_parameters import DeviceFilter
+from service.problems.errors import (
+    Busy,
+    CaptureComplete,
+    CaptureExists,
+    CaptureOfAnotherDevice,
+    DeviceNotRunning,
+    MarkerNotMoved,
+    NoObservation,
+    TargetMoved,
+    UnknownCapture,
+    UnknownDevice,
+    UnknownTarget,
+)
+
+router = APIRouter(prefix="/api/v1/captures", tags=["captures"], route_class=JsonRoute)
+
+NewCaptureBody = Annotated[NewCapture, JsonTypes(), Body(openapi_examples=NEW_CAPTURES)]
+CapturePath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The session's id.",
+        openapi_examples={"frame": {"summary": "of the example body", "value": "sim-capture"}},
+    ),
+]
+
+_capturing: set[str] = set()
+_guard = Lock()
+
+
+@router.get("", operation_id="list-captures", summary="List capture sessions")
+def list_captures(
+    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
+) -> Page[Capture]:
+    """Capture sessions, newest first."""
+    with database.read() as session:
+        return page_of(session, store.captures(device), paging, store.document)
+
+
+@router.post(
+    "",
+    operation_id="create-capture",
+    summary="Begin a capture session",
+    status_code=HTTP_201_CREATED,
+    responses=problems(UnknownDevice, CaptureExists, DuplicatePoint),
+)
+def create_capture(request: NewCaptureBody, database: DatabaseDep, response: Response) -> Capture:
+    """Name the places at which a marker will be held, in the order in which they will be visited.
+
+    Then, for each: place the marker, hold it, POST `capture`. When all are done, name the session
+    as `capture` of a calibration or mapping run.
+    """
+    with database.write() as session:
+        device = get_device(session, request.device, lock=True)
+        made = store.document(store.add_capture(session, request, device))
+    response.headers["Location"] = f"/api/v1/captures/{made.id}"
+    return made
+
+
+@router.get(
+    "/{capture_id}",
+    operation_id="get-capture",
+    summary="What is captured and what is left",
+    responses=problems(UnknownCapture),
+)
+def get_capture(capture_id: CapturePath, database: DatabaseDep) -> Capture:
+    """One session."""
+    with database.read() as session:
+        return store.document(store.get_capture(session, capture_id))
+
+
+@router.delete(
+    "/{capture_id}",
+    operation_id="delete-capture",
+    summary="Delete a capture session",
+    status_code=HTTP_204_NO_CONTENT,
+    responses=problems(UnknownCapture),
+)
+def delete_capture(capture_id: CapturePath, database: DatabaseDep) -> None:
+    """Delete a session; runs that were posted with it keep its measurements."""
+    with database.write() as session:
+        session.delete(store.get_capture(session, capture_id, lock=True))
+
+
+@router.post(
+    "/{capture_id}/capture",
+    operation_id="capture-target",
+    summary="Capture the next target",
+    responses=problems(
+        UnknownCapture,
+        UnknownTarget,
+        DeviceNotRunning,
+        CaptureOfAnotherDevice,
+        CaptureComplete,
+        NoObservation,
+        TargetMoved,
+        MarkerNotMoved,
+        Busy,
+    ),
+)
+def capture_target(
+    capture_id: CapturePath,
+    database: DatabaseDep,
+    live: LiveDep,
+    target: Annotated[
+        str | None,
+        Query(
+            min_length=1,
+            max_length=64,
+            pattern=r"^[^\u0000]*$",
+            description="A target by name, also again; left out: the next that is not captured.",
+        ),
+    ] = None,
+) -> Capture:
+    """Average the readings of the marker over the next frames of the running device.
+
+    The marker must rest: readings that spread or drift by more than their noise explains are
+    refused, and nothing is stored. So are readings that equal another target's within their noise:
+    the marker is still there, or a strobed one is named for both.
+    """
+    with database.read() as session:
+        row = store.get_capture(session, capture_id)
+        store.check_sensors_now(session, row)
+        wanted = store.next_target(row, target)
+        settings = CaptureSettings.model_validate(row.settings)
+        marker = wanted.marker if wanted.marker is not None else settings.marker
+        device, names = row.device_id, [sensor["name"] for sensor in row.sensors]
+    with _exclusive(device):
+        position, sigma = live.collect(device, settings.frames, marker, settings.timeout_s)
+    if len(position) < settings.frames:
+        which = "all markers lit" if marker is None else f"marker {marker} lit"
+        raise NoObservation(
+            f"{len(position)} of {settings.frames} frames with {which} came within "
+            f"{settings.timeout_s:g} s; choose the marker that the device strobes, or fewer frames",
+            target=wanted.name,
+            frames=len(position),
+        )
+    found = average(position, sigma, names, settings.seen_share, wanted.name)
+    taken = CapturedTarget(
+        target=wanted.name,
+        frames=len(position),
+        sensors=[
+            CapturedSensor(
+                sensor=name,
+                frames=int(found.frames[column]),
+                mean_px=float(found.mean_px[column]),
+                spread_px=float(found.spread_px[column]),
+                stated_px=_number(found.stated_px[column]),
+                sigma_px=float(found.sigma_px[column]),
+            )
+            for column, name in enumerate(names)
+            if np.isfinite(found.mean_px[column])
+        ],
+        captured_at=datetime.now(UTC),
+    )
+    with database.write() as session:
+        return store.document(store.keep(session, capture_id, taken))
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+@contextmanager
+def _exclusive(device_id: str) -> Iterator[None]:
+    """Capture one target of a device at a time: two would be of one marker."""
+    with _guard:
+        if device_id in _capturing:
+            raise Busy(f'a target of device "{device_id}" is being captured; wait until it is done')
+        _capturing.add(device_id)
+    try:
+        yield
+    finally:
+        with _guard:
+            _capturing.discard(device_id)

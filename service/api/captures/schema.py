@@ -1,0 +1,89 @@
+"""Capture sessions as clients send and receive them."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from service.api.base_models import Moment, Name, Note, Position, RequestModel, ResponseModel, Slug
+
+MAX_TARGETS = 2_000
+
+
+Marker = Annotated[int, Field(ge=0, le=65535)]
+
+
+class Target(RequestModel):
+    """A named place at which a marker will be held, or has its own."""
+
+    name: Name
+    position_mm: Position = Field(description="X, Y, Z in the world frame [mm].")
+    marker: Marker | None = Field(
+        default=None,
+        description="Strobed marker at this target, of a frame with many; null: the settings'.",
+    )
+
+
+class CaptureSettings(RequestModel):
+    """How each target is captured."""
+
+    frames: Annotated[int, Field(ge=3, le=10_000)] = Field(
+        default=50, description="Frames that are averaged."
+    )
+    marker: Marker | None = Field(
+        default=None,
+        description="Strobed marker to take at targets that name none; null: frames in which "
+        "each sensor sees one peak.",
+    )
+    seen_share: Annotated[float, Field(ge=0.1, le=1)] = Field(
+        default=0.8, description="Share of the frames in which a sensor must see the marker."
+    )
+    timeout_s: Annotated[float, Field(gt=0, le=60)] = Field(
+        default=10.0, description="How long the frames are waited for."
+    )
+
+
+class NewCapture(RequestModel):
+    """A capture session to begin."""
+
+    id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
+    device: Slug
+    targets: Annotated[list[Target], Field(min_length=1, max_length=MAX_TARGETS)]
+    settings: CaptureSettings = Field(default_factory=CaptureSettings)
+    note: Note = ""
+
+
+class CapturedSensor(ResponseModel):
+    """What one sensor read of a target."""
+
+    sensor: str
+    frames: int = Field(description="Frames in which it saw one clear peak.")
+    mean_px: float
+    spread_px: float = Field(description="Standard deviation of one frame's reading.")
+    stated_px: float | None = Field(
+        description="What the peaks' own deviations let expect of it; null: they have none."
+    )
+    sigma_px: float = Field(description="Standard deviation of the mean.")
+
+
+class CapturedTarget(ResponseModel):
+    """What was read of a target."""
+
+    target: str
+    frames: int
+    sensors: list[CapturedSensor] = Field(description="Those that saw it.")
+    captured_at: Moment
+
+
+class Capture(ResponseModel):
+    """A capture session: what is done and what is left."""
+
+    id: str
+    device: str
+    settings: CaptureSettings
+    targets: list[Target]
+    captured: list[CapturedTarget] = Field(description="In the order of the targets.")
+    next: str | None = Field(description="The next target; null: all are captured.")
+    left: int = Field(description="Targets that are not captured yet.")
+    note: str
+    created_at: Moment
+    updated_at: Moment

@@ -1,0 +1,225 @@
+"""Capture sessions in the database: begun, filled target by target, turned into control points."""
+
+import secrets
+from datetime import UTC, datetime
+from math import dist
+from typing import Any
+
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
+
+from compute.errors import DuplicatePoint
+from service.api.calibrations.schema import ControlPoint, Reading
+from service.api.captures.movement_check import MIN_POINT_DISTANCE_MM, check_marker_moved
+from service.api.captures.schema import Capture, CapturedTarget, CaptureSettings, NewCapture, Target
+from service.api.devices.store import get_device, sensors_of_row
+from service.database.engine import insert
+from service.database.models import CaptureRow, DeviceRow
+from service.problems.errors import (
+    CaptureComplete,
+    CaptureExists,
+    CaptureIncomplete,
+    CaptureOfAnotherDevice,
+    UnknownCapture,
+    UnknownTarget,
+)
+
+_MIN_SIGMA_PX = 1e-6
+
+
+def get_capture(session: Session, capture_id: str, *, lock: bool = False) -> CaptureRow:
+    """Return a capture session, locked on request; raises UnknownCapture."""
+    row = session.get(CaptureRow, capture_id, with_for_update=lock or None)
+    if row is None:
+        raise UnknownCapture(
+            f'there is no capture session "{capture_id}"; GET /api/v1/captures lists them',
+            capture=capture_id,
+        )
+    return row
+
+
+def captures(device_id: str | None) -> Select[CaptureRow]:
+    """Return those that the filter matches, newest first."""
+    found = select(CaptureRow).order_by(CaptureRow.created_at.desc(), CaptureRow.id)
+    return found if device_id is None else found.where(CaptureRow.device_id == device_id)
+
+
+def add_capture(session: Session, request: NewCapture, device: DeviceRow) -> CaptureRow:
+    """Store a new session, with nothing captured.
+
+    Raises:
+        CaptureExists: the id is taken.
+        DuplicatePoint: two targets have one name, or one position.
+    """
+    names: set[str] = set()
+    places: dict[tuple[float, float, float], str] = {}
+    for target in request.targets:
+        other = places.setdefault(target.position_mm, target.name)
+        if target.name in names:
+            raise DuplicatePoint(
+                f'two targets are called "{target.name}"; give each a name of its own',
+                point=target.name,
+            )
+        names.add(target.name)
+        if other != target.name:
+            raise DuplicatePoint(
+                f'targets "{other}" and "{target.name}" have the same position '
+                f"{target.position_mm} mm; give each once: a target can be captured again by name",
+                point=target.name,
+            )
+    identity = request.id or f"capture-{secrets.token_hex(8)}"
+    taken = CaptureExists(
+        f'capture session "{identity}" exists already; choose another id, or leave it out',
+        capture=identity,
+    )
+    if session.get(CaptureRow, identity) is not None:
+        raise taken
+    now = datetime.now(UTC)
+    row = CaptureRow(
+        id=identity,
+        device_id=device.id,
+        sensors=device.sensors,
+        settings=request.settings.model_dump(mode="json"),
+        targets=[target.model_dump(mode="json") for target in request.targets],
+        captured={},
+        note=request.note,
+        created_at=now,
+        updated_at=now,
+    )
+    insert(session, row, taken)
+    return row
+
+
+def next_target(row: CaptureRow, name: str | None) -> Target:
+    """Return the target of a name, or the next that is not captured.
+
+    Raises:
+        UnknownTarget: there is none of the name.
+        CaptureComplete: none is named, and all are captured.
+    """
+    targets = [Target.model_validate(target) for target in row.targets]
+    if name is not None:
+        found = next((target for target in targets if target.name == name), None)
+        if found is None:
+            raise UnknownTarget(
+                f'session "{row.id}" has no target "{name}"; it has '
+                f"{', '.join(target.name for target in targets)[:300]}",
+                capture=row.id,
+                target=name,
+            )
+        return found
+    found = next((target for target in targets if target.name not in row.captured), None)
+    if found is None:
+        raise CaptureComplete(
+            f'all {len(targets)} targets of session "{row.id}" are captured; name one to capture '
+            "it again, or post a run",
+            capture=row.id,
+        )
+    return found
+
+
+def check_sensors_now(session: Session, row: CaptureRow) -> None:
+    """Raise CaptureOfAnotherDevice when the device has other sensors than at the beginning."""
+    now = sensors_of_row(get_device(session, row.device_id))
+    names = [(sensor["name"], sensor["pixels"]) for sensor in row.sensors]
+    if names != [(sensor.name, sensor.pixels) for sensor in now]:
+        raise CaptureOfAnotherDevice(
+            f'session "{row.id}" was begun with other sensors than device "{row.device_id}" has '
+            "now; begin a new one",
+            capture=row.id,
+        )
+
+
+def keep(session: Session, capture_id: str, found: CapturedTarget) -> CaptureRow:
+    """Store what was read of a target, in place of what was before.
+
+    Raises:
+        UnknownCapture: there is none.
+        MarkerNotMoved: another target was read the same.
+    """
+    row = get_capture(session, capture_id, lock=True)
+    places = {target["name"]: target["position_mm"] for target in row.targets}
+    others = [
+        CapturedTarget.model_validate(row.captured[name])
+        for name, place in places.items()
+        if name in row.captured and dist(place, places[found.target]) > MIN_POINT_DISTANCE_MM
+    ]
+    check_marker_moved(found, others)
+    row.captured = {**row.captured, found.target: found.model_dump(mode="json")}
+    row.updated_at = datetime.now(UTC)
+    session.flush()
+    return row
+
+
+def captured_points(
+    session: Session, capture_id: str, device_id: str, *, incomplete: bool = False
+) -> list[ControlPoint]:
+    """Return the control points of a session: its targets with what was read of them.
+
+    Args:
+        session: the session of the database.
+        capture_id: the capture session.
+        device_id: the device that it must be of.
+        incomplete: whether targets may be missing.
+
+    Raises:
+        UnknownCapture: there is none.
+        CaptureOfAnotherDevice: it is of another device, or of other sensors.
+        CaptureIncomplete: targets are missing.
+    """
+    row = get_capture(session, capture_id)
+    if row.device_id != device_id:
+        raise CaptureOfAnotherDevice(
+            f'session "{row.id}" is of device "{row.device_id}", not of "{device_id}"',
+            capture=row.id,
+            device=row.device_id,
+        )
+    check_sensors_now(session, row)
+    left = [target["name"] for target in row.targets if target["name"] not in row.captured]
+    if left and not incomplete:
+        raise CaptureIncomplete(
+            f'{len(left)} of {len(row.targets)} targets of session "{row.id}" are not captured: '
+            f"{', '.join(left)[:300]}; capture them, or say allow_incomplete",
+            capture=row.id,
+            left=len(left),
+        )
+    points = []
+    for target in row.targets:
+        taken = row.captured.get(target["name"])
+        if taken is not None:
+            points.append(_point(Target.model_validate(target), taken))
+    return points
+
+
+def _point(target: Target, taken: dict[str, Any]) -> ControlPoint:
+    found = CapturedTarget.model_validate(taken)
+    return ControlPoint(
+        name=target.name,
+        position_mm=target.position_mm,
+        readings={
+            one.sensor: Reading(position_px=one.mean_px, sigma_px=max(one.sigma_px, _MIN_SIGMA_PX))
+            for one in found.sensors
+        },
+    )
+
+
+def document(row: CaptureRow) -> Capture:
+    """Return the session as clients see it."""
+    names = [target["name"] for target in row.targets]
+    left = [name for name in names if name not in row.captured]
+    return Capture(
+        id=row.id,
+        device=row.device_id,
+        settings=CaptureSettings.model_validate(row.settings),
+        targets=[Target.model_validate(target) for target in row.targets],
+        captured=[
+            CapturedTarget.model_validate(row.captured[name])
+            for name in names
+            if name in row.captured
+        ],
+        next=left[0] if left else None,
+        left=len(left),
+        note=row.note,
+        created_at=row.created_at,
+        updated_at=row.updated_at,
+    )

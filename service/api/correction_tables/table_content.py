@@ -1,0 +1,124 @@
+"""TableContent: a correction table with where it comes from, checked, and its content hash."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Final
+
+import numpy as np
+
+from compute.errors import InvalidParameter
+from compute.mapping.table import CorrectionTable
+from service.problems.errors import InvalidTableFile, TableHasHoles
+
+MEDIA_TYPE: Final = "application/x-hdf5"
+"""Of the files that tables are exchanged in; see ``service.api.correction_tables.hdf5_file``."""
+_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+MAX_PX: Final = 1e5
+"""Largest correction that means something: more than the pixels of any sensor."""
+MAX_MM: Final = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class TableContent:
+    """A correction table and its provenance; immutable, and what is hashed.
+
+    Args:
+        table: the table, with the hash of its parent calibration.
+        device: the device's id.
+        made_at: when it was computed, with its time zone.
+        settings: how it was asked to be made, as a JSON object.
+        validation: figures on measurements that it never saw, as a JSON object.
+    """
+
+    table: CorrectionTable
+    device: str
+    made_at: datetime
+    settings: dict[str, Any]
+    validation: dict[str, Any]
+
+    def header(self) -> dict[str, Any]:
+        """Return all but the arrays as a JSON object."""
+        grid = self.table.grid
+        return {
+            "device": self.device,
+            "sensors": list(self.table.sensors),
+            "calibration_hash": self.table.calibration_hash,
+            "grid": {
+                "origin_mm": [float(value) for value in grid.origin_mm],
+                "pitch_mm": [float(value) for value in grid.pitch_mm],
+                "cells": [int(count) for count in grid.cells],
+            },
+            "degree": int(self.table.degree),
+            "made_at": self.made_at.isoformat(),
+            "settings": self.settings,
+            "validation": self.validation,
+        }
+
+    def content_hash(self) -> str:
+        """Return SHA-256 of the header's canonical JSON, a zero byte, and the arrays' bytes.
+
+        The arrays follow as coefficients and variances in little-endian float64 and validity as
+        bytes 0 and 1, each in C order.
+        """
+        text = json.dumps(
+            self.header(), sort_keys=True, separators=(",", ":"), ensure_ascii=False,
+            allow_nan=False,
+        )  # fmt: skip
+        digest = hashlib.sha256(text.encode())
+        digest.update(b"\0")
+        digest.update(np.ascontiguousarray(self.table.coefficients_px, dtype="<f8").tobytes())
+        digest.update(np.ascontiguousarray(self.table.variance_px2, dtype="<f8").tobytes())
+        digest.update(np.ascontiguousarray(self.table.valid, dtype=np.uint8).tobytes())
+        return digest.hexdigest()
+
+
+def check_table(table: CorrectionTable) -> None:
+    """Check what shapes and finite numbers do not say: sizes that mean something, and no holes.
+
+    Raises:
+        InvalidParameter: a correction, variance or length beyond any sensor or room.
+        TableHasHoles: a sensor without any valid cell, or with invalid cells inside valid ones.
+    """
+    for name, most in (("coefficients_px", MAX_PX), ("variance_px2", MAX_PX**2)):
+        largest = float(np.abs(getattr(table, name)).max())
+        if largest > most:
+            raise InvalidParameter(
+                f"{name} reaches {largest:g}; it must be at most {most:g} in size",
+                **{name: largest},
+            )
+    from scipy.ndimage import binary_fill_holes  # takes a while to load
+
+    grid = table.grid
+    corners = np.array([grid.origin_mm, grid.end_mm])
+    if np.abs(corners).max() > MAX_MM:
+        raise InvalidParameter(
+            f"the grid reaches from {corners[0].tolist()} to {corners[1].tolist()} mm; it must lie "
+            f"within {MAX_MM:g} mm of the origin"
+        )
+    for name, valid in zip(table.sensors, table.valid, strict=True):
+        if not valid.any():
+            raise TableHasHoles(
+                f"no cell of sensor {name} is valid; leave the sensor out of the device, or map it",
+                sensor=name,
+            )
+        holes = np.argwhere(binary_fill_holes(valid) & ~valid)
+        if len(holes):
+            cell = tuple(int(index) for index in holes[0])
+            raise TableHasHoles(
+                f"{len(holes)} cells of sensor {name} are not valid though valid ones surround "
+                f"them, the first at {list(cell)}; measure there, or map with wider cells",
+                sensor=name,
+                cell=cell,
+                cells=len(holes),
+            )
+
+
+def check_signature(data: bytes) -> None:
+    """Raise InvalidTableFile when a file does not begin as HDF5 does."""
+    if not data.startswith(_SIGNATURE):
+        raise InvalidTableFile(
+            f"the file is not HDF5: it begins with {data[:8]!r}; upload a file that was downloaded "
+            "from /api/v1/correction-tables/{id}/file"
+        )

@@ -1,0 +1,146 @@
+"""Devices as clients send and receive them."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, StringConstraints
+
+from hardware.genicam.settings import GenicamSettings
+from hardware.serial.settings import SerialSettings
+from hardware.simulated.profile_settings import ProfileSettings
+from hardware.simulated.settings import SimulationSettings
+from hardware.tcd1304.settings import Tcd1304Settings
+from service.api.base_models import Moment, RequestModel, ResponseModel, Slug, Text200, absent
+from service.api.devices.sensor import Sensor
+from service.api.devices.tracking_settings import Tracking
+from service.pipeline.device_session import DeviceStatus
+
+RECORDING_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
+PROFILE_PATTERN = r"^[a-z0-9]([a-z0-9.-]{0,61}[a-z0-9])?$"
+
+
+class SimulatedSource(RequestModel):
+    """Line scans from the simulator."""
+
+    kind: Literal["simulated"]
+    settings: SimulationSettings = Field(default_factory=SimulationSettings)
+
+
+class ProfileSource(RequestModel):
+    """Line scans of a device simulated from its profile: its optics, light and detector."""
+
+    kind: Literal["profile"]
+    profile: Annotated[
+        str,
+        StringConstraints(pattern=PROFILE_PATTERN),
+        Field(description="A device profile's name: see `/api/v1/device-profiles`."),
+    ]
+    settings: ProfileSettings = Field(default_factory=ProfileSettings)
+
+
+class ReplaySource(RequestModel):
+    """Line scans from a recording in the data directory's folder ``recordings``."""
+
+    kind: Literal["replay"]
+    recording: Annotated[
+        str,
+        StringConstraints(max_length=200, pattern=RECORDING_PATTERN),
+        Field(description="File name below the folder `recordings`."),
+    ]
+    speed: Annotated[float, Field(gt=0, le=1000)] | None = Field(
+        default=1.0, description="1: as recorded; null: as fast as frames are processed."
+    )
+
+
+class SerialSource(RequestModel):
+    """A device on a serial port that speaks the line-scan protocol (docs/serial-protocol.md)."""
+
+    kind: Literal["serial"]
+    settings: SerialSettings
+
+
+class Tcd1304Source(RequestModel):
+    """Open TCD1304 boards, each at a serial port (docs/tcd1304.md)."""
+
+    kind: Literal["tcd1304"]
+    settings: Tcd1304Settings
+
+
+class GenicamSource(RequestModel):
+    """GenICam line-scan cameras, GigE Vision or USB3 Vision (docs/genicam.md)."""
+
+    kind: Literal["genicam"]
+    settings: GenicamSettings
+
+
+class ExternalSource(RequestModel):
+    """No driver: a program of yours reads the sensors and posts peak positions."""
+
+    kind: Literal["external"]
+    sensors: Annotated[list[Sensor], Field(min_length=1, max_length=64)]
+
+
+Source = Annotated[
+    SimulatedSource
+    | ProfileSource
+    | ReplaySource
+    | SerialSource
+    | Tcd1304Source
+    | GenicamSource
+    | ExternalSource,
+    Field(discriminator="kind"),
+]
+
+
+class NewDevice(RequestModel):
+    """A device to create."""
+
+    id: Slug
+    title: Text200
+    source: Source
+    autostart: bool = Field(default=False, description="Start it together with the server.")
+    tracking: Tracking = Field(default_factory=Tracking)
+
+
+class DeviceChange(RequestModel):
+    """What may be changed of a device; a field left out stays as it is, of `tracking` too."""
+
+    title: Text200 = absent()
+    source: Source = absent()
+    autostart: bool = absent()
+    tracking: Tracking = absent()
+
+
+class Device(ResponseModel):
+    """A device."""
+
+    id: str
+    title: str
+    source: Source
+    sensors: list[Sensor] = Field(description="In the order of the lines of a frame.")
+    autostart: bool
+    tracking: Tracking
+    active_calibration_id: str | None
+    active_table_id: str | None = Field(description="The correction table used with it.")
+    created_at: Moment
+    updated_at: Moment
+
+
+class Status(ResponseModel):
+    """What a device is doing."""
+
+    device: str
+    status: DeviceStatus
+
+
+class Activation(ResponseModel):
+    """One move of the pointer to the active calibration."""
+
+    id: int
+    device: str
+    calibration_id: str
+    previous_calibration_id: str | None
+    table_id: str | None = Field(description="Its correction table; null: without one.")
+    previous_table_id: str | None
+    restores_id: int | None = Field(description="The earlier move that a roll-back went back to.")
+    activated_at: Moment
+    actor: str | None = Field(description="Who did it; null: not known, there are no users yet.")

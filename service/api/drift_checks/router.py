@@ -1,0 +1,129 @@
+"""REST resources /api/v1/drift-checks and /api/v1/calibrations/{id}/drift-checks."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Path, Query, Response
+from starlette.status import HTTP_201_CREATED
+
+from compute.errors import (
+    DuplicatePoint,
+    InvalidParameter,
+    ReadingOutsideSensor,
+    TooFewPoints,
+    UnknownSensor,
+)
+from service.api.base_models import SLUG_PATTERN, Page
+from service.api.calibrations.calibration_content import result_of
+from service.api.calibrations.sensor_check import check_sensors
+from service.api.calibrations.store import get_calibration
+from service.api.dependencies import DatabaseDep
+from service.api.devices.store import get_device, sensors_of_row
+from service.api.drift_checks import store
+from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
+from service.api.drift_checks.marker_references import resolve_stationary_markers
+from service.api.drift_checks.schema import DriftCheckDocument, DriftCheckSummary, NewDriftCheck
+from service.api.drift_checks.stationary_markers import still_set
+from service.api.json_body import JsonRoute, JsonTypes
+from service.api.openapi import problems
+from service.api.pagination import PagingDep, page_of
+from service.api.request_parameters import CalibrationPath, DeviceFilter
+from service.problems.errors import (
+    CaptureIncomplete,
+    CaptureOfAnotherDevice,
+    DriftCheckExists,
+    SensorsChanged,
+    UnknownCalibration,
+    UnknownCapture,
+    UnknownDriftCheck,
+)
+
+router = APIRouter(prefix="/api/v1", tags=["drift-checks"], route_class=JsonRoute)
+
+NewDriftCheckBody = Annotated[NewDriftCheck, JsonTypes(), Body(openapi_examples=NEW_DRIFT_CHECKS)]
+DriftCheckPath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The check's id.",
+        openapi_examples={"frame": {"summary": "of the example body", "value": "sim-drift"}},
+    ),
+]
+
+
+@router.post(
+    "/calibrations/{calibration_id}/drift-checks",
+    operation_id="create-drift-check",
+    summary="Is a calibration still good?",
+    status_code=HTTP_201_CREATED,
+    responses=problems(
+        UnknownCalibration,
+        UnknownCapture,
+        DriftCheckExists,
+        CaptureOfAnotherDevice,
+        CaptureIncomplete,
+        SensorsChanged,
+        TooFewPoints,
+        DuplicatePoint,
+        UnknownSensor,
+        ReadingOutsideSensor,
+        InvalidParameter,
+    ),
+)
+def create_drift_check(
+    calibration_id: CalibrationPath,
+    request: NewDriftCheckBody,
+    database: DatabaseDep,
+    response: Response,
+) -> DriftCheckDocument:
+    """Compare what is read of still markers with what the calibration expects, within both errors.
+
+    The verdict says which sensors moved, and how, and is kept in the device's history. Correction
+    tables take no part. A calibration that does not hold is brought up to date by an update run.
+    """
+    from compute.calibration.drift.drift_detection import check_drift
+
+    with database.read() as session:
+        store.check_unused(session, request.id)
+        calibration = get_calibration(session, calibration_id)
+        sensors = sensors_of_row(get_device(session, calibration.device_id))
+        result = result_of(calibration.content)
+        check_sensors(calibration.device_id, sensors, result.models)
+        markers = resolve_stationary_markers(session, calibration, sensors, request)
+    found = check_drift(result, still_set(markers, sensors, result, request.position_sigma_mm))
+    with database.write() as session:
+        calibration = get_calibration(session, calibration_id)
+        get_device(session, calibration.device_id, lock=True)
+        made = store.document(store.add_drift_check(session, calibration, request, markers, found))
+    response.headers["Location"] = f"/api/v1/drift-checks/{made.id}"
+    return made
+
+
+@router.get("/drift-checks", operation_id="list-drift-checks", summary="List drift checks")
+def list_drift_checks(
+    database: DatabaseDep,
+    paging: PagingDep,
+    device: DeviceFilter = None,
+    calibration: Annotated[
+        str | None, Query(pattern=SLUG_PATTERN, description="Only those of this calibration.")
+    ] = None,
+    good: Annotated[
+        bool | None, Query(description="Only those that found it good, or did not.")
+    ] = None,
+) -> Page[DriftCheckSummary]:
+    """A device's drift over time, newest first, without the readings."""
+    with database.read() as session:
+        return page_of(
+            session, store.drift_checks(device, calibration, good), paging, store.summary
+        )
+
+
+@router.get(
+    "/drift-checks/{check_id}",
+    operation_id="get-drift-check",
+    summary="Read a drift check",
+    responses=problems(UnknownDriftCheck),
+)
+def get_drift_check(check_id: DriftCheckPath, database: DatabaseDep) -> DriftCheckDocument:
+    """One check with its readings."""
+    with database.read() as session:
+        return store.document(store.get_drift_check(session, check_id))

@@ -1,0 +1,23 @@
+"""Libraries that only exports need, which come with the extra `export`."""
+
+from importlib import import_module
+from typing import Any
+
+from hardware.errors import MissingLibrary
+
+
+def import_optional(name: str) -> Any:
+    """Return a module.
+
+    Raises:
+        MissingLibrary: it is not installed; the message has the command that does.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        library = name.partition(".")[0]
+        raise MissingLibrary(
+            f"the library {library} is not installed ({error}); it comes with the extra "
+            "'export': pip install 'lumiline[export]'",
+            library=library,
+        ) from error

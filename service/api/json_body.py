@@ -1,0 +1,129 @@
+"""Request bodies read strictly as JSON: right media type, no key twice, no silent conversion."""
+
+import email.message
+import json
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from fastapi.routing import APIRoute
+from pydantic import (
+    GetCoreSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+)
+from pydantic_core import CoreSchema, ErrorDetails, core_schema
+from starlette.requests import Request
+from starlette.responses import Response
+
+from service.problems.errors import DuplicateKey, MalformedJson, UnsupportedMediaType
+
+
+class JsonTypes:
+    """Marks a body parameter as validated from its JSON text, in pydantic's strict JSON mode.
+
+    FastAPI parses JSON first and validates Python values, where strict validation refuses lists
+    for tuples and objects for dataclasses, and lax validation takes ``"3"`` for 3.
+    """
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Put the validation of the text in front; the JSON schema stays that of the type."""
+        adapter: TypeAdapter[Any] = TypeAdapter(source)
+
+        def validate(text: Any, _inner: ValidatorFunctionWrapHandler) -> Any:
+            try:
+                return adapter.validate_json(text, strict=True)
+            except ValidationError as error:
+                if not any(_is_whole_number(item) for item in error.errors()):
+                    raise
+            return adapter.validate_json(_with_whole_numbers(text), strict=True)
+
+        return core_schema.no_info_wrap_validator_function(validate, handler(source))
+
+
+def _is_whole_number(error: ErrorDetails) -> bool:
+    """Whether a strict validation refused 8.0 as an integer, which JSON schema says it is."""
+    found = error["input"]
+    return error["type"] == "int_type" and isinstance(found, float) and found.is_integer()
+
+
+def _with_whole_numbers(text: str | bytes) -> str:
+    """Write the whole numbers of a JSON text without a decimal point."""
+
+    def number(literal: str) -> float | int:
+        value = float(literal)
+        return int(value) if value.is_integer() else value
+
+    return json.dumps(json.loads(text, parse_float=number))
+
+
+class _JsonRequest(Request):
+    async def json(self) -> Any:
+        """Return the body's text, for ``FromJson`` to validate."""
+        return await self.body()
+
+
+class JsonRoute(APIRoute):
+    """A route whose body, where it takes one, is ``application/json`` read by ``FromJson``."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return FastAPI's handler behind the check of the body."""
+        handle = super().get_route_handler()
+        if self.body_field is None:
+            return handle
+
+        async def strict(request: Request) -> Response:
+            request = _JsonRequest(request.scope, request.receive)
+            # Here and not in json(), from where FastAPI lets no exception of ours out.
+            check_json_body(request.headers.get("content-type"), await request.body())
+            return await handle(request)
+
+        return strict
+
+
+def check_json_body(content_type: str | None, body: bytes) -> None:
+    """Check that a body is JSON, says so, and gives no key of an object twice.
+
+    Raises:
+        UnsupportedMediaType, MalformedJson, DuplicateKey.
+    """
+    if not _is_json(content_type) and (content_type or body):
+        given = f'"{content_type}"' if content_type else "not given"
+        raise UnsupportedMediaType(f"the body's media type is {given}; send application/json")
+    if not body:
+        return
+    try:
+        json.loads(body, object_pairs_hook=_unique)
+    except json.JSONDecodeError as error:
+        found = json.dumps(error.doc[error.pos : error.pos + 20])
+        raise MalformedJson(
+            f"the body is not JSON: {error.msg} at line {error.lineno} column {error.colno}, "
+            f"where it has {found}; send a JSON document"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise MalformedJson(f"the body is not UTF-8: {error.reason}; send UTF-8") from error
+    except RecursionError as error:
+        raise MalformedJson("the body is nested too deeply to be read") from error
+    except ValueError as error:  # an integer of thousands of digits
+        raise MalformedJson(f"the body cannot be read: {error}") from error
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> None:
+    seen: set[str] = set()
+    for key, _ in pairs:
+        if key in seen:
+            raise DuplicateKey(
+                f"the key {json.dumps(key)} is given twice in one object; give it once", key=key
+            )
+        seen.add(key)
+
+
+def _is_json(content_type: str | None) -> bool:
+    message = email.message.Message()
+    message["content-type"] = content_type or ""
+    if message.get_content_maintype() != "application" or not content_type:
+        return False
+    subtype = message.get_content_subtype()
+    return subtype == "json" or subtype.endswith("+json")

@@ -1,0 +1,167 @@
+"""MaskMethod: how clients say which coded window's shadow is in their lines."""
+
+from dataclasses import replace
+from typing import Annotated, Final, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass as checked_dataclass
+
+from compute.errors import InvalidParameter
+from compute.optics.profiles.device_profile import DeviceProfile
+from compute.optics.profiles.shadow_templates import window_shadows
+from compute.signal.centroid_settings import MAX_PIXELS
+from compute.signal.coded_aperture.shadow_settings import ShadowSettings
+from compute.signal.coded_aperture.shadow_template import ShadowTemplate
+from service.api.devices.schema import PROFILE_PATTERN
+from service.api.line_scans.chain_steps import STRICT
+from service.pipeline.expected_scans import FindProfile
+from service.problems.errors import UnknownDeviceProfile
+
+MAX_CELLS: Final = 65536
+MAX_SENSORS: Final = 64
+
+Chance = Annotated[float, Field(ge=1e-15, le=0.5)]
+Place = Annotated[int, Field(ge=-MAX_PIXELS, le=MAX_PIXELS)]
+
+
+@checked_dataclass(frozen=True, config=STRICT)
+class Template:
+    """The shadow of a point whose reading is known: what a pixel gets anywhere in it."""
+
+    cells: Annotated[
+        list[Annotated[float, Field(ge=-1e12, le=1e12)]],
+        Field(
+            min_length=8,
+            max_length=MAX_CELLS,
+            description="Light of pixels centred at first_px + j / per_px, in any unit.",
+        ),
+    ]
+    reading_px: Annotated[
+        float,
+        Field(ge=-MAX_PIXELS, le=MAX_PIXELS, description="The reading of the shadow as it is."),
+    ]
+    first_px: Annotated[Place, Field(description="Place of the first cell [px].")] = 0
+    per_px: Annotated[
+        int, Field(ge=1, le=16, description="Cells in a pixel; 1 costs hundredths of a pixel.")
+    ] = 1
+    dark_beyond: Annotated[
+        bool, Field(description="Nothing but even light beyond the cells; false: not known.")
+    ] = True
+
+    @property
+    def shadow(self) -> ShadowTemplate:
+        """Compute's form of it.
+
+        Raises:
+            InvalidParameter: too few cells for a line, or cells without contrast.
+        """
+        return ShadowTemplate(
+            np.array(self.cells), self.per_px, self.first_px, self.reading_px, self.dark_beyond
+        )
+
+
+@checked_dataclass(frozen=True, config=STRICT)
+class MaskMethod(ShadowSettings):
+    """The shadow of one marker behind a coded window, at most one a line.
+
+    By a weighted fit of the shadow, or by cross-correlation with it ([2.16] to [2.18]) refined by a
+    parabola. What the shadow is like a `template` says, or a `profile` whose sensors have windows.
+    """
+
+    method: Literal["mask"] = "mask"
+    estimator: Annotated[
+        Literal["fit", "correlation"],
+        Field(description="`correlation` gives no standard deviation."),
+    ] = "fit"
+    template: Annotated[Template | None, Field(description="Of all lines.")] = None
+    profile: Annotated[
+        str | None,
+        Field(
+            pattern=PROFILE_PATTERN,
+            description="Of a device behind coded windows, such as `coda-mpx30`: its shadows of a "
+            "marker in the middle of the volume.",
+        ),
+    ] = None
+    sensors: Annotated[
+        list[str] | None,
+        Field(
+            min_length=1,
+            max_length=MAX_SENSORS,
+            description="Of the profile: line l is of the (l modulo their number)-th; null: of all "
+            "in turn, as in a frame.",
+        ),
+    ] = None
+    fit_scale: Annotated[
+        bool,
+        Field(description="Fit: for markers at other distances, whose shadows are larger."),
+    ] = ShadowSettings.fit_scale
+    false_alarms_per_line: Chance = ShadowSettings.false_alarms_per_line
+    ambiguity_probability: Chance = ShadowSettings.ambiguity_probability
+    misfit_probability: Chance = ShadowSettings.misfit_probability
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.template is None) == (self.profile is None):
+            both = "neither" if self.profile is None else "both"
+            raise InvalidParameter(
+                f"method has {both} of template and profile; give one of them, and not both"
+            )
+        if self.sensors is not None and self.profile is None:
+            raise InvalidParameter(
+                "method.sensors are those of a profile; give profile, or leave them out"
+            )
+        return self
+
+    def templates(self, pixels: int, find_profile: FindProfile) -> tuple[ShadowTemplate, ...]:
+        """Return the templates of lines of so many pixels: line l's is the (l mod their number)-th.
+
+        Raises:
+            InvalidParameter: a template or profile that is not for these lines, or no such profile.
+        """
+        if self.template is not None:
+            return (self.template.shadow,)
+        profile = self._found(find_profile)
+        if profile.pixels.count != pixels:
+            raise InvalidParameter(
+                f"the lines have {pixels} pixels; those of profile {profile.name} have "
+                f"{profile.pixels.count}",
+                pixels=pixels,
+            )
+        names = [sensor.name for sensor in profile.sensors]
+        for name in self.sensors or ():
+            if name not in names:
+                raise InvalidParameter(
+                    f'profile {profile.name} has no sensor "{name}"; it has {", ".join(names)}',
+                    sensor=name,
+                )
+        shadows = window_shadows(profile)
+        if not shadows:
+            raise InvalidParameter(
+                f"profile {profile.name} has no coded windows; give another one, or a template",
+                profile=profile.name,
+            )
+        return tuple(shadows[names.index(name)] for name in self.sensors or names)
+
+    def of_line(self, line: int, find_profile: FindProfile) -> "MaskMethod":
+        """Return the method for this line alone, which is of one sensor.
+
+        Raises:
+            InvalidParameter: there is no such profile.
+        """
+        if self.profile is None:
+            return self
+        names = self.sensors
+        if names is None:
+            names = [sensor.name for sensor in self._found(find_profile).sensors]
+        return replace(self, sensors=[names[line % len(names)]])
+
+    def _found(self, find_profile: FindProfile) -> DeviceProfile:
+        assert self.profile is not None
+        try:
+            return find_profile(self.profile)
+        except UnknownDeviceProfile as error:
+            # A setting among others, and not what the request is about.
+            raise InvalidParameter(
+                f"method.profile: {error.detail}", profile=self.profile
+            ) from error

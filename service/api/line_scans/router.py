@@ -1,0 +1,128 @@
+"""REST resource /api/v1/line-scans: stateless, computed in the request's own thread."""
+
+from functools import partial
+from threading import BoundedSemaphore
+from typing import Annotated, Final
+
+from fastapi import APIRouter, Body, Depends, Query, Request
+from starlette.responses import Response
+
+from compute.errors import InvalidParameter
+from service.api.devices.profiles import find_profile
+from service.api.json_body import JsonRoute, JsonTypes
+from service.api.line_scans.examples import NEW_LINE_SCANS
+from service.api.line_scans.mask_method import MaskMethod
+from service.api.line_scans.peak_search import find_peaks
+from service.api.line_scans.request_arrays import Scans, request_noise, request_scans
+from service.api.line_scans.schema import MAX_SCANS, LineScanRequest, LineScans
+from service.api.openapi import problems
+from service.pipeline.expected_scans import FindProfile
+from service.problems.errors import Busy
+
+router = APIRouter(prefix="/api/v1", tags=["line-scans"], route_class=JsonRoute)
+
+MAX_CONCURRENT: Final = 2
+"""Requests computed at the same time: long scans take seconds, and threads are for all."""
+
+_slots = BoundedSemaphore(MAX_CONCURRENT)
+
+_PNG = {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
+
+NewLineScansBody = Annotated[LineScanRequest, JsonTypes(), Body(openapi_examples=NEW_LINE_SCANS)]
+ScanQuery = Annotated[
+    int,
+    Query(
+        ge=0,
+        lt=MAX_SCANS,
+        description="Number of the line to draw, from 0; of averaged scans any one.",
+        examples=[0],
+    ),
+]
+
+
+def _find_profile(request: Request) -> FindProfile:
+    return partial(find_profile, profiles_dir=request.app.state.settings.folders.profiles)
+
+
+ProfileFinder = Annotated[FindProfile, Depends(_find_profile)]
+
+
+@router.post(
+    "/line-scans",
+    operation_id="find-peaks",
+    summary="Find the peaks of scans",
+    response_model=LineScans,
+    responses=problems(InvalidParameter, Busy),
+)
+def find_peaks_of_scans(request: NewLineScansBody, profile: ProfileFinder) -> Response:
+    """Find the peaks of the scans that you post, by the method that you choose.
+
+    Nothing is stored. With `detail`, for each pixel what the method made of it.
+    """
+    with _Slot():
+        found = find_peaks(
+            request_scans(request),
+            request.method,
+            request_noise(request),
+            detail=request.detail,
+            find_profile=profile,
+        )
+        # Here and not by the framework, which would write it in the event loop.
+        content = found.model_dump_json()
+    return Response(content, media_type="application/json")
+
+
+@router.post(
+    "/line-scans.png",
+    operation_id="draw-peaks",
+    summary="Draw a line and its peaks",
+    response_class=Response,
+    responses=problems(InvalidParameter, Busy) | {200: _PNG},
+)
+def draw_peaks_of_scan(
+    request: NewLineScansBody, profile: ProfileFinder, scan: ScanQuery = 0
+) -> Response:
+    """One of the scans as a picture (PNG): its peaks, and what was fitted to them."""
+    # Matplotlib is loaded by who wants a picture.
+    from service.api.line_scans.plot import draw_scan
+
+    with _Slot():
+        scans = request_scans(request)
+        chosen = select_scan(scans, scan, getattr(request.method, "average", None) or 1)
+        method = request.method
+        if isinstance(method, MaskMethod):
+            method = method.of_line(scan, profile)
+        found = find_peaks(
+            chosen, method, request_noise(request), detail=True, find_profile=profile
+        )
+        picture = draw_scan(chosen[0], found, method, f"scan {scan}")
+    return Response(picture, media_type="image/png")
+
+
+def select_scan(scans: Scans, scan: int, average: int) -> Scans:
+    """Return a line, or those that it is averaged with, shape (average, P).
+
+    Raises:
+        InvalidParameter: there is no such line, or too few to average.
+    """
+    if scan >= len(scans):
+        raise InvalidParameter(
+            f"scan is {scan}; the scans that were posted have the numbers 0 to {len(scans) - 1}",
+            scan=scan,
+        )
+    first = scan // average * average
+    return scans[first : first + average]
+
+
+class _Slot:
+    """One of the computations that may run at once."""
+
+    def __enter__(self) -> None:
+        if not _slots.acquire(blocking=False):
+            raise Busy(
+                f"the peaks of {MAX_CONCURRENT} requests are being found; send this one again in a few "
+                "seconds"
+            )
+
+    def __exit__(self, *_: object) -> None:
+        _slots.release()

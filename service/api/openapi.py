@@ -1,0 +1,229 @@
+"""The OpenAPI document: problem responses by their types, and the shared schemas."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any, Final
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from pydantic.json_schema import models_json_schema
+
+from compute.errors import LumilineError, NonFiniteValue
+from service.problems.catalogue import (
+    MEDIA_TYPE,
+    PROBLEM_TYPES,
+    Problem,
+    ProblemType,
+    problem_type_of,
+)
+from service.problems.errors import (
+    BodyTooLarge,
+    BodyTooSlow,
+    CredentialInQuery,
+    CrossOrigin,
+    DuplicateKey,
+    MalformedJson,
+    MissingScope,
+    NotReady,
+    QueryTooLong,
+    TooManyAttempts,
+    Unauthenticated,
+    UnsupportedMediaType,
+)
+from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC
+from service.security.scopes import SCOPE_MEANINGS
+
+Responses = dict[int | str, dict[str, Any]]
+
+_INVALID: Final = PROBLEM_TYPES["invalid-request"]
+_OF_EVERY_OPERATION: Final = (PROBLEM_TYPES["internal-error"],)
+_OF_RESOURCES: Final = (problem_type_of(NotReady),)
+_OF_ALL_REQUESTS: Final = tuple(
+    problem_type_of(error) for error in (CredentialInQuery, QueryTooLong)
+)
+_OF_THOSE_WITH_SCOPE: Final = tuple(
+    problem_type_of(error) for error in (Unauthenticated, MissingScope, TooManyAttempts)
+)
+_OF_CHANGES: Final = (problem_type_of(CrossOrigin),)
+_OF_BODIES: Final = tuple(
+    problem_type_of(error)
+    for error in (
+        MalformedJson,
+        DuplicateKey,
+        UnsupportedMediaType,
+        BodyTooLarge,
+        BodyTooSlow,
+        NonFiniteValue,
+    )
+)
+
+_SCHEME: Final = "key"
+_SCHEMES: Final = {
+    _SCHEME: {
+        "type": "http",
+        "scheme": "bearer",
+        "description": "`Authorization: Bearer lumi_...`: an API key, or a token of the identity "
+        "provider where one is set up. On the server's own machine none is needed, unless the "
+        "server is told to require one. What each scope allows: "
+        + "; ".join(f"`{scope}`: {meaning}" for scope, meaning in SCOPE_MEANINGS.items())
+        + ".",
+    }
+}
+
+TAGS: Final = [
+    {"name": "devices", "description": "What is read, by which driver, and what it is doing."},
+    {
+        "name": "calibrations",
+        "description": "Camera models from control points. Immutable: create, read, activate, "
+        "retire.",
+    },
+    {
+        "name": "captures",
+        "description": "Guided measurement: place a marker, hold it, capture it, go to the next.",
+    },
+    {
+        "name": "drift-checks",
+        "description": "Is a calibration still good? Still markers read again, kept over time.",
+    },
+    {
+        "name": "quality",
+        "description": "Quick checks with known points and distances, a watch on drift, charts.",
+    },
+    {
+        "name": "correction-tables",
+        "description": "Maps of space: what is added to the readings, by where the marker is.",
+    },
+    {
+        "name": "runs",
+        "description": "Calibrations and maps computed beside the requests: post, follow, cancel.",
+    },
+    {"name": "reconstructions", "description": "3D points from readings that you post."},
+    {
+        "name": "tools",
+        "description": "Rigid tools with markers: geometry, tip, poses, registration to images.",
+    },
+    {
+        "name": "beam-holds",
+        "description": "Beam holds: a signal when a patient leaves the tolerance.",
+    },
+    {
+        "name": "recordings",
+        "description": "Line scans and results of running devices in files, to be replayed.",
+    },
+    {"name": "line-scans", "description": "Peaks of lines that you post, and their picture."},
+    {
+        "name": "device-profiles",
+        "description": "Tracking devices as published, and what they would reach: planning before "
+        "building.",
+    },
+    {"name": "keys", "description": "Who may do what, and who did what."},
+    {"name": "server", "description": "Health, and what problem types mean."},
+]
+
+
+def problems(*errors: type[LumilineError]) -> Responses:
+    """Return the responses of an operation that raises these errors, for ``responses=``."""
+    return _responses([problem_type_of(error) for error in errors])
+
+
+def _responses(kinds: list[ProblemType]) -> Responses:
+    by_status: dict[int, dict[str, ProblemType]] = defaultdict(dict)
+    for kind in kinds:
+        by_status[kind.status][kind.code] = kind
+    return {
+        status: {
+            "description": "; ".join(f"`{code}`: {kind.meaning}" for code, kind in found.items()),
+            "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+        }
+        for status, found in sorted(by_status.items())
+    }
+
+
+def install_openapi(app: FastAPI) -> None:
+    """Let the application serve the completed document."""
+
+    def openapi() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            app.openapi_schema = _document(app)
+        return app.openapi_schema
+
+    app.openapi = openapi  # type: ignore[method-assign]
+
+
+def _document(app: FastAPI) -> dict[str, Any]:
+    document = get_openapi(
+        title=app.title,
+        version=app.version,
+        summary=app.summary,
+        description=app.description,
+        tags=TAGS,
+        routes=app.routes,
+    )
+    schemas = document.setdefault("components", {}).setdefault("schemas", {})
+    for unused in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(unused, None)
+    _, found = models_json_schema(
+        [(Problem, "serialization")], ref_template="#/components/schemas/{model}"
+    )
+    schemas |= found["$defs"]
+    _require_discriminators(schemas, schemas)
+    document["components"]["securitySchemes"] = _SCHEMES
+    for path, item in document["paths"].items():
+        for method, operation in item.items():
+            if method != "parameters":
+                of_path = _OF_RESOURCES if path.startswith("/api/") else ()
+                others = [*_OF_ALL_REQUESTS, *of_path, *(() if method == "get" else _OF_CHANGES)]
+                _complete(operation, [*others, *_secure(operation)])
+    return document
+
+
+def _secure(operation: dict[str, Any]) -> tuple[ProblemType, ...]:
+    """Say which scope an operation needs; return the problems that follow."""
+    scope = OPERATION_SCOPES[operation["operationId"]]
+    if scope == PUBLIC:
+        operation["security"] = []
+        return ()
+    operation["security"] = [{_SCHEME: [scope]}]
+    operation["description"] = (
+        f"{operation.get('description', '')}\n\nNeeds scope `{scope}`.".strip()
+    )
+    return _OF_THOSE_WITH_SCOPE
+
+
+def _require_discriminators(node: Any, schemas: dict[str, Any]) -> None:
+    """Require the property that tells the members of a union apart, also where it has a default.
+
+    A default serves Python; a document without the property cannot be told apart and is refused.
+    """
+    if isinstance(node, dict):
+        discriminator = node.get("discriminator")
+        if isinstance(discriminator, dict) and "mapping" in discriminator:
+            name = discriminator["propertyName"]
+            for reference in discriminator["mapping"].values():
+                required = schemas[reference.rpartition("/")[2]].setdefault("required", [])
+                if name not in required:
+                    required.append(name)
+        for value in node.values():
+            _require_discriminators(value, schemas)
+    elif isinstance(node, list):
+        for value in node:
+            _require_discriminators(value, schemas)
+
+
+def _complete(operation: dict[str, Any], others: Sequence[ProblemType]) -> None:
+    """Add the problems of every operation, ``others``, and those that follow from its input."""
+    responses = operation["responses"]
+    kinds = [*_OF_EVERY_OPERATION, *others]
+    if responses.get("422", {}).get("content", {}).get("application/json"):
+        del responses["422"]  # FastAPI's own description of validation errors
+    if operation.get("requestBody") or operation.get("parameters"):
+        kinds.append(_INVALID)
+    if operation.get("requestBody"):
+        kinds += _OF_BODIES
+    for status, response in _responses(kinds).items():
+        given = responses.get(str(status))
+        if given is None:
+            responses[str(status)] = response
+        elif response["description"] not in given["description"]:
+            given["description"] += "; " + response["description"]
+    operation["responses"] = dict(sorted(responses.items()))

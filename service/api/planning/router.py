@@ -1,0 +1,77 @@
+"""REST resource /api/v1/device-profiles."""
+
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request
+from starlette.responses import Response
+
+from compute.errors import InvalidParameter
+from compute.planning.plan_result import Plan
+from service.api.devices.profiles import all_profiles, find_profile, profile_text
+from service.api.openapi import problems
+from service.api.planning.plan_cache import cached_plan, cached_plot
+from service.api.planning.schema import (
+    DeviceProfileDocument,
+    DeviceProfileSummary,
+    GridQuery,
+    ProfilePath,
+    document_of,
+    summary_of,
+)
+from service.problems.errors import Busy, UnknownDeviceProfile
+
+router = APIRouter(prefix="/api/v1/device-profiles", tags=["device-profiles"])
+
+_PNG = {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
+
+
+def _profiles_dir(request: Request) -> Path:
+    folder: Path = request.app.state.settings.folders.profiles
+    return folder
+
+
+ProfilesDir = Annotated[Path, Depends(_profiles_dir)]
+
+
+@router.get("", operation_id="list-device-profiles", summary="List device profiles")
+def list_device_profiles(profiles_dir: ProfilesDir) -> list[DeviceProfileSummary]:
+    """The built-in profiles of published devices and those in the data directory, by name."""
+    return [summary_of(profile) for profile in all_profiles(profiles_dir)]
+
+
+@router.get(
+    "/{name}",
+    operation_id="get-device-profile",
+    summary="Read a device profile",
+    responses=problems(UnknownDeviceProfile, InvalidParameter),
+)
+def get_device_profile(name: ProfilePath, profiles_dir: ProfilesDir) -> DeviceProfileDocument:
+    """One device as published: geometry, detector, markers, rates, volume and figures."""
+    return document_of(find_profile(name, profiles_dir), profile_text(name, profiles_dir))
+
+
+@router.get(
+    "/{name}/plan",
+    operation_id="get-plan",
+    summary="Plan a device",
+    responses=problems(UnknownDeviceProfile, InvalidParameter, Busy),
+)
+def get_plan(name: ProfilePath, profiles_dir: ProfilesDir, grid: GridQuery = 3) -> Plan:
+    """What the device reaches over its working volume: precision, coverage, rates, ghosts.
+
+    The first answer takes seconds, longer for a finer grid; the same again comes at once.
+    """
+    return cached_plan(name, profiles_dir, grid)
+
+
+@router.get(
+    "/{name}/plan.png",
+    operation_id="get-plan-picture",
+    summary="Draw a plan",
+    response_class=Response,
+    responses=problems(UnknownDeviceProfile, InvalidParameter, Busy) | {200: _PNG},
+)
+def get_plan_picture(name: ProfilePath, profiles_dir: ProfilesDir, grid: GridQuery = 3) -> Response:
+    """The plan as a picture (PNG): maps of the deviations, error against distance, ghosts."""
+    return Response(cached_plot(name, profiles_dir, grid), media_type="image/png")

@@ -1,0 +1,104 @@
+"""Device profiles and plans as clients receive them."""
+
+from typing import Annotated, Any
+
+from fastapi import Path, Query
+from pydantic import Field
+
+from compute.optics.pixel_row import PixelRow
+from compute.optics.profiles.device_profile import DeviceProfile, SensorProfile
+from compute.optics.profiles.profile_sections import (
+    DetectorProfile,
+    LedMarkers,
+    PublishedFigure,
+    Rates,
+    RetroMarkers,
+    Volume,
+)
+from service.api.base_models import ResponseModel
+from service.api.devices.schema import PROFILE_PATTERN
+
+MAX_GRID = 5
+
+ProfilePath = Annotated[
+    str,
+    Path(
+        pattern=PROFILE_PATTERN,
+        description="The profile's name.",
+        openapi_examples={"bar": {"summary": "the simulated bar with a real lens", "value": "bar"}},
+    ),
+]
+GridQuery = Annotated[
+    int,
+    Query(
+        ge=3,
+        le=MAX_GRID,
+        description="Points of the working volume along each axis; odd numbers hold its middle.",
+        examples=[3],
+    ),
+]
+
+
+class DeviceProfileSummary(ResponseModel):
+    """A device in a few words."""
+
+    name: str
+    title: str
+    year: int | None = Field(description="Of its publication, where known.")
+    sensor_count: int
+    pixel_count: int = Field(description="Of each sensor; of a plate with tracks, its tracks.")
+    max_markers: int = Field(description="As many as the device drives.")
+
+
+class DeviceProfileDocument(DeviceProfileSummary):
+    """A device as published; lengths in mm, angles in rad, times in s."""
+
+    sources: tuple[str, ...]
+    sensors: tuple[SensorProfile, ...]
+    pixels: PixelRow
+    detector: DetectorProfile
+    markers: LedMarkers | RetroMarkers
+    rates: Rates
+    volume: Volume
+    published: tuple[PublishedFigure, ...]
+    notes: tuple[str, ...]
+    assumed: dict[str, str] = Field(
+        description="Dotted paths of what the sources leave open, each with the reason."
+    )
+    toml: str = Field(
+        description="The profile's file, its optics too: the start of one's own profile."
+    )
+
+
+def summary_of(profile: DeviceProfile) -> DeviceProfileSummary:
+    """Return a profile in a few words."""
+    return DeviceProfileSummary(**_summary_members(profile))
+
+
+def document_of(profile: DeviceProfile, toml: str) -> DeviceProfileDocument:
+    """Return the whole of a profile; ``toml`` is the text of its file."""
+    return DeviceProfileDocument(
+        **_summary_members(profile),
+        sources=profile.sources,
+        sensors=profile.sensors,
+        pixels=profile.pixels,
+        detector=profile.detector,
+        markers=profile.markers,
+        rates=profile.rates,
+        volume=profile.volume,
+        published=profile.published,
+        notes=profile.notes,
+        assumed=dict(profile.assumed),
+        toml=toml,
+    )
+
+
+def _summary_members(profile: DeviceProfile) -> dict[str, Any]:
+    return {
+        "name": profile.name,
+        "title": profile.title,
+        "year": profile.year,
+        "sensor_count": len(profile.sensors),
+        "pixel_count": profile.pixels.count,
+        "max_markers": profile.markers.max_markers,
+    }

@@ -1,0 +1,59 @@
+"""Reconstructions as clients send and receive them."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
+
+from compute.reconstruction.point_batch import PointEstimate
+from service.api.base_models import Moment, Name, RequestModel, ResponseModel, Slug
+from service.api.calibrations.schema import MAX_POINTS, Readings
+
+
+class ObservedPoint(RequestModel):
+    """A point of unknown position and what the sensors read of it."""
+
+    name: Name
+    readings: Readings
+
+
+class NewReconstruction(RequestModel):
+    """Readings of which points are computed."""
+
+    id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
+    device: Slug
+    calibration: Slug | None = Field(
+        default=None,
+        description="One of the device's, without a table; left out or null: its active one, with "
+        "its active correction table.",
+    )
+    points: Annotated[list[ObservedPoint], Field(min_length=1, max_length=MAX_POINTS)]
+
+
+@dataclass(frozen=True)
+class NamedEstimate(PointEstimate):
+    """A reconstructed point under its name."""
+
+    name: str
+
+
+class ReconstructionSummary(ResponseModel):
+    """A reconstruction without its points."""
+
+    id: str
+    device: str
+    calibration_id: str
+    table: str | None = Field(description="The correction table used with it; null: none.")
+    point_count: int
+    created_at: Moment
+
+
+class Reconstruction(ReconstructionSummary):
+    """A reconstruction: readings and estimates, in the order of the points."""
+
+    points: list[ObservedPoint]
+    estimates: list[NamedEstimate] = Field(
+        description="`position_mm` is null where there is none; `flags` say why: "
+        "`too-few-sensors` (three are needed), `degenerate`, `no-convergence`. `outside-map`: the "
+        "correction table does not vouch for a reading there."
+    )

@@ -1,0 +1,112 @@
+"""Recorder: hands the batches of a running device to the process that writes them to a file."""
+
+from functools import partial
+from threading import Lock
+
+import numpy as np
+
+from hardware.recording.frame_block import frame_rows
+from hardware.recording.layout import NO_CALIBRATION_ROW, PEAK, RecordingState, point_dtype
+from hardware.recording.writer_process.client import WriterProcessClient
+from hardware.recording.writer_process.job import WriterJob
+from service.api.recordings.active_calibration_file import dump_active_calibration
+from service.api.recordings.result_rows import peak_rows, point_rows
+from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.device_session import DeviceSession
+from service.pipeline.frame_batch import FrameBatch
+
+
+class Recorder:
+    """A tap of a device's session, from its first frame to the end of the file.
+
+    Args:
+        job: what is recorded.
+        session: of the device.
+
+    Raises:
+        OSError: the file cannot be made.
+    """
+
+    def __init__(self, job: WriterJob, session: DeviceSession) -> None:
+        self.job = job
+        self.session = session
+        self._feed = WriterProcessClient(job)
+        self._lock = Lock()
+        self._rows: dict[ActiveCalibration, int] = {}
+        self._dropped_before = session.ring.dropped
+        sensors = len(session.description.sensors)
+        self._nothing = np.empty(0, PEAK), np.empty(0, point_dtype(sensors))
+
+    @property
+    def ended(self) -> str | None:
+        """Why it ended; None: it goes on."""
+        return self._feed.status.ended
+
+    @property
+    def failed(self) -> bool:
+        """Whether it ended because the file could not be written."""
+        return self._feed.status.failed
+
+    @property
+    def state(self) -> RecordingState:
+        """What is safe in the file, and what was lost until then."""
+        return self._feed.status.state
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of the file."""
+        return self._feed.status.size_bytes
+
+    @property
+    def dropped_frames(self) -> int:
+        """Frames dropped because the writer did not keep up, until now."""
+        return self._feed.dropped_frames
+
+    def prepare(self, found: ActiveCalibration) -> None:
+        """Have a calibration and its table brought to the file, before the frames of them."""
+        self._row(found)
+
+    def offer(self, batch: FrameBatch) -> None:
+        """Hand a batch over; it is dropped and counted when the writer is behind. Never waits."""
+        if self._feed.ended:
+            return
+        try:
+            self._hand_over(batch)
+        except Exception as error:
+            self.stop(f"frames could not be handed over: {type(error).__name__}: {error}")
+            raise
+
+    def _hand_over(self, batch: FrameBatch) -> None:
+        rows = frame_rows(batch.frames)
+        rows["in_force"] = self._row(self.session.in_force)
+        peaks, points = self._nothing
+        if self.job.results:
+            sensors = len(batch.sensor_names)
+            peaks, rows["peaks"] = peak_rows(batch.peaks, sensors)
+            points, rows["points"] = point_rows(batch)
+        lines = [frame.lines for frame in batch.frames]
+        dropped = self.session.ring.dropped - self._dropped_before
+        self._feed.put(rows, lines, peaks, points, dropped)
+
+    def stop(self, reason: str) -> None:
+        """Let the file be written to its end and closed; does not wait for it.
+
+        A writer that does not come to its end is killed after a minute.
+        """
+        self._feed.stop(reason)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Return whether it has ended, after at most so long."""
+        return self._feed.wait(timeout_s)
+
+    def _row(self, found: ActiveCalibration) -> int:
+        """Return the row of what is in force; made and sent, in another thread, when it is new."""
+        if found.calibration is None:
+            return NO_CALIBRATION_ROW
+        with self._lock:
+            row = self._rows.get(found)
+            if row is None:
+                row = self._rows[found] = self._feed.put_active_calibration(
+                    partial(dump_active_calibration, found)
+                )
+            return row

@@ -1,0 +1,307 @@
+"""Recordings: begins and ends the recordings of running devices, and knows those in the folder."""
+
+import logging
+import shutil
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from threading import Event, Lock, Thread
+from typing import Final
+
+from service.api.recordings.recorder import Recorder
+from service.api.recordings.recording_job import writer_job
+from service.api.recordings.repository import RecordingRepository, unread
+from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
+from service.api.recordings.write_counters import WriteCounters
+from service.pipeline.device_session import DeviceSession
+from service.pipeline.pipeline_manager import PipelineManager
+from service.problems.errors import (
+    InsufficientStorage,
+    RecordingExists,
+    RecordingInProgress,
+    RecordingInUse,
+    UnknownRecording,
+)
+
+_log = logging.getLogger(__name__)
+
+_LOOK_S: Final = 0.2
+_CLOSE_S: Final = 30.0
+"""How long a request to stop waits for the file to be closed."""
+_SHUTDOWN_S: Final = 10.0
+"""How long the server's end waits for all files: well below what graceful.STOP_WITHIN_S gives."""
+_SHUT_DOWN: Final = "the server was shut down"
+
+
+class RecordingManager:
+    """Recordings of this server; all methods may be called from any thread.
+
+    Args:
+        live: the running devices.
+        folder: where recordings lie.
+        free_bytes: what they leave free on the disk.
+        flush_s: how often they are flushed [s].
+    """
+
+    def __init__(
+        self, live: PipelineManager, folder: Path, free_bytes: int = 0, flush_s: float = 1.0
+    ) -> None:
+        self.library = RecordingRepository(folder)
+        self._live = live
+        self.free_bytes = free_bytes
+        self._flush_s = flush_s
+        self._starting: dict[str, str] = {}
+        """Device by name of what is begun, outside the lock: a process takes its time to start."""
+        self._active: dict[str, Recorder] = {}
+        self._failed: dict[str, str] = {}
+        self._past: dict[str, WriteCounters] = {}
+        self._lock = Lock()
+        self._closing = Event()
+        self._watcher = Thread(target=self._watch, name="recordings", daemon=True)
+        self._watcher.start()
+
+    def start(self, device_id: str, request: NewRecording) -> RecordingDetail:
+        """Begin to record a running device.
+
+        Raises:
+            DeviceNotRunning: it does not run.
+            RecordingExists: there is a file of the name.
+            RecordingInProgress: the device has a recording already.
+            InsufficientStorage: there is too little free space, or none can be written to.
+        """
+        session = self._live.session(device_id)
+        begin = datetime.now(UTC)
+        name = request.name or f"{device_id}-{begin:%Y%m%dT%H%M%S-%f}.h5"
+        folder = self.library.folder
+        free = shutil.disk_usage(folder).free
+        if free < self.free_bytes:
+            raise InsufficientStorage(
+                f"{free} bytes are free on the disk of the recordings; {self.free_bytes} have to "
+                "stay free: delete recordings",
+                free_bytes=free,
+            )
+        job = writer_job(session, request, folder / name, begin, self.free_bytes, self._flush_s)
+        self._reserve(name, device_id)
+        try:
+            if job.path.exists():
+                raise _exists(name)
+            try:
+                recorder = Recorder(job, session)
+            except OSError as error:
+                if job.path.exists():
+                    raise _exists(name) from error
+                raise InsufficientStorage(f"the recording cannot be written: {error}") from error
+            with self._lock:
+                self._failed.pop(name, None)
+                self._active[name] = recorder
+        finally:
+            with self._lock:
+                del self._starting[name]
+        self._live.attach(session, recorder)
+        _log.info("recording %s of device %s has begun", name, device_id)
+        if self._closing.is_set():
+            recorder.stop(_SHUT_DOWN)
+        return self.get(name)
+
+    def _reserve(self, name: str, device_id: str) -> None:
+        """Let no other recording of the name, or of the device, begin meanwhile."""
+        with self._lock:
+            busy = {
+                recorder.session.device_id: other
+                for other, recorder in self._active.items()
+                if recorder.ended is None
+            } | {device: other for other, device in self._starting.items()}
+            if device_id in busy:
+                raise RecordingInProgress(
+                    f'device "{device_id}" is being recorded to "{busy[device_id]}"; stop that '
+                    "first",
+                    recording=busy[device_id],
+                )
+            if name in busy.values():
+                raise _exists(name)
+            self._starting[name] = device_id
+
+    def stop(self, name: str) -> RecordingDetail:
+        """End a recording and close its file; of one that has ended nothing changes.
+
+        Raises:
+            UnknownRecording: there is none of the name.
+        """
+        with self._lock:
+            recorder = self._active.get(name)
+        if recorder is not None:
+            self._live.detach(recorder.session, recorder)
+            recorder.stop("stopped by request")
+            recorder.wait(_CLOSE_S)
+            self._settle()
+        return self.get(name)
+
+    def get(self, name: str) -> RecordingDetail:
+        """Return a recording; raises UnknownRecording."""
+        return self.library.detail(self._document(name))
+
+    def page(
+        self, device_id: str | None, limit: int, offset: int
+    ) -> tuple[list[RecordingDocument], int]:
+        """Return a page of recordings, those that were changed last first, and how many match."""
+        names = self.library.names()
+        if device_id is None:
+            return self._documents(names[offset : offset + limit]), len(names)
+        found = [one for one in self._documents(names) if one.device == device_id]
+        return found[offset : offset + limit], len(found)
+
+    def finished_path(self, name: str) -> Path:
+        """Return the path of a recording that is not being written.
+
+        Raises:
+            UnknownRecording, RecordingInProgress.
+        """
+        path = self.library.path(name)
+        with self._lock:
+            recorder, starting = self._active.get(name), name in self._starting
+        if starting or (recorder is not None and recorder.ended is None):
+            raise RecordingInProgress(
+                f'recording "{name}" is being written; stop it first', recording=name
+            )
+        return path
+
+    def delete(self, name: str, replayed_by: Callable[[str], str | None]) -> None:
+        """Delete a recording's file.
+
+        Args:
+            name: of the recording.
+            replayed_by: returns the running device that replays it, None without one.
+
+        Raises:
+            UnknownRecording, RecordingInProgress.
+            RecordingInUse: a running device replays it.
+        """
+        path = self.finished_path(name)
+        device = replayed_by(name)
+        if device is not None:
+            raise RecordingInUse(
+                f'device "{device}" replays "{name}"; stop the device first', device=device
+            )
+        path.unlink(missing_ok=True)
+        with self._lock:
+            self._failed.pop(name, None)
+
+    def written(self) -> dict[str, WriteCounters]:
+        """Return by device what was recorded since the server's start."""
+        with self._lock:
+            found = dict(self._past)
+            for recorder in self._active.values():
+                device = recorder.session.device_id
+                found[device] = found.get(device, WriteCounters()).with_recorder(recorder)
+        return found
+
+    def close(self) -> None:
+        """Close the files of all recordings; there are no others from now on.
+
+        A writer that takes longer than _SHUTDOWN_S is left to close its file by itself.
+        """
+        self._closing.set()
+        self._watcher.join()
+        with self._lock:
+            active = dict(self._active)
+        for recorder in active.values():
+            self._live.detach(recorder.session, recorder)
+            recorder.stop(_SHUT_DOWN)
+        end = time.monotonic() + _SHUTDOWN_S
+        for name, recorder in active.items():
+            if not recorder.wait(max(0.0, end - time.monotonic())):
+                _log.error(
+                    "recording %s: its file was not closed within %g s; its process goes on with "
+                    "it by itself",
+                    name,
+                    _SHUTDOWN_S,
+                )
+
+    def _watch(self) -> None:
+        """End recordings whose device has ended, and forget those that have."""
+        while not self._closing.wait(_LOOK_S):
+            try:
+                with self._lock:
+                    active = list(self._active.values())
+                for recorder in active:
+                    if recorder.ended is None and recorder.session.drained:
+                        recorder.stop(_why(recorder.session))
+                self._settle()
+            except Exception:  # noqa: BLE001 - the others' recordings go on
+                _log.exception("recordings are not looked after")
+
+    def _settle(self) -> None:
+        """Detach and forget recordings that have ended."""
+        with self._lock:
+            for name, recorder in list(self._active.items()):
+                if recorder.ended is None:
+                    continue
+                self._live.detach(recorder.session, recorder)
+                level = logging.ERROR if recorder.failed else logging.INFO
+                _log.log(level, "recording %s has ended: %s", name, recorder.ended)
+                if recorder.failed:
+                    self._failed[name] = recorder.ended
+                del self._active[name]
+                device = recorder.session.device_id
+                self._past[device] = self._past.get(device, WriteCounters()).with_recorder(recorder)
+
+    def _documents(self, names: list[str]) -> list[RecordingDocument]:
+        found = []
+        for name in names:
+            try:
+                found.append(self._document(name))
+            except (UnknownRecording, OSError):
+                continue  # deleted meanwhile
+        return found
+
+    def _document(self, name: str) -> RecordingDocument:
+        with self._lock:
+            recorder, failure = self._active.get(name), self._failed.get(name)
+            starting = name in self._starting
+        if recorder is not None and recorder.ended is None:
+            return _of_recorder(name, recorder)
+        document = self.library.document(name)
+        if starting:
+            return document.model_copy(update={"state": "recording"})
+        if failure is not None and document.state != "complete":
+            return document.model_copy(update={"state": "failed", "reason": failure})
+        return document
+
+
+def _of_recorder(name: str, recorder: Recorder) -> RecordingDocument:
+    """Return how a recording stands that is being written."""
+    job, state = recorder.job, recorder.state
+    return RecordingDocument(
+        **unread("recording", None)
+        | {
+            "name": name,
+            "device": job.description.name,
+            "contents": [
+                *(["lines"] if job.lines else []),
+                *(["results"] if job.results else []),
+            ],
+            "frames": state.frames,
+            "frames_missing": state.missing,
+            "frames_dropped_compute": state.dropped_compute,
+            "frames_dropped_writer": recorder.dropped_frames,
+            "frames_refused": state.refused,
+            "size_bytes": recorder.size_bytes,
+            "started_at": datetime.fromisoformat(job.provenance["started_at"]),
+            "changed_at": datetime.now(UTC),
+        }
+    )
+
+
+def _why(session: DeviceSession) -> str:
+    status = session.status()
+    if status.state == "stopped":
+        return "the device was stopped"
+    return f"the device has {status.state}: {status.reason or 'no reason given'}"
+
+
+def _exists(name: str) -> RecordingExists:
+    return RecordingExists(
+        f'recording "{name}" exists already and is never overwritten; choose another name',
+        recording=name,
+    )

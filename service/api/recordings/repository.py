@@ -1,0 +1,181 @@
+"""The folder of recordings: what is in it, as the files themselves tell."""
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from compute.errors import InvalidRecording
+from service.api.devices.driver_factory import recording_path
+from service.api.devices.schema import RECORDING_PATTERN
+from service.api.recordings.schema import (
+    Content,
+    RecordingDetail,
+    RecordingDocument,
+    State,
+    UsedCalibration,
+)
+
+if TYPE_CHECKING:
+    from hardware.recording.info import RecordingInfo
+    from hardware.recording.reader import RecordingReader
+
+
+@dataclass(frozen=True)
+class _CachedDocument:
+    """What was read of a file, and of which state of the file it is."""
+
+    inode: int
+    size: int
+    modified_ns: int
+    document: RecordingDocument
+
+
+class RecordingRepository:
+    """Recordings below a folder, whoever put them there; what was read of a file is kept.
+
+    Args:
+        folder: the data directory's folder ``recordings``.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._kept: dict[str, _CachedDocument] = {}
+        self._lock = Lock()
+
+    def names(self) -> list[str]:
+        """Return the names of all recordings, the file that was changed last first."""
+        found = sorted(self._files(), key=lambda one: (-one[1], one[0]))
+        names = [name for name, _ in found]
+        there = set(names)
+        with self._lock:
+            self._kept = {name: kept for name, kept in self._kept.items() if name in there}
+        return names
+
+    def path(self, name: str) -> Path:
+        """Return a recording's path; raises UnknownRecording."""
+        return recording_path(name, self.folder)
+
+    def document(self, name: str) -> RecordingDocument:
+        """Return what a file tells of itself; one that cannot be read says why.
+
+        Raises:
+            UnknownRecording: there is no such file.
+        """
+        path = self.path(name)
+        status = path.stat()
+        with self._lock:
+            kept = self._kept.get(name)
+        now = (status.st_ino, status.st_size, status.st_mtime_ns)
+        if kept is not None and (kept.inode, kept.size, kept.modified_ns) == now:
+            return kept.document
+        common = {
+            "name": name,
+            "size_bytes": status.st_size,
+            "changed_at": datetime.fromtimestamp(status.st_mtime, UTC),
+        }
+        try:
+            with _reader(path) as reader:
+                found = RecordingDocument(**common, **_members(reader.info))
+        except InvalidRecording as error:
+            found = RecordingDocument(**common, **unread("unreadable", error.detail))
+        with self._lock:
+            self._kept[name] = _CachedDocument(*now, found)
+        return found
+
+    def detail(self, document: RecordingDocument) -> RecordingDetail:
+        """Return it with the calibrations in the file; none where it cannot be read."""
+        used: list[UsedCalibration] = []
+        if document.state != "unreadable":
+            try:
+                with _reader(self.path(document.name)) as reader:
+                    used = _used(reader)
+            except InvalidRecording as error:
+                document = document.model_copy(update={"reason": error.detail})
+        return RecordingDetail(**dict(document), calibrations=used)
+
+    def _files(self) -> Iterator[tuple[str, int]]:
+        """Yield names that a client can ask for, and when the files were changed [ns]."""
+        folder = self.folder.resolve()
+        for path in folder.rglob("*.h5"):
+            name = path.relative_to(folder).as_posix()
+            if re.fullmatch(RECORDING_PATTERN, name) is None or len(name) > 200:
+                continue
+            try:
+                if path.resolve().is_relative_to(folder) and path.is_file():
+                    yield name, path.stat().st_mtime_ns
+            except OSError:
+                continue  # gone meanwhile
+
+
+def unread(state: State, reason: str | None) -> dict[str, Any]:
+    """Return the members of a document that nothing is known of."""
+    members = (
+        "device", "frames", "duration_s", "frames_missing", "frames_dropped_compute",
+        "frames_dropped_writer", "frames_refused", "started_at",
+    )  # fmt: skip
+    return dict.fromkeys(members) | {"state": state, "reason": reason, "contents": []}
+
+
+def _reader(path: Path) -> "RecordingReader":
+    # The file library is loaded by who reads a recording.
+    from hardware.recording.reader import RecordingReader
+
+    return RecordingReader(path, columns=False)
+
+
+def _members(info: "RecordingInfo") -> dict[str, Any]:
+    contents: list[Content] = []
+    if info.lines:
+        contents.append("lines")
+    if info.results:
+        contents.append("results")
+    return {
+        "device": info.description.name,
+        "state": "complete" if info.complete else "incomplete",
+        "reason": info.state.reason or None,
+        "contents": contents,
+        "frames": info.frames,
+        "duration_s": info.duration_s,
+        "frames_missing": info.lost,
+        "frames_dropped_compute": info.state.dropped_compute,
+        "frames_dropped_writer": info.state.dropped_writer,
+        "frames_refused": info.state.refused,
+        "started_at": _moment(info.provenance.get("started_at")),
+    }
+
+
+def _moment(text: object) -> datetime | None:
+    try:
+        found = datetime.fromisoformat(str(text))
+    except ValueError:
+        return None
+    return found if found.tzinfo is not None else None
+
+
+def _used(reader: "RecordingReader") -> list[UsedCalibration]:
+    """Return the calibrations of a file, in the order in which they came into force."""
+    if reader.info.state.in_force == 0:
+        return []
+    rows = reader.column("in_force")
+    used = []
+    for row in range(reader.info.state.in_force):
+        try:
+            found = json.loads(reader.in_force(row)[0] or b"{}")
+        except ValueError:
+            found = {}
+        first = np.flatnonzero(rows == row)[:1].tolist()
+        texts = {
+            name: None if found.get(key) is None else str(found[key])
+            for name, key in (
+                ("calibration", "id"), ("content_hash", "content_hash"), ("table", "table"),
+            )
+        }  # fmt: skip
+        used.append(UsedCalibration(**texts, from_frame=first[0] if first else None))
+    return used

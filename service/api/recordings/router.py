@@ -1,0 +1,146 @@
+"""REST resource /api/v1/recordings."""
+
+from typing import Annotated, Final
+
+from fastapi import APIRouter, Body, Path, Response
+from starlette.responses import FileResponse
+from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+
+from service.api.base_models import Page
+from service.api.dependencies import DatabaseDep, LiveDep, RecordingsDep
+from service.api.devices import store
+from service.api.devices.schema import RECORDING_PATTERN
+from service.api.json_body import JsonRoute, JsonTypes
+from service.api.openapi import problems
+from service.api.recordings.examples import BEGUN, FINISHED, NEW_RECORDINGS
+from service.api.recordings.replaying_device import replaying_device
+from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
+from service.api.request_parameters import DeviceFilter, DevicePath, Limit, Offset
+from service.problems.errors import (
+    DeviceNotRunning,
+    InsufficientStorage,
+    RecordingExists,
+    RecordingInProgress,
+    RecordingInUse,
+    UnknownDevice,
+    UnknownRecording,
+)
+
+MEDIA_TYPE: Final = "application/x-hdf5"
+
+router = APIRouter(prefix="/api/v1", tags=["recordings"], route_class=JsonRoute)
+
+_FILE: Final = {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}
+NewRecordingBody = Annotated[NewRecording, JsonTypes(), Body(openapi_examples=NEW_RECORDINGS)]
+BegunPath = Annotated[
+    str,
+    Path(
+        pattern=RECORDING_PATTERN,
+        max_length=200,
+        description="File name below the folder `recordings`.",
+        openapi_examples=BEGUN,
+    ),
+]
+FinishedPath = Annotated[
+    str,
+    Path(
+        pattern=RECORDING_PATTERN,
+        max_length=200,
+        description="File name below the folder `recordings`.",
+        openapi_examples=FINISHED,
+    ),
+]
+
+
+@router.post(
+    "/devices/{device_id}/recordings",
+    operation_id="start-recording",
+    summary="Record a device",
+    status_code=HTTP_201_CREATED,
+    responses=problems(
+        UnknownDevice, DeviceNotRunning, RecordingExists, RecordingInProgress, InsufficientStorage
+    ),
+)
+def start_recording(
+    device_id: DevicePath,
+    request: NewRecordingBody,
+    database: DatabaseDep,
+    recordings: RecordingsDep,
+    response: Response,
+) -> RecordingDetail:
+    """Record a running device from its next frame on, until it is stopped or a limit is reached.
+
+    Recording waits for nothing: where the disk does not keep up frames are missing in the file,
+    which says how many, and the streams go on. The file can be read while it is written.
+    """
+    with database.read() as session:
+        store.get_device(session, device_id)
+    begun = recordings.start(device_id, request)
+    response.headers["Location"] = f"/api/v1/recordings/{begun.name}"
+    return begun
+
+
+@router.get("/recordings", operation_id="list-recordings", summary="List recordings")
+def list_recordings(
+    recordings: RecordingsDep, device: DeviceFilter = None, limit: Limit = 50, offset: Offset = 0
+) -> Page[RecordingDocument]:
+    """Files `*.h5` below the folder `recordings`, whoever put them there, the newest first."""
+    items, total = recordings.page(device, limit, offset)
+    return Page(items=items, total=total, limit=limit, offset=offset)
+
+
+# The paths that go on from a name come first: a name may have slashes in it.
+@router.post(
+    "/recordings/{name:path}/stop",
+    operation_id="stop-recording",
+    summary="End a recording",
+    responses=problems(UnknownRecording),
+)
+def stop_recording(name: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
+    """End a recording and close its file; one that has ended stays as it is."""
+    return recordings.stop(name)
+
+
+@router.get(
+    "/recordings/{name:path}/file",
+    operation_id="download-recording",
+    summary="Download a recording",
+    response_class=FileResponse,
+    responses=problems(UnknownRecording, RecordingInProgress)
+    | {
+        200: {"description": "The whole file.", "content": _FILE},
+        206: {"description": "The part that the header `Range` asks for.", "content": _FILE},
+    },
+)
+def download_recording(name: FinishedPath, recordings: RecordingsDep) -> FileResponse:
+    """The file, or the part of it that the header `Range` asks for.
+
+    Not while this server writes it: what was sent first and last would not fit together.
+    """
+    path = recordings.finished_path(name)
+    return FileResponse(path, media_type=MEDIA_TYPE, filename=path.name)
+
+
+@router.get(
+    "/recordings/{name:path}",
+    operation_id="get-recording",
+    summary="Read about a recording",
+    responses=problems(UnknownRecording),
+)
+def get_recording(name: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
+    """What is in a recording, what was lost on the way, and why it ended."""
+    return recordings.get(name)
+
+
+@router.delete(
+    "/recordings/{name:path}",
+    operation_id="delete-recording",
+    summary="Delete a recording",
+    status_code=HTTP_204_NO_CONTENT,
+    responses=problems(UnknownRecording, RecordingInProgress, RecordingInUse),
+)
+def delete_recording(
+    name: FinishedPath, database: DatabaseDep, live: LiveDep, recordings: RecordingsDep
+) -> None:
+    """Delete the file; not while it is written, or a running device replays it."""
+    recordings.delete(name, lambda wanted: replaying_device(database, live, wanted))

@@ -1,0 +1,135 @@
+"""The reports of calibrations: /api/v1/calibrations/{id}/report.html and its figures."""
+
+from threading import BoundedSemaphore
+from typing import Annotated, Final, Literal
+
+from fastapi import APIRouter, Path, Query
+from starlette.responses import HTMLResponse, Response
+
+from service.api.base_models import SLUG_PATTERN
+from service.api.dependencies import DatabaseDep, ReportsDep
+from service.api.openapi import problems
+from service.api.reports.assembly import assemble_report, report_key
+from service.api.reports.render_process import render_figure, render_page
+from service.api.request_parameters import CalibrationPath
+from service.problems.errors import (
+    Busy,
+    CalibrationOfAnotherDevice,
+    NoSuchFigure,
+    UnknownCalibration,
+)
+
+router = APIRouter(prefix="/api/v1/calibrations", tags=["calibrations"])
+
+MAX_CONCURRENT: Final = 2
+"""Reports made at the same time: each takes seconds, and threads are for all."""
+
+_slots = BoundedSemaphore(MAX_CONCURRENT)
+
+_PNG: Final = {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
+_HTML: Final = {"content": {"text/html": {"schema": {"type": "string"}}}}
+
+FigureName = Literal[
+    "residuals-order",
+    "residuals-position",
+    "residuals-pixels",
+    "residuals-histogram",
+    "coverage",
+    "point-errors",
+    "uncertainty",
+    "comparison",
+]
+FigurePath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The calibration's id.",
+        openapi_examples={"frame": {"summary": "of the example body", "value": "sim-frame"}},
+    ),
+]
+PreviousQuery = Annotated[
+    str | None,
+    Query(
+        pattern=SLUG_PATTERN,
+        description="The calibration to compare with; left out: the one that was active before, "
+        "or is active.",
+    ),
+]
+
+
+@router.get(
+    "/{calibration_id}/report.html",
+    operation_id="get-calibration-report",
+    summary="The report of a calibration",
+    response_class=HTMLResponse,
+    responses=problems(UnknownCalibration, CalibrationOfAnotherDevice, Busy) | {200: _HTML},
+)
+def get_report(
+    calibration_id: CalibrationPath,
+    database: DatabaseDep,
+    kept: ReportsDep,
+    previous: PreviousQuery = None,
+) -> HTMLResponse:
+    """One HTML file that needs nothing else: to read, to print, to keep."""
+    with database.read() as session:
+        key = report_key(session, calibration_id, previous)
+    page = kept.get(key)
+    if page is None:
+        with _Slot():
+            with database.read() as session:
+                content = assemble_report(session, calibration_id, previous)
+            page = render_page(content).encode()
+        kept.keep(key, page)
+    return HTMLResponse(page)
+
+
+@router.get(
+    "/{calibration_id}/report/{figure}.png",
+    operation_id="get-calibration-figure",
+    summary="One figure of a calibration's report",
+    response_class=Response,
+    responses=problems(UnknownCalibration, CalibrationOfAnotherDevice, NoSuchFigure, Busy)
+    | {200: _PNG},
+)
+def get_figure(
+    calibration_id: FigurePath,
+    figure: Annotated[
+        FigureName,
+        Path(openapi_examples={"order": {"value": "residuals-order"}}, description="Its name."),
+    ],
+    database: DatabaseDep,
+    kept: ReportsDep,
+    previous: PreviousQuery = None,
+) -> Response:
+    """The figure as PNG."""
+    with database.read() as session:
+        key = f"{report_key(session, calibration_id, previous)}/{figure}"
+    drawn = kept.get(key)
+    if drawn is None:
+        with _Slot():
+            with database.read() as session:
+                content = assemble_report(session, calibration_id, previous)
+            drawn = render_figure(figure, content)
+        if drawn is not None:
+            kept.keep(key, drawn)
+    if drawn is None:
+        raise NoSuchFigure(
+            f'the report of calibration "{calibration_id}" has no figure {figure}: there are no '
+            "control points, residuals or other calibration for it",
+            calibration=calibration_id,
+            figure=figure,
+        )
+    return Response(drawn, media_type="image/png")
+
+
+class _Slot:
+    """One of the reports that may be made at once."""
+
+    def __enter__(self) -> None:
+        if not _slots.acquire(blocking=False):
+            raise Busy(
+                f"{MAX_CONCURRENT} reports are being made; ask for this one again in a few seconds"
+            )
+
+    def __exit__(self, *_: object) -> None:
+        _slots.release()

@@ -1,0 +1,54 @@
+"""Self-calibration runs: checked when posted, stored when done."""
+
+from collections.abc import Callable
+from typing import Any
+
+from sqlalchemy.orm import Session
+
+from compute.calibration.result import Calibration
+from service.api.calibrations.calibration_content import Outcome, calibration_content, result_of
+from service.api.calibrations.schema import ControlPointErrors
+from service.api.calibrations.sensor_check import check_sensors
+from service.api.calibrations.store import add_calibration, get_calibration
+from service.api.devices.store import get_device, sensors_of_row
+from service.api.runs.self_calibration_schema import recording_of
+from service.api.runs.tasks.self_calibration import Request, compute
+from service.database.models import CalibrationRow, RunRow
+
+
+def request_of(request: Request, start: CalibrationRow) -> dict[str, Any]:
+    """Return the request as it is stored, checked as far as that takes no time.
+
+    Raises:
+        LumilineError: what is wrong with the recordings.
+    """
+    from compute.calibration.self_calibration.recording_checks import check_recordings
+
+    models = result_of(start.content).models
+    check_sensors(start.device_id, request.sensors, models)
+    recordings = [recording_of(given, list(request.sensors)) for given in request.recordings]
+    check_recordings(models, recordings)
+    return request.model_dump(mode="json")
+
+
+def task(session: Session, row: RunRow) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+    """Return what the run's process calls, with its arguments."""
+    request = Request.model_validate(row.request)
+    start = get_calibration(session, request.start)
+    return compute, (request, result_of(start.content).models)
+
+
+def store(session: Session, row: RunRow, result: Calibration) -> str:
+    """Store the calibration and return its id.
+
+    Raises:
+        SensorsChanged: the device has other sensors meanwhile.
+        CalibrationExists: the id was taken meanwhile.
+    """
+    request = Request.model_validate(row.request)
+    device = get_device(session, row.device_id, lock=True)
+    check_sensors(device.id, sensors_of_row(device), result.models)
+    content = calibration_content(device.id, "self-calibrated", [], result)
+    errors = ControlPointErrors(fitted=None, leave_one_out=None)
+    outcome = Outcome(result, content, errors.model_dump(mode="json"))
+    return add_calibration(session, device.id, outcome, request.note, request.result_id).id

@@ -1,0 +1,85 @@
+"""Update runs: checked when posted; a new calibration that names its parent when done."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from sqlalchemy.orm import Session
+
+from compute.calibration.assessment.cross_validation import fitted_errors
+from compute.calibration.drift.calibration_update import check_update
+from compute.calibration.drift.stability_check import prediction_residuals
+from compute.calibration.effective_readings import count_readings
+from compute.calibration.result import Calibration
+from service.api.calibrations.calibration_content import (
+    Outcome,
+    calibration_content,
+    point_errors,
+    result_of,
+)
+from service.api.calibrations.schema import ControlPoint, ControlPointErrors
+from service.api.calibrations.sensor_check import check_sensors
+from service.api.calibrations.store import add_calibration, get_calibration
+from service.api.devices.store import get_device, sensors_of_row
+from service.api.drift_checks.stationary_markers import still_set
+from service.api.runs.tasks.update import Request, compute
+from service.database.models import CalibrationRow, RunRow
+
+
+def request_of(request: Request, parent: CalibrationRow) -> dict[str, Any]:
+    """Return the request as it is stored, checked as far as that takes no time.
+
+    Raises:
+        LumilineError: what is wrong with the markers or the settings.
+    """
+    result = result_of(parent.content)
+    check_sensors(parent.device_id, request.device_sensors, result.models)
+    still = still_set(request.markers, request.device_sensors, result, request.position_sigma_mm)
+    check_update(result, sensors=request.sensors, allowance=request.allowance)
+    prediction_residuals(result, still)
+    return request.model_dump(mode="json")
+
+
+def task(session: Session, row: RunRow) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+    """Return what the run's process calls, with its arguments."""
+    request = Request.model_validate(row.request)
+    return compute, (request, result_of(get_calibration(session, request.calibration).content))
+
+
+def store(session: Session, row: RunRow, result: Calibration) -> str:
+    """Store the calibration and return its id.
+
+    Raises:
+        SensorsChanged: the device has other sensors meanwhile.
+        CalibrationExists: the id was taken meanwhile.
+    """
+    request = Request.model_validate(row.request)
+    parent = get_calibration(session, request.calibration)
+    device = get_device(session, row.device_id, lock=True)
+    check_sensors(device.id, sensors_of_row(device), result.models)
+    points, errors = _drift_verdict(request, result)
+    content = calibration_content(device.id, "updated", points, result) | {
+        "parent": {"id": parent.id, "content_hash": parent.content_hash}
+    }
+    outcome = Outcome(result, content, errors.model_dump(mode="json"))
+    return add_calibration(session, device.id, outcome, request.note, request.result_id).id
+
+
+def _drift_verdict(
+    request: Request, result: Calibration
+) -> tuple[list[ControlPoint], ControlPointErrors]:
+    """Return the markers as control points where their positions are known, and their errors."""
+    none = ControlPointErrors(fitted=None, leave_one_out=None)
+    if request.markers[0].earlier is not None:
+        return [], none
+    points = [
+        ControlPoint.model_validate(marker.model_dump(include={"name", "position_mm", "readings"}))
+        for marker in request.markers
+    ]
+    still = still_set(request.markers, request.device_sensors, result, request.position_sigma_mm)
+    assert still.positions_mm is not None
+    differences = fitted_errors(result, still.positions_mm, still.readings_px, still.sigma_px)
+    seen = count_readings(still.readings_px, differences)
+    if not np.isfinite(differences).any():
+        return points, none
+    return points, ControlPointErrors(fitted=point_errors(differences, seen), leave_one_out=None)

@@ -1,0 +1,98 @@
+"""REST resource /api/v1/keys."""
+
+from typing import Annotated, Any, Final
+
+from fastapi import APIRouter, Body, Path, Request, Response
+from starlette.status import HTTP_201_CREATED
+
+from compute.errors import InvalidParameter
+from service.api.base_models import SLUG_PATTERN, Page
+from service.api.dependencies import DatabaseDep
+from service.api.json_body import JsonRoute, JsonTypes
+from service.api.openapi import problems
+from service.api.request_parameters import Limit, Offset
+from service.api.security.schema import ApiKey, CreatedApiKey, NewApiKey
+from service.problems.errors import UnknownKey
+from service.security import store
+
+router = APIRouter(prefix="/api/v1/keys", tags=["keys"], route_class=JsonRoute)
+
+_NEW_KEYS: Final[Any] = {
+    "display": {
+        "summary": "for a program that shows points",
+        "value": {"name": "operating room 2", "scopes": ["read:stream"]},
+    },
+    "engineer": {
+        "summary": "for who calibrates",
+        "value": {
+            "name": "calibration bench",
+            "scopes": ["read:stream", "read:calibration", "write:calibration"],
+            "expires_at": "2099-12-31T23:59:59Z",
+        },
+    },
+}
+
+KeyPath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The key's id: the part between `lumi_` and the secret.",
+        openapi_examples={"one": {"summary": "one that was made", "value": "examplekey00"}},
+    ),
+]
+
+
+@router.get("", operation_id="list-keys", summary="List keys")
+def list_keys(database: DatabaseDep, limit: Limit = 50, offset: Offset = 0) -> Page[ApiKey]:
+    """Keys without their secrets, newest first; also those that are not valid any more."""
+    with database.read() as session:
+        rows, total = store.list_keys(session, limit, offset)
+        items = [store.document(row) for row in rows]
+    return Page(items=items, total=total, limit=limit, offset=offset)
+
+
+@router.post(
+    "",
+    operation_id="create-key",
+    summary="Make a key",
+    status_code=HTTP_201_CREATED,
+    responses=problems(InvalidParameter),
+)
+def create_key(
+    request: Annotated[NewApiKey, JsonTypes(), Body(openapi_examples=_NEW_KEYS)],
+    database: DatabaseDep,
+    response: Response,
+) -> CreatedApiKey:
+    """Make a key. The answer has its text, which is kept nowhere and never shown again.
+
+    Who may make keys may make them with any scope.
+    """
+    with database.write() as session:
+        row, made = store.add_key(session, request)
+        document = CreatedApiKey.model_validate(store.members(row) | {"key": made.text})
+    response.headers["Location"] = f"/api/v1/keys/{document.id}"
+    response.headers["Cache-Control"] = "no-store"
+    return document
+
+
+@router.get(
+    "/{key_id}", operation_id="get-key", summary="Read a key", responses=problems(UnknownKey)
+)
+def get_key(key_id: KeyPath, database: DatabaseDep) -> ApiKey:
+    """One key, without its secret."""
+    with database.read() as session:
+        return store.document(store.get_key(session, key_id))
+
+
+@router.post(
+    "/{key_id}/revoke",
+    operation_id="revoke-key",
+    summary="Revoke a key",
+    responses=problems(UnknownKey),
+)
+def revoke_key(request: Request, key_id: KeyPath, database: DatabaseDep) -> ApiKey:
+    """Take a key back for good: at once for requests, within seconds for open streams."""
+    with database.write() as session:
+        document = store.document(store.revoke_key(session, key_id))
+    request.app.state.authenticator.remembered.forget(key_id)
+    return document

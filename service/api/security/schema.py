@@ -1,0 +1,42 @@
+"""API keys at the edge: what a client sends and receives."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from service.api.base_models import Moment, RequestModel, RequestMoment, ResponseModel, Text200
+from service.security.scopes import Scope
+
+KeyState = Literal["valid", "expired", "revoked"]
+
+
+class NewApiKey(RequestModel):
+    """A key to make."""
+
+    name: Text200 = Field(description="Who or what it is for.")
+    scopes: Annotated[tuple[Scope, ...], Field(min_length=1, max_length=5)] = Field(
+        description="What it may do; none includes another."
+    )
+    expires_at: RequestMoment | None = Field(
+        default=None, description="Until when it is valid; left out: until it is revoked."
+    )
+
+
+class ApiKey(ResponseModel):
+    """A key that was given out, without its secret, which is kept nowhere."""
+
+    id: str = Field(description="The part between `lumi_` and the secret.")
+    name: str
+    scopes: list[Scope]
+    state: KeyState
+    created_by: str
+    created_at: Moment
+    expires_at: Moment | None
+    revoked_at: Moment | None
+    last_used_at: Moment | None = Field(description="To the hour.")
+
+
+class CreatedApiKey(ApiKey):
+    """A key that was just made."""
+
+    key: str = Field(description="Send it as `Authorization: Bearer ...`. It is shown here only.")

@@ -1,0 +1,87 @@
+"""REST resource /api/v1/devices/{id}/frames: a device's frames and the transforms between them."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Query
+
+from compute.errors import UnknownFrame
+from service.api.base_models import SLUG_PATTERN
+from service.api.dependencies import DatabaseDep, LiveDep
+from service.api.devices.store import get_device
+from service.api.openapi import problems
+from service.api.request_parameters import DevicePath
+from service.api.tools.examples import FRAME_NAMES
+from service.api.tools.frame_graph import device_frames
+from service.api.tools.frame_schema import FrameList, FrameState, FrameTransform
+from service.api.tools.schema import TRACKER
+from service.problems.errors import UnknownDevice
+
+router = APIRouter(prefix="/api/v1/devices", tags=["tools"])
+
+FramePath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="`tracker`, a tool, or a registration.",
+        openapi_examples=FRAME_NAMES,
+    ),
+]
+
+
+@router.get(
+    "/{device_id}/frames",
+    operation_id="list-frames",
+    summary="A device's frames, and what connects them now",
+    responses=problems(UnknownDevice),
+)
+def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> FrameList:
+    """The tracker's frame, those of the tools, and the registered ones.
+
+    Each has one transform, to the tracker or to the tool that it was registered relative to; a
+    frame whose transform there is not now says why.
+    """
+    with database.read() as session:
+        get_device(session, device_id)
+        found = device_frames(session, live, device_id)
+    return FrameList(
+        device=device_id,
+        **found.instant,
+        frames=[
+            FrameState(
+                frame=node.name,
+                kind=node.kind,
+                to=node.to,
+                connected=node.to is None or node.to_from is not None,
+                status=node.status,
+                reason=node.reason,
+                root=found.root(node.name),
+            )
+            for node in found.nodes.values()
+        ],
+    )
+
+
+@router.get(
+    "/{device_id}/frames/{frame}",
+    operation_id="get-frame-transform",
+    summary="The transform from one frame to another now",
+    responses=problems(UnknownDevice, UnknownFrame),
+)
+def get_frame_transform(
+    device_id: DevicePath,
+    frame: FramePath,
+    database: DatabaseDep,
+    live: LiveDep,
+    to: Annotated[
+        str,
+        Query(pattern=SLUG_PATTERN, description="`tracker`, a tool, or a registration."),
+    ] = TRACKER,
+) -> FrameTransform:
+    """Takes coordinates in `frame` to those in `to`, at the device's newest frame.
+
+    Always answered with 200: that nothing connects the frames now is a status with a reason.
+    """
+    with database.read() as session:
+        get_device(session, device_id)
+        found = device_frames(session, live, device_id)
+        return FrameTransform.model_validate(found.transform(to, frame))

@@ -1,0 +1,169 @@
+"""A tool's geometry from the points that a running device sees of it while it is held still."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.pose.rigid_body import RigidBody
+from compute.pose.tool_calibration.digitising import (
+    StationaryPoint,
+    StationarySettings,
+    average_stationary_tip,
+)
+from compute.quality.point_to_point import MarkerTrack
+from service.api.quality.point_tap import PointTap
+from service.api.tools.schema import NewCapturedTool, Origin
+from service.pipeline.collect import collect
+from service.pipeline.pipeline_manager import PipelineManager
+from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
+
+Array = NDArray[np.float64]
+
+MIN_FRAMES: Final = 10
+MIN_OBSERVED_FRACTION: Final = 0.2
+"""A marker must be seen in at least this share of the frames that the best seen one is seen in."""
+
+
+def capture_geometry(live: PipelineManager, asked: NewCapturedTool) -> tuple[RigidBody, Origin]:
+    """Look at a tool for as long as was asked; return its geometry, and how it is known.
+
+    The origin is the middle of the markers, the axes are their principal axes: X along the
+    longest extent, Z along the shortest.
+
+    Raises:
+        DeviceNotRunning: the device does not run, or ends meanwhile.
+        NoActiveCalibration: there are no points without one.
+        CalibrationSwitched: another one came into force meanwhile.
+        NoObservation: a marker was hardly seen.
+        NotStationary: the tool moved.
+        InvalidParameter: it is not said which markers are the tool's, or the device has not got
+            them.
+    """
+    session = live.session(asked.device)
+    strobed, together = _wanted(asked, session.description.markers)
+    tap = PointTap(strobed, together)
+    collect(live, session, tap, asked.seconds, tap.ended)
+    if tap.switched:
+        raise CalibrationSwitched(
+            f'another calibration or table of device "{asked.device}" was activated while the '
+            "tool was captured; capture it again",
+            device=asked.device,
+        )
+    calibration_id = (tap.in_force or (None, None))[0]
+    if calibration_id is None:
+        raise NoActiveCalibration(
+            f'device "{asked.device}" has no active calibration, and so no points; activate one',
+            device=asked.device,
+        )
+    tracks = tap.tracks() if strobed is not None else in_canonical_order(tap.tracks())
+    _check_seen(tracks, strobed, asked.seconds)
+    still = [_still(track) for track in tracks]
+    markers = principal_axes(np.array([one.position_mm for one in still]))
+    return (
+        RigidBody(asked.id, markers, strobed, asked.tip_mm),
+        Origin(
+            kind="captured",
+            frames=min(one.poses for one in still),
+            sigma_mm=[float(np.sqrt(np.trace(one.covariance_mm2))) for one in still],
+            calibration=calibration_id,
+            table=(tap.in_force or (None, None))[1],
+        ),
+    )
+
+
+def _wanted(asked: NewCapturedTool, strobes: int) -> tuple[tuple[int, ...] | None, int]:
+    """Return the strobed markers, if so, and how many markers there are."""
+    if (asked.strobe_markers is None) == (asked.markers is None):
+        raise InvalidParameter(
+            "give strobe_markers, the numbers of the tool's strobed markers, or markers, how many "
+            "there are in view that are lit together; not both"
+        )
+    if asked.strobe_markers is None:
+        assert asked.markers is not None
+        if strobes:
+            raise InvalidParameter(
+                f'device "{asked.device}" strobes {strobes} markers; give the tool\'s as '
+                f"strobe_markers, numbers 0 to {strobes - 1}"
+            )
+        return None, asked.markers
+    check_strobed(asked.device, asked.strobe_markers, strobes)
+    return tuple(asked.strobe_markers), len(asked.strobe_markers)
+
+
+def check_strobed(device_id: str, numbers: Sequence[int], strobes: int) -> None:
+    """Raise InvalidParameter when a device that strobes so many markers has not got these."""
+    unknown = next((number for number in numbers if number >= strobes), None)
+    if unknown is not None:
+        known = f"0 to {strobes - 1}" if strobes else "none: they are lit together"
+        raise InvalidParameter(
+            f'device "{device_id}" has no strobed marker {unknown}; it has {known}',
+            marker=unknown,
+        )
+
+
+def _check_seen(tracks: list[MarkerTrack], strobed: tuple[int, ...] | None, seconds: float) -> None:
+    counts = [len(track.time_s) for track in tracks]
+    least = max(MIN_FRAMES, int(np.ceil(MIN_OBSERVED_FRACTION * max(counts))))
+    if min(counts) >= least:
+        return
+    if strobed is None:
+        raise NoObservation(
+            f"{min(counts)} frames of {seconds:g} s showed {len(tracks)} markers, no fewer and no "
+            f"more; at least {least} are needed: only the tool in view, all of its markers seen",
+            frames=min(counts),
+        )
+    listed = ", ".join(f"{number}: {count}" for number, count in zip(strobed, counts, strict=True))
+    raise NoObservation(
+        f"in {seconds:g} s the markers were seen in so many frames: {listed}; each must be in at "
+        f"least {least}",
+        frames=min(counts),
+    )
+
+
+def in_canonical_order(tracks: list[MarkerTrack]) -> list[MarkerTrack]:
+    """Return tracks of markers at rest, each of one marker; frames that do not fit are left out.
+
+    Points of markers that are lit together come in any order, another in each frame.
+    """
+    if not tracks or not len(tracks[0].time_s):
+        return tracks
+    position = np.stack([track.position_mm for track in tracks], axis=1)  # frame, point, axis
+    covariance = np.stack([track.covariance_mm2 for track in tracks], axis=1)
+    apart = np.linalg.norm(position[:, :, None] - position[0], axis=3)
+    nearest = apart.argmin(axis=1)  # of each frame: the point that is each marker of the first
+    whole = (np.sort(nearest, axis=1) == np.arange(len(tracks))).all(axis=1)
+    row = np.flatnonzero(whole)[:, None]
+    position, covariance = position[row, nearest[whole]], covariance[row, nearest[whole]]
+    times = tracks[0].time_s[whole]
+    return [
+        MarkerTrack(times, position[:, marker], covariance[:, marker])
+        for marker in range(len(tracks))
+    ]
+
+
+def _still(track: MarkerTrack) -> StationaryPoint:
+    times_ns = np.round(track.time_s * 1e9).astype(np.int64)
+    span_s = max(float(track.time_s[-1] - track.time_s[0]), 1e-9)
+    # How long was asked by the client; a marker that is hidden for a moment is seen often enough.
+    wanted = StationarySettings(seconds=1e-9, min_poses=MIN_FRAMES, max_gap_s=2.0 * span_s)
+    return average_stationary_tip(times_ns, track.position_mm, track.covariance_mm2, wanted)
+
+
+def principal_axes(points_mm: Array) -> Array:
+    """Return points (M, 3) about their middle along their principal axes, right-handed [mm].
+
+    The farthest point along X, and along Y, has the positive coordinate: the same tool seen from
+    elsewhere gets the same coordinates.
+    """
+    centred = points_mm - points_mm.mean(axis=0)
+    _, _, axes = np.linalg.svd(centred)
+    for number in (0, 1):
+        along = centred @ axes[number]
+        if along[np.abs(along).argmax()] < 0.0:
+            axes[number] *= -1.0
+    axes[2] = np.cross(axes[0], axes[1])
+    found: Array = centred @ axes.T
+    return found

@@ -1,0 +1,103 @@
+"""REST resource /api/v1/tools/{id}/points: where a tool's tip is held still."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Path
+
+from compute.errors import InvalidParameter, NotStationary, TooFewPoses
+from service.api.base_models import SLUG_PATTERN
+from service.api.dependencies import DatabaseDep, LiveDep
+from service.api.json_body import JsonRoute, JsonTypes
+from service.api.openapi import problems
+from service.api.tools.concurrency_limits import digitise_slot
+from service.api.tools.dependency_check import dependencies
+from service.api.tools.examples import NEW_POINTS, TOOL_IDS
+from service.api.tools.point_schema import MeasuredPoint, NewPoint
+from service.api.tools.pose_query import frame_of
+from service.api.tools.rigid_bodies import tip_of
+from service.api.tools.store import get_tool
+from service.api.tools.tip_limit import tip_limit_of
+from service.database.models import RegistrationRow
+from service.problems.errors import (
+    Busy,
+    CalibrationSwitched,
+    DeviceNotRunning,
+    NoActiveCalibration,
+    NoObservation,
+    RegistrationReplaced,
+    TipNotCalibrated,
+    ToolReplaced,
+    UnknownTool,
+)
+
+router = APIRouter(prefix="/api/v1/tools", tags=["tools"], route_class=JsonRoute)
+
+NewPointBody = Annotated[NewPoint, JsonTypes(), Body(openapi_examples=NEW_POINTS)]
+ToolPath = Annotated[
+    str, Path(pattern=SLUG_PATTERN, description="The tool's id.", openapi_examples=TOOL_IDS)
+]
+
+
+@router.post(
+    "/{tool_id}/points",
+    operation_id="measure-point",
+    summary="Measure a point with a tool's tip",
+    responses=problems(
+        UnknownTool,
+        ToolReplaced,
+        RegistrationReplaced,
+        TipNotCalibrated,
+        Busy,
+        DeviceNotRunning,
+        NoActiveCalibration,
+        CalibrationSwitched,
+        NoObservation,
+        NotStationary,
+        TooFewPoses,
+        InvalidParameter,
+    ),
+)
+def measure_point(
+    tool_id: ToolPath, request: NewPointBody, database: DatabaseDep, live: LiveDep
+) -> MeasuredPoint:
+    """Hold the tip on the point until this answers: when it was still for long enough.
+
+    The answer has the mean place with its covariance, the tip's own included. It is not kept.
+    """
+    from service.api.tools.digitise import Pointer, digitise_point
+
+    with database.read() as session:
+        tool = get_tool(session, tool_id)
+        tip = tip_of(tool)
+        if tip.position_mm is None:
+            raise TipNotCalibrated(
+                f'tool "{tool_id}" has no tip, and its origin is no place to touch with; pivot it '
+                "(pivot-calibrations), or give it tip_mm",
+                tool=tool_id,
+            )
+        frame = frame_of(session, tool, request.frame)
+        pointer = Pointer(tool_id, tool.device_id, tip_limit_of(session, tool))
+        registered = session.get(RegistrationRow, frame.name)
+        relied = dependencies(
+            session, [tool_id, frame.reference], [] if registered is None else [registered]
+        )
+    with digitise_slot():
+        found = digitise_point(live, pointer, frame, request)
+    with database.read() as session:
+        relied.check(session)
+        if tip_of(get_tool(session, tool_id)) != tip:
+            raise ToolReplaced(
+                f'the tip of tool "{tool_id}" was changed while a point was measured with it; '
+                "measure it again",
+                tool=tool_id,
+            )
+    return MeasuredPoint.model_validate(
+        found
+        | {
+            "name": request.name,
+            "tool": tool_id,
+            "device": pointer.device,
+            "frame": frame.name,
+            "tip_calibration": tip.calibration,
+        }
+    )

@@ -1,0 +1,185 @@
+"""Registrations in the database, kept as named frames."""
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Final
+
+import numpy as np
+from pydantic import TypeAdapter
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
+
+from compute.errors import InvalidParameter
+from compute.pose.transform import Transform
+from service.api.base_models import Position
+from service.api.tools.dependency_check import Dependencies
+from service.api.tools.provenance import active_ids, provenance
+from service.api.tools.registration_schema import (
+    NewPairedPoints,
+    NewSurface,
+    NewThreeMarkers,
+    Registration,
+    StoredRequest,
+)
+from service.api.tools.schema import TRACKER
+from service.api.tools.store import get_tool
+from service.database.engine import insert
+from service.database.models import RegistrationRow, ToolRow
+from service.problems.errors import CalibrationSwitched, RegistrationExists, UnknownRegistration
+
+NewAny = NewPairedPoints | NewThreeMarkers | NewSurface
+
+_ASKED: Final[TypeAdapter[Any]] = TypeAdapter(StoredRequest)
+
+
+def get_registration(session: Session, registration_id: str) -> RegistrationRow:
+    """Return a registration; raises UnknownRegistration."""
+    row = session.get(RegistrationRow, registration_id)
+    if row is None:
+        raise UnknownRegistration(
+            f'there is no registration "{registration_id}"; GET /api/v1/registrations lists them',
+            registration=registration_id,
+        )
+    return row
+
+
+def registrations(device_id: str | None) -> Select[RegistrationRow]:
+    """Return those that the filter matches, newest first."""
+    found = select(RegistrationRow).order_by(RegistrationRow.created_at.desc(), RegistrationRow.id)
+    return found if device_id is None else found.where(RegistrationRow.device_id == device_id)
+
+
+@dataclass(frozen=True, eq=False)
+class NewRegistrationRecord:
+    """A registration that was computed, to be stored.
+
+    Args:
+        result: what was found.
+        asked: what is kept of the request.
+        reference: the tool that the points were measured relative to; None: the tracker.
+        measured_with: calibration and table in force when they were, where that is known; None:
+            what is active when it is stored.
+        relied_on: what it was found from by name, while that took its time.
+    """
+
+    result: dict[str, Any]
+    asked: dict[str, Any]
+    reference: str | None
+    measured_with: tuple[str | None, str | None] | None = None
+    dependencies: Dependencies = field(default_factory=Dependencies)
+
+
+def check_new(session: Session, request: NewAny, reference: str | None) -> None:
+    """Check the name of a new registration and what it is relative to.
+
+    Raises:
+        RegistrationExists: the id is taken, by a registration or by a tool.
+        UnknownTool: the reference is none.
+        InvalidParameter: the id is not to be had, or the reference is another device's.
+    """
+    if request.id == TRACKER:
+        raise InvalidParameter(
+            f'"{TRACKER}" is the name of the device\'s own frame; choose another id'
+        )
+    for table, what in ((RegistrationRow, "registration"), (ToolRow, "tool")):
+        if session.get(table, request.id) is not None:
+            raise RegistrationExists(
+                f'{what} "{request.id}" exists already; choose another id',
+                registration=request.id,
+            )
+    if reference is not None:
+        tool = get_tool(session, reference)
+        if tool.device_id != request.device:
+            raise InvalidParameter(
+                f'tool "{tool.id}" is of device "{tool.device_id}"; the reference must be of '
+                f'"{request.device}"',
+                reference=tool.id,
+            )
+
+
+def check_parent(session: Session, request: NewSurface, parent: RegistrationRow) -> None:
+    """Check that a registration can be refined, and the name of the new one.
+
+    Raises:
+        RegistrationExists: the new id is taken.
+        InvalidParameter: it is another device's, or its frame does not hold with what is active.
+    """
+    check_new(session, request, None)
+    if parent.device_id != request.device:
+        raise InvalidParameter(
+            f'registration "{parent.id}" is of device "{parent.device_id}", not of '
+            f'"{request.device}"; name one of the same device',
+            parent=parent.id,
+        )
+    active = active_ids(session, request.device)
+    why = provenance(session, parent).invalid_reason(active["calibration"], active["table"])
+    if why is not None:
+        raise InvalidParameter(f"{why}, and refine that one", parent=parent.id)
+
+
+def add_registration(
+    session: Session, request: NewAny, made: NewRegistrationRecord
+) -> RegistrationRow:
+    """Store a registration with what is active; the device's row is locked.
+
+    Raises:
+        CalibrationSwitched: what its points were measured with is active no more.
+        RegistrationExists, UnknownTool, InvalidParameter: as ``check_new``.
+        ToolReplaced, RegistrationReplaced: what it was found from is another by now.
+    """
+    check_new(session, request, made.reference)
+    made.dependencies.check(session)
+    active = active_ids(session, request.device)
+    if made.measured_with not in (None, (active["calibration"], active["table"])):
+        raise CalibrationSwitched(
+            f'another calibration or table of device "{request.device}" was activated while '
+            f'registration "{request.id}" was made; do it again',
+            device=request.device,
+        )
+    row = RegistrationRow(
+        id=request.id,
+        device_id=request.device,
+        reference_id=made.reference,
+        asked=made.asked,
+        result=made.result | active,
+        note=request.note,
+        created_at=datetime.now(UTC),
+    )
+    taken = RegistrationExists(
+        f'registration "{row.id}" exists already; choose another id', registration=row.id
+    )
+    insert(session, row, taken)
+    return row
+
+
+def frame_from_measured(row: RegistrationRow) -> Transform:
+    """Return the transform to the frame from where its points were measured."""
+    matrix = np.array(row.result["matrix"], dtype=np.float64)
+    covariance = np.array(row.result["covariance"], dtype=np.float64)
+    return Transform(matrix[:3, :3], matrix[:3, 3], covariance).inverse()
+
+
+def measured_points(row: RegistrationRow) -> list[tuple[str, Position]]:
+    """Return the names and places of the points that a registration was measured at.
+
+    In the tracker's frame, or that of its reference tool; points on a surface have no names.
+    """
+    asked = _ASKED.validate_python(row.asked)
+    if isinstance(asked, NewPairedPoints):
+        return [(one.name, one.measured_mm) for one in asked.fiducials]
+    markers = document(row).markers
+    return [(one.name, one.measured_mm) for one in markers]
+
+
+def document(row: RegistrationRow) -> Registration:
+    """Return a registration as clients see it."""
+    members = {
+        "id": row.id,
+        "kind": row.asked.get("kind", "paired-points"),
+        "device": row.device_id,
+        "reference": row.reference_id,
+        "request": row.asked,
+        "note": row.note,
+        "created_at": row.created_at,
+    }
+    return Registration.model_validate(row.result | members)

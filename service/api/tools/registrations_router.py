@@ -1,0 +1,210 @@
+"""REST resource /api/v1/registrations."""
+
+from dataclasses import replace
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Path, Response
+from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+
+from compute.errors import (
+    CollinearPoints,
+    DuplicatePoint,
+    HighError,
+    InvalidParameter,
+    NoConvergence,
+    NotStationary,
+    TooFewPoints,
+    TooFewPoses,
+    UndeterminedParameters,
+)
+from service.api.base_models import SLUG_PATTERN, Page
+from service.api.dependencies import DatabaseDep, LiveDep, SettingsDep
+from service.api.devices.store import get_device
+from service.api.json_body import JsonRoute, JsonTypes
+from service.api.openapi import problems
+from service.api.pagination import PagingDep, page_of
+from service.api.request_parameters import DeviceFilter
+from service.api.tools import registrations as store
+from service.api.tools.concurrency_limits import capture_slot, surface_slot
+from service.api.tools.dependency_check import dependencies
+from service.api.tools.examples import NEW_REGISTRATIONS, REGISTRATION_IDS
+from service.api.tools.provenance import active_ids
+from service.api.tools.registration_schema import (
+    NewPairedPoints,
+    NewRegistration,
+    NewSurface,
+    NewThreeMarkers,
+    Registration,
+)
+from service.database.engine import Database
+from service.pipeline.pipeline_manager import PipelineManager
+from service.problems.errors import (
+    Busy,
+    CalibrationSwitched,
+    DeviceNotRunning,
+    NoActiveCalibration,
+    NoObservation,
+    RegistrationExists,
+    RegistrationReplaced,
+    ToolReplaced,
+    UnknownDevice,
+    UnknownRegistration,
+    UnknownTool,
+)
+from service.settings import Settings
+
+router = APIRouter(prefix="/api/v1/registrations", tags=["tools"], route_class=JsonRoute)
+
+NewRegistrationBody = Annotated[
+    NewRegistration, JsonTypes(), Body(openapi_examples=NEW_REGISTRATIONS)
+]
+RegistrationPath = Annotated[
+    str,
+    Path(
+        pattern=SLUG_PATTERN,
+        description="The registration's id, the name of its frame.",
+        openapi_examples=REGISTRATION_IDS,
+    ),
+]
+
+
+@router.get("", operation_id="list-registrations", summary="List registrations")
+def list_registrations(
+    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
+) -> Page[Registration]:
+    """Registrations, newest first."""
+    with database.read() as session:
+        return page_of(session, store.registrations(device), paging, store.document)
+
+
+@router.post(
+    "",
+    operation_id="create-registration",
+    summary="Register paired points, three markers, or a surface: a named frame",
+    status_code=HTTP_201_CREATED,
+    responses=problems(
+        UnknownDevice,
+        UnknownTool,
+        UnknownRegistration,
+        RegistrationExists,
+        RegistrationReplaced,
+        ToolReplaced,
+        Busy,
+        DeviceNotRunning,
+        NoActiveCalibration,
+        CalibrationSwitched,
+        NoObservation,
+        NotStationary,
+        TooFewPoses,
+        TooFewPoints,
+        CollinearPoints,
+        DuplicatePoint,
+        UndeterminedParameters,
+        HighError,
+        NoConvergence,
+        InvalidParameter,
+    ),
+)
+def create_registration(
+    request: NewRegistrationBody,
+    database: DatabaseDep,
+    live: LiveDep,
+    settings: SettingsDep,
+    response: Response,
+) -> Registration:
+    """Find where a frame lies. Its `kind` says from what.
+
+    `paired-points`, also where none is given: points known in the frame, such as an image's, and
+    measured. Tells how well the fiducials fit (FRE).
+
+    `three-markers`: three markers make the frame, where they are given or a running device strobes
+    them. Hold them still until this answers.
+
+    `surface`: points measured on a surface that is known in the frame refine the registration
+    `parent`. Tells how far off it they are, and which motion it holds least.
+
+    All tell what to expect at targets (TRE). Poses can be asked for in the frame from then on:
+    `GET /api/v1/tools/{id}/pose?frame=ID`.
+    """
+    asked = request.root
+    if isinstance(asked, NewPairedPoints):
+        made = _of_pairs(asked)
+    elif isinstance(asked, NewThreeMarkers):
+        made = _of_markers(database, live, asked)
+    else:
+        made = _of_surface(database, settings, asked)
+    with database.write() as session:
+        get_device(session, asked.device, lock=True)
+        found = store.document(store.add_registration(session, asked, made))
+    response.headers["Location"] = f"/api/v1/registrations/{found.id}"
+    return found
+
+
+def _of_pairs(asked: NewPairedPoints) -> store.NewRegistrationRecord:
+    from service.api.tools.registration_pairs import paired
+
+    kept = asked.model_dump(mode="json", exclude={"note"})
+    return store.NewRegistrationRecord(paired(asked), kept, asked.reference)
+
+
+def _of_markers(
+    database: Database, live: PipelineManager, asked: NewThreeMarkers
+) -> store.NewRegistrationRecord:
+    from service.api.tools.registration_markers import of_markers
+
+    with database.read() as session:
+        get_device(session, asked.device)
+        store.check_new(session, asked, asked.reference)
+        relied = dependencies(session, [asked.reference])
+    if asked.strobe_markers is None:
+        return replace(of_markers(live, asked), dependencies=relied)
+    with capture_slot():
+        return replace(of_markers(live, asked), dependencies=relied)
+
+
+def _of_surface(
+    database: Database, settings: Settings, asked: NewSurface
+) -> store.NewRegistrationRecord:
+    from service.api.tools.registration_surface import check_size, refine_by_surface, stored_request
+
+    check_size(asked, settings)
+    with database.read() as session:
+        get_device(session, asked.device)
+        parent = store.get_registration(session, asked.parent)
+        store.check_parent(session, asked, parent)
+        start = store.frame_from_measured(parent)
+        active = active_ids(session, asked.device)
+        reference, created = parent.reference_id, parent.created_at
+        relied = dependencies(session, [reference], [parent])
+    with surface_slot():
+        result = refine_by_surface(asked, start)
+    of = {"parent": asked.parent, "parent_created_at": created.isoformat()}
+    with_these = (active["calibration"], active["table"])
+    return store.NewRegistrationRecord(
+        result | of, stored_request(asked), reference, with_these, relied
+    )
+
+
+@router.get(
+    "/{registration_id}",
+    operation_id="get-registration",
+    summary="Read a registration",
+    responses=problems(UnknownRegistration),
+)
+def get_registration(registration_id: RegistrationPath, database: DatabaseDep) -> Registration:
+    """One registration."""
+    with database.read() as session:
+        return store.document(store.get_registration(session, registration_id))
+
+
+@router.delete(
+    "/{registration_id}",
+    operation_id="delete-registration",
+    summary="Delete a registration",
+    status_code=HTTP_204_NO_CONTENT,
+    responses=problems(UnknownRegistration),
+)
+def delete_registration(registration_id: RegistrationPath, database: DatabaseDep) -> None:
+    """Delete a registration: no pose can be asked for in its frame any more."""
+    with database.write() as session:
+        session.delete(store.get_registration(session, registration_id))

@@ -1,0 +1,341 @@
+"""REST resources /api/v1/tools and /api/v1/tool-captures."""
+
+from collections.abc import Sequence
+from typing import Annotated, Final, Literal
+
+import numpy as np
+from fastapi import APIRouter, Body, Path, Query, Response
+from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+
+from compute.errors import (
+    HighError,
+    InvalidParameter,
+    LumilineError,
+    NoConvergence,
+    NotStationary,
+    TooFewPoses,
+    TooLittleRotation,
+)
+from compute.pose.rigid_body import RigidBody
+from service.api.base_models import SLUG_PATTERN, Page
+from service.api.dependencies import DatabaseDep, DeviceServiceDep, LiveDep
+from service.api.devices.device_service import DeviceService
+from service.api.devices.store import get_device
+from service.api.json_body import JsonRoute, JsonTypes
+from service.api.openapi import problems
+from service.api.pagination import PagingDep, page_of
+from service.api.request_parameters import DeviceFilter
+from service.api.tools import store
+from service.api.tools.concurrency_limits import capture_slot
+from service.api.tools.examples import (
+    CALIBRATIONS,
+    CAPTURED_TOOLS,
+    CHANGES,
+    NEW_TOOLS,
+    SPUN_IDS,
+    TOOL_IDS,
+)
+from service.api.tools.geometry_check import GEOMETRY, check_geometry
+from service.api.tools.pose_query import frame_of, newest_pose
+from service.api.tools.schema import (
+    NewCapturedTool,
+    NewTool,
+    NewToolCalibration,
+    Origin,
+    Pose,
+    Tool,
+    ToolCalibration,
+    ToolChange,
+)
+from service.api.tools.tip_limit import max_tip_sd_mm
+from service.problems.errors import (
+    Busy,
+    CalibrationSwitched,
+    DeviceNotRunning,
+    MarkersTaken,
+    NoActiveCalibration,
+    NoObservation,
+    ToolExists,
+    ToolInUse,
+    ToolReplaced,
+    TooManyTools,
+    UnknownDevice,
+    UnknownTool,
+)
+
+router = APIRouter(prefix="/api/v1", tags=["tools"], route_class=JsonRoute)
+
+NewToolBody = Annotated[NewTool, JsonTypes(), Body(openapi_examples=NEW_TOOLS)]
+CapturedBody = Annotated[NewCapturedTool, JsonTypes(), Body(openapi_examples=CAPTURED_TOOLS)]
+ChangeBody = Annotated[ToolChange, JsonTypes(), Body(openapi_examples=CHANGES)]
+CalibrationBody = Annotated[NewToolCalibration, JsonTypes(), Body(openapi_examples=CALIBRATIONS)]
+ToolPath = Annotated[
+    str, Path(pattern=SLUG_PATTERN, description="The tool's id.", openapi_examples=TOOL_IDS)
+]
+
+
+SpunPath = Annotated[
+    str, Path(pattern=SLUG_PATTERN, description="The tool's id.", openapi_examples=SPUN_IDS)
+]
+
+
+@router.get("/tools", operation_id="list-tools", summary="List tools")
+def list_tools(database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None) -> Page[Tool]:
+    """Tools by id."""
+    with database.read() as session:
+        return page_of(session, store.tools(device), paging, store.document)
+
+
+@router.post(
+    "/tools",
+    operation_id="create-tool",
+    summary="Create a tool of known geometry",
+    status_code=HTTP_201_CREATED,
+    responses=problems(
+        UnknownDevice,
+        UnknownTool,
+        ToolExists,
+        TooManyTools,
+        MarkersTaken,
+        InvalidParameter,
+        *GEOMETRY,
+    ),
+)
+def create_tool(request: NewToolBody, operation: DeviceServiceDep, response: Response) -> Tool:
+    """Markers must not be collinear, and the tool must not look like another one of the device.
+
+    A running device tracks it from its next frames on.
+    """
+    strobed = None if request.strobe_markers is None else tuple(request.strobe_markers)
+    body = _body(request, strobed)
+    return _add(operation, request, body, Origin(kind="given"), response)
+
+
+@router.post(
+    "/tool-captures",
+    operation_id="capture-tool",
+    summary="Define a tool by showing it",
+    status_code=HTTP_201_CREATED,
+    responses=problems(
+        UnknownDevice,
+        UnknownTool,
+        ToolExists,
+        TooManyTools,
+        MarkersTaken,
+        Busy,
+        DeviceNotRunning,
+        NoActiveCalibration,
+        CalibrationSwitched,
+        NoObservation,
+        NotStationary,
+        TooFewPoses,
+        InvalidParameter,
+        *GEOMETRY,
+    ),
+)
+def capture_tool(
+    request: CapturedBody,
+    database: DatabaseDep,
+    live: LiveDep,
+    operation: DeviceServiceDep,
+    response: Response,
+) -> Tool:
+    """Average what a running device sees of the tool while it is held still.
+
+    Its origin becomes the middle of its markers, its axes their principal axes.
+    """
+    from service.api.tools.geometry_capture import capture_geometry
+
+    with database.read() as session:
+        get_device(session, request.device)
+        store.check_new(session, request, request.strobe_markers)
+    with capture_slot():
+        body, origin = capture_geometry(live, request)
+    return _add(operation, request, body, origin, response)
+
+
+def _body(request: NewTool, strobed: tuple[int, ...] | None) -> RigidBody:
+    if strobed is not None and len(strobed) != len(request.markers_mm):
+        raise InvalidParameter(
+            f"there are {len(request.markers_mm)} markers and {len(strobed)} strobe_markers; give "
+            "one number for each marker, or null"
+        )
+    return RigidBody(request.id, np.array(request.markers_mm, float), strobed, request.tip_mm)
+
+
+def _add(
+    operation: DeviceService,
+    request: NewTool | NewCapturedTool,
+    body: RigidBody,
+    origin: Origin,
+    response: Response,
+) -> Tool:
+    with operation.tools_change(request.device) as session:
+        store.check_new(session, request, body.strobe_markers)
+        check_geometry(body, store.tools_of(session, request.device))
+        made = store.document(store.add_tool(session, request, body, origin))
+    response.headers["Location"] = f"/api/v1/tools/{made.id}"
+    return made
+
+
+@router.get(
+    "/tools/{tool_id}",
+    operation_id="get-tool",
+    summary="Read a tool",
+    responses=problems(UnknownTool),
+)
+def get_tool(tool_id: ToolPath, database: DatabaseDep) -> Tool:
+    """One tool."""
+    with database.read() as session:
+        return store.document(store.get_tool(session, tool_id))
+
+
+@router.patch(
+    "/tools/{tool_id}",
+    operation_id="change-tool",
+    summary="Change a tool's title, tip, limits or reference",
+    responses=problems(UnknownTool, InvalidParameter),
+)
+def change_tool(
+    tool_id: ToolPath, request: ChangeBody, database: DatabaseDep, operation: DeviceServiceDep
+) -> Tool:
+    """Change what is given. Markers never change: delete the tool and create another."""
+    with operation.tools_change(_device_of(database, tool_id)) as session:
+        row = store.change_tool(session, store.get_tool(session, tool_id), request)
+        return store.document(row)
+
+
+@router.delete(
+    "/tools/{tool_id}",
+    operation_id="delete-tool",
+    summary="Delete a tool",
+    status_code=HTTP_204_NO_CONTENT,
+    responses=problems(UnknownTool, ToolInUse),
+)
+def delete_tool(tool_id: ToolPath, database: DatabaseDep, operation: DeviceServiceDep) -> None:
+    """Delete a tool and its calibrations; refused while something is relative to it."""
+    with operation.tools_change(_device_of(database, tool_id)) as session:
+        store.delete_tool(session, store.get_tool(session, tool_id))
+
+
+@router.get(
+    "/tools/{tool_id}/pose",
+    operation_id="get-tool-pose",
+    summary="Where a tool is now",
+    responses=problems(UnknownTool, InvalidParameter),
+)
+def get_tool_pose(
+    tool_id: ToolPath,
+    database: DatabaseDep,
+    live: LiveDep,
+    frame: Annotated[
+        str | None,
+        Query(
+            pattern=SLUG_PATTERN,
+            description="`tracker`, a tool, or a registration; left out: the tool's reference.",
+        ),
+    ] = None,
+) -> Pose:
+    """The newest pose, with its uncertainty; where there is none, the status and the reason.
+
+    Always answered with 200: that a tool is not seen is a pose's status and no problem.
+    """
+    with database.read() as session:
+        tool = store.get_tool(session, tool_id)
+        wanted = frame_of(session, tool, frame)
+        return newest_pose(live, tool, wanted, max_tip_sd_mm(session, tool))
+
+
+_PROBLEMS_OF_CALIBRATION: Final[Sequence[type[LumilineError]]] = (
+    UnknownTool,
+    ToolReplaced,
+    Busy,
+    DeviceNotRunning,
+    CalibrationSwitched,
+    TooFewPoses,
+    TooLittleRotation,
+    HighError,
+    NoConvergence,
+    InvalidParameter,
+)
+
+
+@router.post(
+    "/tools/{tool_id}/pivot-calibrations",
+    operation_id="calibrate-pivot",
+    summary="Find a tool's tip by pivoting it",
+    status_code=HTTP_201_CREATED,
+    responses=problems(*_PROBLEMS_OF_CALIBRATION),
+)
+def calibrate_pivot(
+    tool_id: ToolPath,
+    request: CalibrationBody,
+    database: DatabaseDep,
+    live: LiveDep,
+    operation: DeviceServiceDep,
+) -> ToolCalibration:
+    """Hold the tip in a dimple and turn the tool about it, in all directions, until this answers.
+
+    What was found is kept, and given to the tool unless `apply` is false. What does not do says
+    why: too few poses, too little rotation, an error too large.
+    """
+    return _calibrated(tool_id, "pivot", request, database, live, operation)
+
+
+@router.post(
+    "/tools/{tool_id}/spin-calibrations",
+    operation_id="calibrate-spin",
+    summary="Find a tool's long axis by spinning it",
+    status_code=HTTP_201_CREATED,
+    responses=problems(*_PROBLEMS_OF_CALIBRATION),
+)
+def calibrate_spin(
+    tool_id: SpunPath,
+    request: CalibrationBody,
+    database: DatabaseDep,
+    live: LiveDep,
+    operation: DeviceServiceDep,
+) -> ToolCalibration:
+    """Turn the tool about its long axis, in a hole or between fingers, until this answers."""
+    return _calibrated(tool_id, "spin", request, database, live, operation)
+
+
+def _calibrated(
+    tool_id: str,
+    kind: Literal["pivot", "spin"],
+    request: NewToolCalibration,
+    database: DatabaseDep,
+    live: LiveDep,
+    operation: DeviceServiceDep,
+) -> ToolCalibration:
+    from service.api.tools.tip_calibration import calibrate_tip
+
+    with database.read() as session:
+        tool = store.get_tool(session, tool_id)
+        device, reference, created = tool.device_id, tool.reference_id, tool.created_at
+    with capture_slot():
+        result = calibrate_tip(live, device, tool_id, reference, kind, request)
+    with operation.tools_change(device) as session:
+        tool = store.get_same_tool(session, tool_id, created)
+        made = store.add_calibration(session, tool, kind, request, result)
+        return store.calibration_document(made)
+
+
+@router.get(
+    "/tools/{tool_id}/calibrations",
+    operation_id="list-tool-calibrations",
+    summary="Pivot and spin calibrations of a tool",
+    responses=problems(UnknownTool),
+)
+def list_tool_calibrations(
+    tool_id: ToolPath, database: DatabaseDep, paging: PagingDep
+) -> Page[ToolCalibration]:
+    """What they found, newest first."""
+    with database.read() as session:
+        store.get_tool(session, tool_id)
+        return page_of(session, store.calibrations(tool_id), paging, store.calibration_document)
+
+
+def _device_of(database: DatabaseDep, tool_id: str) -> str:
+    with database.read() as session:
+        return store.get_tool(session, tool_id).device_id

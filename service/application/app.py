@@ -1,0 +1,146 @@
+"""The application factory: settings in, a FastAPI application with its lifespan out."""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Final
+
+from fastapi import APIRouter, Depends, FastAPI
+from starlette.routing import BaseRoute
+
+from service.api.audit.router import router as audit
+from service.api.beam_holds.router import router as holds
+from service.api.calibrations.router import router as calibrations
+from service.api.captures.router import router as captures
+from service.api.correction_tables.router import TABLES_PATH
+from service.api.correction_tables.router import router as correction_tables
+from service.api.devices.router import router as devices
+from service.api.drift_checks.router import router as drift_checks
+from service.api.exports.router import router as exports_router
+from service.api.line_scans.router import router as line_scans
+from service.api.openapi import install_openapi
+from service.api.planning.router import router as device_profiles
+from service.api.quality.router import router as quality
+from service.api.reconstructions.router import router as reconstructions
+from service.api.recordings.router import router as recordings_router
+from service.api.reports.cache import ReportCache
+from service.api.reports.router import router as reports
+from service.api.runs.router import router as runs_router
+from service.api.security.router import router as keys
+from service.api.tools.frames_router import router as frames
+from service.api.tools.points_router import router as points
+from service.api.tools.registrations_router import router as registrations
+from service.api.tools.router import router as tools
+from service.application.body_limit import BodyLimitMiddleware
+from service.application.cross_origin import CrossOriginMiddleware
+from service.application.head_middleware import HeadMiddleware
+from service.application.lifespan import running
+from service.application.server import router as server
+from service.logs.request_middleware import RequestLog
+from service.pipeline.pipeline_manager import PipelineManager
+from service.problems.handlers import install_problem_handlers, unknown_websocket
+from service.protocols.metrics.registry import Metrics
+from service.protocols.metrics.router import router as metrics
+from service.protocols.stream.router import router as stream
+from service.security.guard import Guard, confirm
+from service.security.operation_scopes import check_complete
+from service.security.stream_limit import StreamLimit
+from service.settings import Settings
+from service.version import package_version
+
+DESCRIPTION: Final = """
+Calibrates linear (1D) optical sensors and reconstructs 3D points from their readings.
+
+Lengths are in mm, angles in rad, times in UTC; positions on a sensor in pixels, with the centre
+of the first pixel at 0. Errors are problem documents (RFC 9457); `GET /problems` lists their
+types. Every example below works as it stands on a new server, which has the simulated device
+`sim`, but for those of the correction tables `sim-map` and `sim-map-spare`: post the mapping run
+first, with that `result_id`; those of the key `examplekey00`: the server chooses a key's id; and
+those of the recording `earlier.h5`: record one of that name; and those that look at a tool or
+calibrate one (`tool-captures`, `pivot-calibrations`, `spin-calibrations`), measure with it or by
+it (`points`, strobed markers of a registration), or measure a hold's reference: show the device the
+tool or the markers first, as docs/tools.md and docs/holds.md say.
+"""
+
+
+def create_app(
+    settings: Settings,
+    live: PipelineManager | None = None,
+    started: Callable[[], None] | None = None,
+) -> FastAPI:
+    """Return the application; nothing is opened or started before its lifespan begins.
+
+    Args:
+        settings: the settings.
+        live: takes the live pipeline's place, closed with the application all the same.
+        started: called once all is running and before requests are served.
+    """
+
+    app = FastAPI(
+        title="Lumiline",
+        version=package_version(),
+        summary="Tracking server for linear optical sensors",
+        description=DESCRIPTION,
+        lifespan=partial(running, settings=settings, live=live, started=started),
+        redirect_slashes=False,
+        routes=list(_routes()),
+    )
+    app.state.settings = settings
+    app.state.metrics = Metrics()
+    app.state.stopping = False
+    app.state.reports = ReportCache()
+    app.state.open_streams = StreamLimit(settings.streams_per_key)
+    app.add_middleware(
+        BodyLimitMiddleware,
+        limit_bytes=settings.body_limit_bytes,
+        others={TABLES_PATH: settings.table_limit_bytes},
+        seconds=settings.body_seconds,
+    )
+    app.add_middleware(Guard, settings=settings)
+    app.add_middleware(HeadMiddleware)
+    app.add_middleware(CrossOriginMiddleware)
+    app.add_middleware(
+        RequestLog,
+        ended=app.state.metrics.request_ended,
+        stopping=lambda: bool(app.state.stopping),
+    )
+    install_problem_handlers(app)
+    check_complete(app.routes)
+    install_openapi(app)
+    return app
+
+
+@cache
+def _routes() -> tuple[BaseRoute, ...]:
+    """Return the routes in the order in which they are tried, the same for every application.
+
+    FastAPI takes a quarter of a second to look through all their parameters.
+    """
+    every = APIRouter(dependencies=[Depends(confirm)])
+    for router in (
+        devices,
+        calibrations,
+        reports,
+        runs_router,
+        captures,
+        drift_checks,
+        correction_tables,
+        reconstructions,
+        recordings_router,
+        exports_router,
+        tools,
+        points,
+        registrations,
+        frames,
+        holds,
+        line_scans,
+        device_profiles,
+        stream,
+        keys,
+        audit,
+        metrics,
+        quality,
+        server,
+    ):
+        every.include_router(router)
+    every.add_api_websocket_route("/{path:path}", unknown_websocket)  # the last to be tried
+    return tuple(every.routes)

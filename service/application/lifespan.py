@@ -1,0 +1,104 @@
+"""What runs as long as the application: opened in order, closed in reverse."""
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
+from typing import Protocol
+
+from anyio.to_thread import run_sync
+from fastapi import FastAPI
+
+from service.api.devices.device_service import DeviceService
+from service.api.devices.profiles import find_profile
+from service.api.exports.repository import ExportRepository
+from service.api.quality.drift_monitor import DriftMonitor
+from service.api.recordings.recording_manager import RecordingManager
+from service.api.runs.kind_registry import kinds_with
+from service.application.bootstrap import prepare
+from service.database.engine import Database
+from service.database.server_lock import server_lock
+from service.jobs.run_manager import RunManager
+from service.jobs.store import running_runs
+from service.pipeline.pipeline_manager import PipelineManager
+from service.protocols.metrics.devices import LiveCollector
+from service.protocols.metrics.storage import DatabaseCollector, RecordingsCollector
+from service.protocols.ndi.lifespan import ndi_running
+from service.protocols.openigtlink.lifespan import openigtlink_running
+from service.protocols.stream.hub import Hub
+from service.security.authenticator import Authenticator
+from service.settings import Settings
+
+
+class _Part(Protocol):
+    def close(self) -> None:
+        """End it."""
+        ...
+
+
+@asynccontextmanager
+async def running(
+    app: FastAPI,
+    settings: Settings,
+    live: PipelineManager | None = None,
+    started: Callable[[], None] | None = None,
+) -> AsyncIterator[None]:
+    """Run all parts of the service, which endpoints find in ``app.state``.
+
+    Args:
+        app: the application.
+        settings: its settings.
+        live: takes the live pipeline's place, closed at the end all the same.
+        started: called once all is running and before requests are served.
+    """
+    async with AsyncExitStack() as stack:
+
+        def closed_at_the_end(part: _Part) -> None:
+            stack.push_async_callback(run_sync, part.close)
+
+        database = Database(settings.effective_database_url, query_timeout=True)
+        closed_at_the_end(database)
+        stack.enter_context(server_lock(database))
+        named = await run_sync(prepare, settings, database)
+        app.state.database = database
+        app.state.authenticator = Authenticator(database, settings)
+        manager = _live_manager(settings) if live is None else live
+        closed_at_the_end(manager)
+        app.state.live = manager
+        stack.callback(setattr, app.state, "live", None)
+        app.state.operation = DeviceService(database, manager, settings.folders)
+        recordings = RecordingManager(
+            manager,
+            settings.folders.recordings,
+            settings.recording_free_bytes,
+            settings.recording_flush_s,
+        )
+        closed_at_the_end(recordings)
+        app.state.recordings = recordings
+        await run_sync(app.state.operation.autostart, *named)
+        exports = ExportRepository(settings.folders.exports, settings.recording_free_bytes)
+        app.state.exports = exports
+        kinds = kinds_with(exports, settings.folders.recordings)
+        runs = RunManager(database, settings.runs_at_once, kinds)
+        closed_at_the_end(runs)
+        app.state.runs = runs
+        await run_sync(runs.start)
+        await run_sync(exports.sweep, partial(running_runs, database))
+        watch = DriftMonitor(database, manager)
+        closed_at_the_end(watch)
+        watch.start()
+        app.state.metrics.add(
+            LiveCollector(manager),
+            DatabaseCollector(database, runs.durations),
+            RecordingsCollector(recordings),
+        )
+        await stack.enter_async_context(openigtlink_running(app, settings, recordings))
+        await stack.enter_async_context(ndi_running(app, settings))
+        if started is not None:
+            started()
+        yield
+
+
+def _live_manager(settings: Settings) -> PipelineManager:
+    own = partial(find_profile, profiles_dir=settings.folders.profiles)
+    hub = Hub(settings.stream_kept_messages, settings.stream_lag_s)
+    return PipelineManager(settings.compute_device, own, hub)

@@ -1,0 +1,94 @@
+"""The server's end: streams are closed with a reason, work is put down, and all of it in time."""
+
+import asyncio
+import logging
+import os
+import signal
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import Context
+from types import FrameType
+from typing import Any, Final
+
+import uvicorn
+from fastapi import FastAPI
+from uvicorn.server import HANDLED_SIGNALS
+
+_log = logging.getLogger(__name__)
+
+STREAMS_S: Final = 2.0
+"""How long clients have to take the last message and the close."""
+STOP_WITHIN_S: Final = 30.0
+"""After which a server that does not come to its end is ended."""
+NOT_STOPPED: Final = 4
+"""Exit code of a server that was."""
+REASON: Final = "the server is stopping"
+NOT_STARTED: Final = 3
+_LOOK_S: Final = 0.02
+
+
+class ShutdownServer(uvicorn.Server):
+    """Stops at the first SIGTERM or SIGINT, and is ended by the second."""
+
+    def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
+        super().__init__(config)
+        self._app = app
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Stop at signals; unlike uvicorn's own, without raising them again at the end."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {sig: signal.signal(sig, self.handle_exit) for sig in HANDLED_SIGNALS}
+        try:
+            yield
+        finally:
+            for sig, handler in before.items():
+                signal.signal(sig, handler)
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Begin to stop; told a second time, end at once by the same signal."""
+        if self.should_exit:
+            signal.signal(sig, signal.SIG_DFL)
+            signal.raise_signal(sig)
+        # Not within whatever request the signal came in between.
+        text = "%s: stopping; once more to end at once"
+        Context().run(_log.info, text, signal.Signals(sig).name)
+        watch = threading.Timer(STOP_WITHIN_S, _end)
+        watch.daemon = True
+        watch.start()
+        super().handle_exit(sig, frame)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Take no new requests, close the streams, then let uvicorn wait for what is in hand."""
+        self._app.state.stopping = True
+        for server in self.servers:
+            server.close()
+        hub = self._app.state.live.hub
+        hub.close(REASON)
+        end = asyncio.get_running_loop().time() + STREAMS_S
+        while hub.clients and asyncio.get_running_loop().time() < end:
+            await asyncio.sleep(_LOOK_S)
+        await super().shutdown(sockets)
+
+
+def run_server(app: FastAPI, options: dict[str, Any]) -> None:
+    """Serve until a signal comes; returns when all is closed.
+
+    Raises:
+        SystemExit: the server could not start, code 3.
+    """
+    server = ShutdownServer(uvicorn.Config(app, **options), app)
+    server.run()
+    if not server.started:
+        raise SystemExit(NOT_STARTED)
+    _log.info("stopped")
+
+
+def _end() -> None:
+    _log.critical("not stopped after %g s: something hangs; ended", STOP_WITHIN_S)
+    logging.shutdown()
+    os._exit(NOT_STOPPED)

@@ -1,0 +1,18 @@
+"""A client of the server that a command names; what the server refuses ends the command."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from lumiline.client import Client
+from lumiline.client.errors import ClientError
+from service.cli.output import fail
+
+
+@contextmanager
+def client_session(url: str, key: str | None) -> Iterator[Client]:
+    """Yield a client; what the server refuses ends the command with its reason."""
+    try:
+        with Client(url, key) as client:
+            yield client
+    except ClientError as error:
+        raise fail(str(error)) from None

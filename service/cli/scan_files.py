@@ -1,0 +1,187 @@
+"""Lines from a file: CSV with one line of counts a row, a NumPy array, or a recording."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
+from service.api.line_scans.schema import FULL_SCALE, PixelNoise
+
+if TYPE_CHECKING:
+    from hardware.driver import DeviceDescription
+
+Scans = NDArray[np.uint16]
+
+_NUMPY = b"\x93NUMPY"
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+@dataclass(frozen=True, eq=False)
+class ScanFile:
+    """Lines of a file.
+
+    Args:
+        scans: counts, shape (L, P).
+        first: number of the first of them in the file, or of its sensor in a recording.
+        names: what to call each of them.
+        noise: of the sensors that they come from; None where the file does not say.
+        sensors: which sensor each of them is of, in a recording.
+        device: that they were recorded from.
+    """
+
+    scans: Scans
+    first: int
+    names: tuple[str, ...]
+    noise: PixelNoise | None
+    sensors: tuple[str, ...] | None = None
+    device: "DeviceDescription | None" = None
+
+
+def read_scans(
+    path: Path, *, scan: int | None = None, frame: int | None = None, sensor: str | None = None
+) -> ScanFile:
+    """Read the lines of a file, which is recognised by its content.
+
+    Args:
+        path: the file.
+        line: only this one, counted from 0; of a recording's frame, the sensor of this number.
+        frame: of a recording, counted from 0; None: the first.
+        sensor: only the line of this sensor of a recording.
+
+    Raises:
+        InvalidParameter: the file cannot be read as lines of counts, or has no such line.
+        InvalidRecording: it is a recording that cannot be used.
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(8)
+    except OSError as error:
+        raise InvalidParameter(f"{path} cannot be read: {error.strerror}") from error
+    if start == _HDF5:
+        found = _recorded(path, frame or 0, sensor)
+    else:
+        if frame is not None or sensor is not None:
+            name = "--frame" if sensor is None else "--sensor"
+            raise InvalidParameter(f"{path} is no recording; {name} is for recordings")
+        lines = _numpy(path) if start.startswith(_NUMPY) else _csv(path)
+        found = ScanFile(lines, 0, tuple(f"line {row}" for row in range(len(lines))), None)
+    pixels = found.scans.shape[1]
+    if not MIN_PIXELS <= pixels <= MAX_PIXELS:
+        raise InvalidParameter(
+            f"{path} has lines of {pixels} pixels; they must have {MIN_PIXELS} to {MAX_PIXELS}"
+        )
+    if scan is None:
+        return found
+    if scan >= len(found.scans):
+        raise InvalidParameter(
+            f"{path} has no line {scan}; its lines have the numbers 0 to {len(found.scans) - 1}"
+        )
+    one = slice(scan, scan + 1)
+    sensors = None if found.sensors is None else found.sensors[one]
+    return replace(
+        found, scans=found.scans[one], first=found.first + scan, names=found.names[one],
+        sensors=sensors,
+    )  # fmt: skip
+
+
+def _recorded(path: Path, frame: int, sensor: str | None) -> ScanFile:
+    # The file library is loaded by who reads a recording.
+    from hardware.recording.reader import RecordingReader
+
+    with RecordingReader(path) as recording:
+        device, frames = recording.info.description, recording.info.frames
+        if frame >= frames:
+            raise InvalidParameter(
+                f"{path} has no frame {frame}; its frames have the numbers 0 to {frames - 1}"
+                if frames
+                else f"{path} has no frames"
+            )
+        read = recording.chunk(frame)[0]
+    names = [one.name for one in device.sensors]
+    first, last = 0, len(names)
+    if sensor is not None:
+        if sensor not in names:
+            raise InvalidParameter(
+                f'{path} has no sensor "{sensor}"; its sensors are {", ".join(names)}'
+            )
+        first = names.index(sensor)
+        last = first + 1
+    noise = PixelNoise.model_construct(
+        electrons_per_count=device.electrons_per_count,
+        read_noise_electrons=device.read_noise_electrons,
+        offset_counts=device.offset_counts,
+        full_scale_counts=2**device.bits - 1,
+    )
+    chosen = tuple(f"{name}, frame {frame}" for name in names[first:last])
+    return ScanFile(read.lines[first:last], first, chosen, noise, tuple(names[first:last]), device)
+
+
+def _numpy(path: Path) -> Scans:
+    try:
+        values = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InvalidParameter(f"{path} cannot be read as a NumPy array: {error}") from error
+    if values.ndim == 1:
+        values = values[None]
+    if values.ndim != 2 or values.dtype.kind not in "uif" or not len(values):
+        raise InvalidParameter(
+            f"{path} holds {values.dtype} of shape {values.shape}; it must be counts of shape "
+            "(L, P) or (P,)"
+        )
+    # The negation also finds NaN.
+    wrong = ~((values >= 0) & (values <= FULL_SCALE) & (values == np.floor(values)))
+    if wrong.any():
+        row, column = (int(index) for index in np.argwhere(wrong)[0])
+        raise _not_a_count(f"{path}, line {row}, pixel {column}", str(values[row, column]))
+    return np.asarray(values, dtype=np.uint16)
+
+
+def _csv(path: Path) -> Scans:
+    """Read rows of numbers; a first row with a cell that is no number is a header."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            text = file.read()
+        first = text.partition("\n")[0]
+        delimiter = next((mark for mark in ",;\t" if mark in first), ",")
+        rows = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InvalidParameter(f"{path} cannot be read as CSV: {error}") from error
+    if rows and not all(map(_is_number, rows[0])):
+        rows = rows[1:]
+    if not rows:
+        raise InvalidParameter(f"{path} has no line of counts; it needs one in each row")
+    for number, row in enumerate(rows):
+        if len(row) != len(rows[0]):
+            raise InvalidParameter(
+                f"{path}, line {number} has {len(row)} values and line 0 has {len(rows[0])}; all "
+                "must be of one length"
+            )
+    return np.array([_counts(path, number, row) for number, row in enumerate(rows)], np.uint16)
+
+
+def _counts(path: Path, number: int, row: Sequence[str]) -> list[int]:
+    found = []
+    for column, cell in enumerate(row):
+        value = float(cell) if _is_number(cell) else -1.0
+        if not (0.0 <= value <= FULL_SCALE and value.is_integer()):
+            raise _not_a_count(f"{path}, line {number}, pixel {column}", f'"{cell[:40]}"')
+        found.append(int(value))
+    return found
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _not_a_count(where: str, value: str) -> InvalidParameter:
+    return InvalidParameter(f"{where} is {value}; it must be a whole number in 0 .. {FULL_SCALE}")

@@ -1,0 +1,267 @@
+"""RunManager: takes runs that wait, has each computed in a process, stores what comes of it."""
+
+import logging
+import secrets
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from threading import Event, Lock, Thread
+from typing import Any, Final, TypeVar
+
+from compute.errors import LumilineError
+from service.api.runs.kind_registry import KINDS, RunKind
+from service.database.engine import Database
+from service.database.models import RunRow
+from service.jobs import store
+from service.jobs.duration_histogram import DurationHistogram
+from service.jobs.worker import Done, Failed, Progress
+from service.jobs.worker_process import WorkerProcess
+from service.problems.catalogue import PROBLEM_TYPES
+from service.problems.errors import NotReady
+from service.problems.handlers import json_safe
+from service.security.principal import Act, current_act
+
+_log = logging.getLogger(__name__)
+
+_LOOK_S: Final = 5.0
+"""How often it looks for runs that other servers have put down or lost."""
+_POLL_S: Final = 0.1
+_TELL_S: Final = 0.5
+"""Progress is written to the database no more often."""
+_HEARTBEAT_S: Final = 2.0
+"""How often it looks, beside progress, whether the run was cancelled or deleted elsewhere."""
+_RETRY_S: Final = 1.0
+
+T = TypeVar("T")
+
+
+class RunManager:
+    """Runs at most ``at_once`` computations, each in a process of its own."""
+
+    def __init__(
+        self, database: Database, max_concurrent: int, kinds: Mapping[str, RunKind] = KINDS
+    ) -> None:
+        self._database = database
+        self._max_concurrent = max_concurrent
+        self._kinds = kinds
+        self._wake = Event()
+        self._closing = Event()
+        self._lock = Lock()
+        self._running: dict[str, Thread] = {}
+        self._cancelled: set[str] = set()
+        self.durations = DurationHistogram()
+        """Of the runs that came to their end here."""
+        self._dispatcher = Thread(target=self._dispatch, name="runs", daemon=True)
+
+    def start(self) -> None:
+        """End what an earlier process of this server left, and begin to take runs."""
+        with self._database.write() as session:
+            for run_id in store.interrupt_lost(session, starting=True):
+                _log.warning("run %s was interrupted by the end of the server before", run_id)
+        self._dispatcher.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether runs are taken."""
+        return self._dispatcher.is_alive()
+
+    def submitted(self) -> None:
+        """Say that a run waits; callable from any thread."""
+        self._wake.set()
+
+    def cancelled(self, run_id: str) -> None:
+        """Say that a run was cancelled in the database, so that its process ends at once."""
+        with self._lock:
+            if run_id in self._running:
+                self._cancelled.add(run_id)
+
+    def close(self) -> None:
+        """End the processes; their runs are interrupted, those that wait go on waiting."""
+        self._closing.set()
+        self._wake.set()
+        if self._dispatcher.is_alive():
+            self._dispatcher.join()
+        with self._lock:
+            threads = list(self._running.values())
+        for thread in threads:
+            thread.join()
+
+    def _dispatch(self) -> None:
+        while not self._closing.is_set():
+            try:
+                with self._database.write() as session:
+                    store.interrupt_lost(session)
+                while self._free_slots() and not self._closing.is_set() and self._take():
+                    pass
+            except NotReady:
+                pass  # logged there; the next round tries again
+            except Exception:  # noqa: BLE001 - this thread must not end
+                _log.exception("runs: looking for the next failed")
+            self._wake.wait(_LOOK_S)
+            self._wake.clear()
+
+    def _free_slots(self) -> bool:
+        with self._lock:
+            return len(self._running) < self._max_concurrent
+
+    def _take(self) -> bool:
+        """Start the next run; return whether there was one."""
+        with self._database.write() as session:
+            row = store.claim(session)
+            if row is None:
+                return False
+            run_id = row.id
+        thread = Thread(target=self._supervise, args=(run_id,), name=f"run-{run_id}", daemon=True)
+        with self._lock:
+            self._running[run_id] = thread
+        thread.start()
+        return True
+
+    def _supervise(self, run_id: str) -> None:
+        try:
+            self._follow(run_id)
+        except LumilineError as error:
+            self._end(run_id, "failed", "failed", _problem(error.code, error.detail, error.context))
+        except Exception as error:  # noqa: BLE001 - becomes the run's problem
+            self._fail_unexpectedly(run_id, error)
+        finally:
+            with self._lock:
+                self._running.pop(run_id, None)
+                self._cancelled.discard(run_id)
+            self._wake.set()
+
+    def _follow(self, run_id: str) -> None:
+        """Start the process, write down what it tells, store its result."""
+        with self._database.read() as session:
+            row = store.get_run(session, run_id)
+            kind = self._kinds[row.kind]
+            function, arguments = kind.task(session, row)
+        try:
+            self._compute(run_id, kind, function, arguments)
+        finally:
+            kind.ended(run_id)
+
+    def _compute(
+        self, run_id: str, kind: RunKind, function: Callable[..., Any], arguments: tuple[Any, ...]
+    ) -> None:
+        told = time.monotonic()
+        latest: Progress | None = None
+        with WorkerProcess(function, *arguments) as worker:
+            while True:
+                if self._closing.is_set():
+                    self._end(run_id, "interrupted", "the server was stopped; post it again")
+                    return
+                with self._lock:
+                    if run_id in self._cancelled:
+                        return
+                message = worker.next(_POLL_S)
+                if isinstance(message, Done):
+                    break
+                if isinstance(message, Failed):
+                    self._failed(run_id, message)
+                    return
+                if message is not None:
+                    latest = message
+                now = time.monotonic()
+                if now - told >= (_TELL_S if latest else _HEARTBEAT_S):
+                    if not self._report_progress(run_id, latest):
+                        return
+                    told, latest = now, None
+        stored = self._write_with_retry(lambda: self._store(run_id, kind.store, message.result))
+        if stored:
+            _log.info("run %s succeeded", run_id)
+
+    def _report_progress(self, run_id: str, latest: Progress | None) -> bool:
+        """Write progress down; return whether the run is to go on."""
+        try:
+            with self._database.write() as session:
+                return store.report_progress(
+                    session,
+                    run_id,
+                    latest.share if latest else None,
+                    latest.stage if latest else None,
+                )
+        except NotReady:
+            return True  # a database that does not answer now need not cost an hour's work
+
+    def _store(self, run_id: str, keep: Callable[[Any, RunRow, Any], str], result: Any) -> bool:
+        """Store a result and end its run in one transaction, unless the run was ended."""
+        with self._database.write() as session:
+            row = store.is_still_owner(session, run_id)
+            if row is None:
+                return False
+            with _cancelled_by_submitter(row):
+                row.result_id = keep(session, row, result)
+                session.flush()
+            store.finish(row, "succeeded", "done")
+            self.durations.ended(row)
+        return True
+
+    def _failed(self, run_id: str, message: Failed) -> None:
+        if message.code is None:
+            reference = secrets.token_hex(4)
+            _log.error("run %s, reference %s: %s", run_id, reference, message.detail)
+            self._end(run_id, "failed", "failed", _unexpected(reference))
+            return
+        self._end(
+            run_id, "failed", "failed", _problem(message.code, message.detail, message.context)
+        )
+
+    def _fail_unexpectedly(self, run_id: str, error: Exception) -> None:
+        reference = secrets.token_hex(4)
+        _log.error("run %s, reference %s", run_id, reference, exc_info=error)
+        self._end(run_id, "failed", "failed", _unexpected(reference))
+
+    def _end(
+        self,
+        run_id: str,
+        state: store.State,
+        stage: str,
+        problem: dict[str, Any] | None = None,
+    ) -> None:
+        def write() -> None:
+            with self._database.write() as session:
+                row = store.is_still_owner(session, run_id)
+                if row is not None:
+                    store.finish(row, state, stage, problem)
+                    self.durations.ended(row)
+
+        try:
+            self._write_with_retry(write)
+        except NotReady:
+            # Nobody hears of it now; without its heartbeat the run is told as interrupted.
+            _log.error("run %s: its end could not be written down", run_id)
+
+    def _write_with_retry(self, write: Callable[[], T]) -> T:
+        """Write to the database, again while it does not answer, until the server stops."""
+        while True:
+            try:
+                return write()
+            except NotReady:
+                if self._closing.wait(_RETRY_S):
+                    raise
+
+
+@contextmanager
+def _cancelled_by_submitter(row: RunRow) -> Iterator[None]:
+    """Have what is stored told as the doing of whoever posted the run."""
+    act = None if row.poster is None else Act.of_stored(row.poster)
+    token = current_act.set(act)
+    try:
+        yield
+    finally:
+        current_act.reset(token)
+
+
+def _problem(code: str, detail: str, context: Mapping[str, object]) -> dict[str, Any]:
+    """Return an error as the members of a problem document; the run's path is its instance."""
+    kind = PROBLEM_TYPES[code]
+    problem = kind.model_dump(include={"type", "title", "status"}) | {"detail": detail}
+    if context:
+        problem["context"] = json_safe(context)
+    return problem
+
+
+def _unexpected(reference: str) -> dict[str, Any]:
+    detail = f"unexpected error; the server's log has it under reference {reference}"
+    return _problem("internal-error", detail, {})

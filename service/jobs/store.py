@@ -1,0 +1,264 @@
+"""Runs in the database: the one place that says which state a run is in."""
+
+import os
+import secrets
+import socket
+from datetime import UTC, datetime, timedelta
+from typing import Any, Final, Literal, get_args
+
+from sqlalchemy import Select, func, or_, select, update
+from sqlalchemy.orm import Session
+
+from compute.errors import LumilineError
+from service.database.engine import Database, insert
+from service.database.models import RunRow
+from service.problems.errors import (
+    Busy,
+    CalibrationExists,
+    CorrectionTableExists,
+    ExportExists,
+    RunExists,
+    RunNotEnded,
+    UnknownRun,
+)
+from service.security.principal import current_act
+
+Kind = Literal["calibration", "self-calibration", "update", "mapping", "export"]
+State = Literal["queued", "running", "succeeded", "failed", "cancelled", "interrupted"]
+OPEN: Final = ("queued", "running")
+STATES: Final[tuple[State, ...]] = get_args(State)
+
+_SORTS: Final[dict[Kind, str]] = {"mapping": "table", "export": "export"}
+_TAKEN: Final[dict[Kind, tuple[str, type[LumilineError]]]] = {
+    "mapping": ("correction table", CorrectionTableExists),
+    "export": ("export", ExportExists),
+}
+
+STALE_AFTER: Final = timedelta(seconds=60)
+"""A running run whose server has not been heard of for so long has none any more."""
+
+
+def owner() -> str:
+    """Return the name of this server process."""
+    return f"{socket.gethostname()}/{os.getpid()}"
+
+
+def get_run(session: Session, run_id: str) -> RunRow:
+    """Return a run; raises UnknownRun."""
+    row = session.get(RunRow, run_id)
+    if row is None:
+        raise UnknownRun(f'there is no run "{run_id}"; GET /api/v1/runs lists them', run=run_id)
+    return row
+
+
+def runs(device_id: str | None, kind: Kind | None, state: State | None) -> Select[RunRow]:
+    """Return those that the filter matches, newest first."""
+    found = select(RunRow).order_by(RunRow.created_at.desc(), RunRow.id)
+    if device_id is not None:
+        found = found.where(RunRow.device_id == device_id)
+    if kind is not None:
+        found = found.where(RunRow.kind == kind)
+    if state is not None:
+        found = found.where(RunRow.state == state)
+    return found
+
+
+def add_run(
+    session: Session,
+    kind: Kind,
+    device_id: str,
+    request: dict[str, Any],
+    max_waiting: int,
+    run_id: str | None = None,
+) -> RunRow:
+    """Store a run that waits for its turn.
+
+    Raises:
+        RunExists: the id is taken.
+        CalibrationExists, CorrectionTableExists, ExportExists: another run that waits or runs is
+            to make a result of the same id.
+        Busy: so many wait already.
+    """
+    waiting = session.scalar(
+        select(func.count()).select_from(RunRow).where(RunRow.state == "queued")
+    )
+    if (waiting or 0) >= max_waiting:
+        raise Busy(f"{waiting} runs wait already, as many as may; send this one again later")
+    result_id: str | None = request.get("result_id")
+    wanted = None if result_id is None else _claim_of(kind, result_id)
+    if result_id is not None:
+        other = session.scalar(select(RunRow.id).where(RunRow.claim == wanted))
+        if other is not None:
+            raise _claimed(kind, result_id, other)
+    identity = run_id or f"run-{secrets.token_hex(8)}"
+    taken = RunExists(
+        f'run "{identity}" exists already; choose another id, or leave it out', run=identity
+    )
+    if session.get(RunRow, identity) is not None:
+        raise taken
+    row = RunRow(
+        id=identity,
+        kind=kind,
+        device_id=device_id,
+        state="queued",
+        progress=0.0,
+        stage="waits for its turn",
+        request=request,
+        result_id=None,
+        problem=None,
+        poster=None if (act := current_act.get()) is None else act.as_stored(),
+        owner=None,
+        created_at=datetime.now(UTC),
+        started_at=None,
+        finished_at=None,
+        heartbeat_at=None,
+        claim=None,
+    )
+    insert(session, row, taken)
+    if result_id is not None:
+        row.claim = wanted
+        # Unique: of two transactions at the same moment, of any devices, one gets it.
+        insert(session, row, _claimed(kind, result_id, None))
+    return row
+
+
+def _claim_of(kind: Kind, result_id: str) -> str:
+    """Return what a run claims until it ends: the id of its result among those of its sort."""
+    return f"{_SORTS.get(kind, 'calibration')}/{result_id}"
+
+
+def _claimed(kind: Kind, result_id: str, run_id: str | None) -> LumilineError:
+    what, error = _TAKEN.get(kind, ("calibration", CalibrationExists))
+    which = "another run" if run_id is None else f'run "{run_id}"'
+    return error(
+        f'{which} is to make {what} "{result_id}"; choose another result_id, leave it out, '
+        "or cancel that run",
+        run=run_id,
+        result=result_id,
+    )
+
+
+def claim(session: Session) -> RunRow | None:
+    """Make the oldest run that waits this server's own; None when none waits."""
+    row = session.scalars(
+        select(RunRow)
+        .where(RunRow.state == "queued")
+        .order_by(RunRow.created_at, RunRow.id)
+        .limit(1)
+        .with_for_update(skip_locked=True)
+    ).first()
+    if row is not None:
+        now = datetime.now(UTC)
+        row.state, row.stage, row.owner = "running", "starts", owner()
+        row.started_at = row.heartbeat_at = now
+        session.flush()
+    return row
+
+
+def report_progress(
+    session: Session, run_id: str, progress: float | None, stage: str | None
+) -> bool:
+    """Write down how far a run is; return whether it is still this server's to go on with."""
+    values: dict[str, Any] = {"heartbeat_at": datetime.now(UTC)}
+    if progress is not None:
+        values["progress"] = min(max(progress, 0.0), 1.0)
+    if stage is not None:
+        values["stage"] = stage[:200]
+    found = session.execute(
+        update(RunRow)
+        .where(RunRow.id == run_id, RunRow.state == "running", RunRow.owner == owner())
+        .values(**values)
+        .returning(RunRow.id)
+    )
+    return found.first() is not None
+
+
+def running_runs(database: Database) -> list[str]:
+    """Return the ids of the runs that are being computed, by any server."""
+    with database.read() as session:
+        return list(session.scalars(select(RunRow.id).where(RunRow.state == "running")))
+
+
+def is_still_owner(session: Session, run_id: str) -> RunRow | None:
+    """Return a running run of this server, locked; None where it was cancelled or deleted."""
+    return session.scalars(
+        select(RunRow)
+        .where(RunRow.id == run_id, RunRow.state == "running", RunRow.owner == owner())
+        .with_for_update()
+    ).first()
+
+
+def finish(row: RunRow, state: State, stage: str, problem: dict[str, Any] | None = None) -> None:
+    """End a run."""
+    row.state, row.stage, row.problem = state, stage, problem
+    row.finished_at = datetime.now(UTC)
+    row.claim = None
+    if state == "succeeded":
+        row.progress = 1.0
+
+
+def cancel(session: Session, run_id: str) -> RunRow:
+    """End a run that waits or runs; one that has ended stays as it is. Raises UnknownRun."""
+    row = session.get(RunRow, run_id, with_for_update=True)
+    if row is None:
+        return get_run(session, run_id)
+    if row.state in OPEN:
+        finish(row, "cancelled", "cancelled on request")
+        session.flush()
+    return row
+
+
+def delete_run(session: Session, run_id: str) -> None:
+    """Delete a run that has ended; what it made stays.
+
+    Raises:
+        UnknownRun.
+        RunNotEnded: it waits or runs.
+    """
+    row = session.get(RunRow, run_id, with_for_update=True) or get_run(session, run_id)
+    if row.state in OPEN:
+        raise RunNotEnded(
+            f'run "{run_id}" is {row.state}; cancel it first, or wait for its end', run=run_id
+        )
+    session.delete(row)
+    session.flush()
+
+
+def interrupt_lost(session: Session, *, starting: bool = False) -> list[str]:
+    """End the runs whose server is gone and return their ids.
+
+    Args:
+        session: the session.
+        starting: this server starts: what is called its own is of a process before it.
+    """
+    stale = RunRow.heartbeat_at < datetime.now(UTC) - STALE_AFTER
+    condition = stale
+    if starting:
+        condition = or_(stale, RunRow.owner.in_(_gone_or_own(session)))
+    rows = session.scalars(
+        select(RunRow).where(RunRow.state == "running", condition).with_for_update()
+    ).all()
+    for row in rows:
+        finish(row, "interrupted", "the server ended while it ran; post it again")
+    return [row.id for row in rows]
+
+
+def _gone_or_own(session: Session) -> list[str]:
+    """Return the owners of this machine whose process is gone, or has this one's id."""
+    owners = session.scalars(select(RunRow.owner).where(RunRow.state == "running").distinct()).all()
+    return [name for name in owners if name is not None and _is_gone(name)]
+
+
+def _is_gone(name: str) -> bool:
+    host, _, pid = name.rpartition("/")
+    if host != socket.gethostname():
+        return False
+    if int(pid) == os.getpid():
+        return True
+    try:
+        os.kill(int(pid), 0)
+    except ProcessLookupError:
+        return True
+    except PermissionError:
+        return False
+    return False

@@ -1,0 +1,114 @@
+"""What a worker's process does: calls one function and tells of it through a pipe.
+
+Imports nothing heavy itself: what it sets for the numerical libraries must be set before they
+are loaded, with the task.
+"""
+
+import contextlib
+import os
+import pickle
+import signal
+import traceback
+from dataclasses import dataclass
+from multiprocessing import parent_process
+from multiprocessing.connection import Connection, wait
+from threading import Thread
+from typing import Any, Final
+
+_ONE_THREAD: Final = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+)
+_NICENESS: Final = 10
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far the task is: share done, 0 .. 1, and what is being done."""
+
+    share: float
+    stage: str
+
+
+@dataclass(frozen=True)
+class Done:
+    """The task's result."""
+
+    result: Any
+
+
+@dataclass(frozen=True)
+class Failed:
+    """The task ended by an error.
+
+    Args:
+        code: of the LumilineError; None for any other exception.
+        detail: what it says; of any other exception the traceback, for the log only.
+        context: the error's values by name.
+    """
+
+    code: str | None
+    detail: str
+    context: dict[str, Any]
+
+
+Message = Progress | Done | Failed
+
+
+def work(connection: Connection, task: bytes, memory_bytes: int | None) -> None:
+    """Run a pickled ``(function, arguments)`` and send what comes of it; the process's target.
+
+    The function gets a callable ``(share, stage)`` as its first argument.
+    """
+    # Ctrl-C goes to all processes of a terminal; the parent decides what becomes of this one.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
+    for name in _ONE_THREAD:
+        os.environ[name] = "1"
+    with contextlib.suppress(OSError):
+        os.nice(_NICENESS)  # live devices go first
+    if memory_bytes is not None:
+        _limit_memory(memory_bytes)
+    try:
+        message = _outcome(connection, task)
+    except MemoryError:
+        message = Failed(None, "the worker's memory is used up", {})
+    with contextlib.suppress(BrokenPipeError):
+        connection.send(message)
+    connection.close()
+
+
+def _outcome(connection: Connection, task: bytes) -> Message:
+    from compute.errors import LumilineError
+
+    try:
+        function, arguments = pickle.loads(task)  # noqa: S301 - from our own parent process
+
+        def report_progress(share: float, stage: str) -> None:
+            connection.send(Progress(share, stage))
+
+        return Done(function(report_progress, *arguments))
+    except LumilineError as error:
+        return Failed(error.code, error.detail, error.context)
+    except Exception:  # noqa: BLE001 - the parent decides what to tell
+        return Failed(None, traceback.format_exc(), {})
+
+
+def _limit_memory(limit_bytes: int) -> None:
+    """Bound what is allocated from here on, beyond what the libraries took; POSIX only."""
+    try:
+        import resource
+    except ImportError:
+        return
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    if hard == resource.RLIM_INFINITY or hard > limit_bytes:
+        resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, hard))
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

@@ -1,0 +1,128 @@
+"""WorkerProcess: a function that runs in a spawned process, seen from the parent."""
+
+import multiprocessing
+import pickle
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Final, Self
+
+import service.problems.errors as own
+from compute import errors as domain
+from compute.errors import LumilineError
+from service.jobs.worker import Done, Failed, Message, Progress, work
+from service.problems.errors import WorkerEnded
+
+_JOIN_S: Final = 5.0
+
+
+class WorkerProcess:
+    """Runs ``function(tell, *arguments)`` in a process of its own, which ends with this one.
+
+    Spawned, not forked: a fork would copy locks that other threads of the server hold.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        *arguments: Any,
+        memory_bytes: int | None = None,
+    ) -> None:
+        """Start it.
+
+        Args:
+            function: importable by its name; ``tell(share, stage)`` is its first argument.
+            arguments: what can be pickled.
+            memory_bytes: most memory that the process may take; None: no limit.
+        """
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe(duplex=False)
+        task = pickle.dumps((function, arguments))
+        self._process = context.Process(
+            target=work, args=(theirs, task, memory_bytes), name="lumiline-worker", daemon=True
+        )
+        self._process.start()
+        theirs.close()
+
+    @property
+    def pid(self) -> int | None:
+        """The process's id."""
+        return self._process.pid
+
+    def next(self, wait_s: float) -> Message | None:
+        """Return what it tells next, None when it told nothing for so long.
+
+        Raises:
+            WorkerEnded: it ended without a result.
+        """
+        try:
+            if not self._pipe.poll(wait_s):
+                return None
+            message: Message = self._pipe.recv()
+        except (EOFError, OSError):
+            self._process.join(_JOIN_S)
+            code = self._process.exitcode
+            raise WorkerEnded(
+                f"the process that computed ended without a result (exit code {code}); -9 is "
+                "what the system does to a process that takes too much memory",
+                exit_code=code,
+            ) from None
+        return message
+
+    def kill(self) -> None:
+        """End it at once, in whatever state it is; nothing happens when it has ended."""
+        if self._process.is_alive():
+            self._process.kill()
+        self._process.join(_JOIN_S)
+        self._pipe.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.kill()
+
+
+_ERRORS: Final[dict[str, type[LumilineError]]] = {
+    found.code: found
+    for module in (domain, own)
+    for found in vars(module).values()
+    if isinstance(found, type) and issubclass(found, LumilineError)
+}
+
+
+def call_in_process(
+    function: Callable[..., Any], *arguments: Any, timeout_s: float, memory_bytes: int
+) -> Any:
+    """Return ``function(tell, *arguments)``, computed in a process with bounds.
+
+    For what a library makes of data that nobody has looked at: a crash there costs an answer and
+    not the server.
+
+    Raises:
+        WorkerEnded: it crashed, took too long or too much memory.
+        LumilineError: what the function raised.
+        RuntimeError: it failed otherwise.
+    """
+    end = time.monotonic() + timeout_s
+    with WorkerProcess(function, *arguments, memory_bytes=memory_bytes) as worker:
+        while True:
+            message = worker.next(max(0.0, end - time.monotonic()))
+            match message:
+                case Done(result):
+                    return result
+                case Failed(code, detail, context) if code is not None:
+                    raise _ERRORS[code](detail, **context)
+                case Failed(_, detail, _):
+                    raise RuntimeError(detail)
+                case Progress():
+                    continue
+                case None:
+                    raise WorkerEnded(
+                        f"it took longer than {timeout_s:g} s and was ended", timeout_s=timeout_s
+                    )

@@ -1,1 +1,0 @@
-"""What the ports that navigation software connects to have in common."""

@@ -1,0 +1,275 @@
+"""BeamHoldRegistry: all beam holds of all devices, stepped with frames and watched where none come."""
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from threading import Condition
+from typing import Any
+
+from service.pipeline.beam_hold_monitor import BeamHoldMonitor
+from service.pipeline.beam_hold_spec import BeamHoldConfig
+from service.pipeline.beam_hold_state import BeamHoldMessage, BeamHoldState
+from service.pipeline.frame_batch import FrameBatch
+
+_log = logging.getLogger(__name__)
+
+Publish = Callable[[str, dict[str, Any]], None]
+"""Tells the clients of a device."""
+Told = Callable[[str, BeamHoldState, bool], None]
+"""Takes a device, one of its holds, and whether it is the last of that hold."""
+
+DELETED = "the hold was deleted"
+
+
+class BeamHoldRegistry:
+    """Stepped by the compute thread, checked by the watchdog, read by everybody.
+
+    A hold that is not held has a deadline: when its newest measurement will be older than it may
+    be. Whoever comes first after it holds: the watchdog, the next frame, or who reads.
+
+    Args:
+        publish: tells the clients of a device of a change; called in order.
+        monotonic_s: a clock that does not go back [s].
+        wall_ns: the host's clock, that of the frames' host times [ns].
+    """
+
+    def __init__(
+        self,
+        publish: Publish,
+        monotonic_s: Callable[[], float] = time.monotonic,
+        wall_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._publish = publish
+        self._monotonic_s = monotonic_s
+        self._wall_ns = wall_ns
+        self._set_up_here: set[str] = set()
+        self._distrusted: dict[str, str] = {}
+        self._watches: dict[str, BeamHoldMonitor] = {}
+        self._devices: dict[str, tuple[BeamHoldMonitor, ...]] = {}
+        self._told: dict[str, BeamHoldState] = {}
+        self._due_s: dict[str, float] = {}
+        self._listeners: tuple[Told, ...] = ()
+        self.changed = Condition()
+        """Its lock is the board's; notified when there is another deadline to watch."""
+
+    def set(self, device_id: str, holds: Sequence[BeamHoldConfig]) -> None:
+        """Watch these holds of a device, and no others; what is the same goes on as it was.
+
+        A hold of which anything but the reference changed keeps its latch. With a latched one
+        whose reference is not known to be taken since this board was made nobody knows what
+        happened meanwhile: it is to be acknowledged.
+        """
+        with self.changed:
+            distrusted = self._distrusted.pop(device_id, None)
+            now_ns = self._wall_ns()
+            kept: list[BeamHoldMonitor] = []
+            for hold in holds:
+                before = self._watches.get(hold.id)
+                if before is not None and before.hold.device_id != device_id:
+                    before = None
+                if distrusted is not None and before is not None:
+                    before.fail(distrusted, now_ns)
+                if before is None or before.hold.key != hold.key:
+                    kept.append(self._made(hold, before, now_ns))
+                else:
+                    kept.append(before)
+            for gone in self._devices.get(device_id, ()):
+                if gone.hold.id not in {hold.id for hold in holds}:
+                    self._tell(gone, gone.end(DELETED, now_ns), last=True)
+            self._devices[device_id] = tuple(kept)
+            for watch in kept:
+                self._watches[watch.hold.id] = watch
+                self._tell(watch, watch.now, anew=True)
+
+    def set_up(self, reference_id: str) -> None:
+        """Say that a reference is taken now, and not before this board was made."""
+        with self.changed:
+            self._set_up_here.add(reference_id)
+
+    def distrust(self, device_id: str, why: str) -> None:
+        """Hold all of a device until it is ``set`` again: what is watched may be another thing."""
+        with self.changed:
+            self._distrusted[device_id] = why
+            self._fail(device_id, why)
+
+    def listen(self, told: Told) -> Callable[[], None]:
+        """Have ``told`` called with every hold now, and from now on with every change, in order.
+
+        It is called in the thread that notices, with the board's lock held: it returns at once.
+
+        Returns:
+            What ends it; may be called again.
+        """
+        with self.changed:
+            self._check(self._monotonic_s())
+            for device_id, watches in self._devices.items():
+                for watch in watches:
+                    told(device_id, watch.now, False)
+            self._listeners = (*self._listeners, told)
+
+        def end() -> None:
+            with self.changed:
+                self._listeners = tuple(one for one in self._listeners if one is not told)
+
+        return end
+
+    def take(self, batch: FrameBatch) -> tuple[tuple[BeamHoldState, ...], ...]:
+        """Step a device's holds with all frames of a batch, and tell of changes.
+
+        Returns:
+            The holds after each frame, by id; empty where the device has none.
+        """
+        if not self._devices.get(batch.device_id):
+            return ()
+        with self.changed:
+            self._check(self._monotonic_s())
+            watches = self._devices.get(batch.device_id, ())
+            now_ns = self._wall_ns()
+            found = [
+                tuple(self._step(watch, batch, index, now_ns) for watch in watches)
+                for index in range(len(batch.frames))
+            ]
+            for watch in watches:
+                self._set_deadline(watch)
+            # Not before: a release that is over by now is told to nobody.
+            for after in found:
+                for watch, now in zip(watches, after, strict=True):
+                    self._tell(watch, now)
+            self._check(self._monotonic_s())
+            return tuple(found)
+
+    def fail(self, device_id: str, why: str) -> None:
+        """Hold all of a device: it was stopped, is not there, or was started anew."""
+        with self.changed:
+            self._fail(device_id, why)
+
+    def _fail(self, device_id: str, why: str) -> None:
+        for watch in self._devices.get(device_id, ()):
+            self._tell(watch, watch.fail(why, self._wall_ns()), anew=True)
+
+    def forget(self, device_id: str) -> None:
+        """Hold and forget all of a device: it was deleted."""
+        self.set(device_id, ())
+        with self.changed:
+            self._devices.pop(device_id, None)
+
+    def acknowledge(self, hold_id: str) -> BeamHoldState | None:
+        """End the latch of a hold; None: it is not watched."""
+        with self.changed:
+            watch = self._watches.get(hold_id)
+            if watch is not None:
+                watch.acknowledge()
+        return self.now(hold_id)
+
+    def now(self, hold_id: str) -> BeamHoldState | None:
+        """Return a hold; None: it is not watched. One past its deadline is held."""
+        with self.changed:
+            self._check(self._monotonic_s())
+            watch = self._watches.get(hold_id)
+            return None if watch is None else watch.now
+
+    def of_device(self, device_id: str) -> tuple[BeamHoldState, ...]:
+        """Return all holds of a device, by id."""
+        with self.changed:
+            self._check(self._monotonic_s())
+            return tuple(watch.now for watch in self._devices.get(device_id, ()))
+
+    def all(self) -> dict[str, tuple[BeamHoldState, ...]]:
+        """Return the holds of every device."""
+        return {device: self.of_device(device) for device in tuple(self._devices)}
+
+    def check(self) -> float | None:
+        """Hold what is past its deadline; return how long until the next one [s]; None: none."""
+        with self.changed:
+            now_s = self._monotonic_s()
+            self._check(now_s)
+            return min(self._due_s.values()) - now_s if self._due_s else None
+
+    def _check(self, now_s: float) -> None:
+        for hold_id, due_s in tuple(self._due_s.items()):
+            if now_s < due_s:
+                continue
+            watch = self._watches[hold_id]
+            gap_ms = watch.max_gap_ns * 1e-6
+            late_ms = gap_ms + 1e3 * (now_s - due_s)
+            why = f"nothing was measured for {late_ms:.0f} ms; at most {gap_ms:.0f} ms are allowed"
+            if watch.why is not None:
+                why = f"{why}; {watch.why}"
+            self._tell(watch, watch.fail(why, self._wall_ns()), anew=True)
+
+    def _made(
+        self, hold: BeamHoldConfig, before: BeamHoldMonitor | None, now_ns: int
+    ) -> BeamHoldMonitor:
+        reference = hold.reference
+        latched, since_ns, why = False, None, None
+        if before is not None:
+            since_ns = before.fail("it was changed", now_ns).since_ns
+            same = (before.hold.reference and before.hold.reference.id) == (
+                reference and reference.id
+            )
+            latched = same and before.keeps_latch
+            why = "the hold was changed" if same else "it has a new reference"
+        elif reference is not None and reference.id not in self._set_up_here:
+            latched = hold.limits.rules.latched
+        if reference is not None:
+            self._set_up_here.discard(reference.id)
+        return BeamHoldMonitor(
+            hold,
+            latched=latched,
+            time_ns=now_ns,
+            since_ns=since_ns,
+            why=why,
+            monotonic_s=self._monotonic_s,
+        )
+
+    def _step(
+        self, watch: BeamHoldMonitor, batch: FrameBatch, index: int, now_ns: int
+    ) -> BeamHoldState:
+        exposed_ns = batch.frames[index].exposure_host_ns
+        distrusted = self._distrusted.get(batch.device_id)
+        if distrusted is not None:
+            return watch.fail(distrusted, exposed_ns)
+        try:
+            return watch.step(batch, index, now_ns - exposed_ns)
+        except Exception as error:  # noqa: BLE001 - held, and the device goes on
+            if watch.now.held and watch.now.reason == _failed(error):
+                return watch.now
+            _log.exception("hold %s cannot be watched", watch.hold.id)
+            return watch.fail(_failed(error), exposed_ns)
+
+    def _set_deadline(self, watch: BeamHoldMonitor) -> None:
+        """Say until when a hold that is not held may stay so without a measurement."""
+        hold_id = watch.hold.id
+        release = watch.release
+        if release is None or watch.measured_ns is None:
+            self._due_s.pop(hold_id, None)
+            return
+        # A clock that is set back makes no measurement newer than it came.
+        age_ns = max(0, self._wall_ns() - watch.measured_ns)
+        first = hold_id not in self._due_s
+        now_s = self._monotonic_s()
+        release.due_s = self._due_s[hold_id] = now_s + 1e-9 * (watch.max_gap_ns - age_ns)
+        if first:
+            self.changed.notify_all()
+
+    def _tell(
+        self, watch: BeamHoldMonitor, now: BeamHoldState, *, anew: bool = False, last: bool = False
+    ) -> None:
+        """Tell of a change; ``anew``: also where only the reason is another."""
+        hold_id, device_id = watch.hold.id, watch.hold.device_id
+        if watch.now.held:
+            self._due_s.pop(hold_id, None)
+        if now.superseded:
+            return
+        told = self._told.get(hold_id)
+        if now.differs(told) or last or (anew and told is not None and told.reason != now.reason):
+            self._told[hold_id] = now
+            for listener in self._listeners:
+                listener(device_id, now, last)
+            self._publish(device_id, BeamHoldMessage(device_id, now))
+        if last:
+            del self._watches[hold_id], self._told[hold_id]
+
+
+def _failed(error: Exception) -> str:
+    return f"it cannot be watched: {type(error).__name__}: {error}"

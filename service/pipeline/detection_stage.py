@@ -1,0 +1,195 @@
+"""DetectionStage: the peaks of a device's lines, by the method that its description asks for."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import inf, log, sqrt
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.planning.volume_scans import VolumeScans
+from compute.signal.centroid_finder import CentroidFinder
+from compute.signal.centroid_settings import CentroidSettings
+from compute.signal.coded_aperture.mask_reader import MaskReader
+from compute.signal.coded_aperture.shadow_settings import ShadowSettings
+from compute.signal.fit.fit_finder import FitFinder
+from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX, FitSettings
+from compute.signal.peaks import PeakBatch, PeakFlag, no_peaks
+from compute.signal.sensor_noise import SensorNoise
+from hardware.driver import DeviceDescription
+from service.pipeline.expected_scans import ExpectedScans
+from service.pipeline.measurements import PeakFlagPolicy
+
+Array = NDArray[np.float64]
+
+Method = Literal["fit", "centroid", "shadow"]
+
+_SEARCH: Final = CentroidSettings(threshold_fraction=0.1, min_width_px=2)
+"""How lines to fit are found. At a tenth of its height a line is two pixels wide, unless nearly all
+of its light is in one, and a hot pixel is not. At a third, many a sharp line has one pixel."""
+
+_TO_THIRD: Final = sqrt(
+    log(CentroidSettings().threshold_fraction) / log(_SEARCH.threshold_fraction)
+)
+"""The width of a Gaussian at a third of its height over that at the search's threshold."""
+
+FREE_WIDTH_FIT: Final = FitSettings(search=_SEARCH, width_log_sigma=inf, further_peaks=False)
+"""For lines of no known shape: Gaussians of any width, one for each line that is found. Further
+ones would explain the tails of one line by more lines: 83 % of the noiseless lines of the profile
+bar are then split, and off by 0.89 px RMS instead of 0.011 (printed by
+tests/service/pipeline/test_peak_methods.py)."""
+
+_Find = Callable[[NDArray[np.uint16]], PeakBatch]
+
+
+def peak_method(description: DeviceDescription) -> Method | None:
+    """Return how a device's peaks are measured; None: they are not.
+
+    Lines too wide or too narrow to be fitted are measured by their centre of gravity.
+    """
+    if description.readout == "gray-tracks":
+        return None
+    if description.readout == "coded-window":
+        return "shadow"
+    low, high = WIDTH_LIMITS_PX
+    sigma = description.line_sigma_px
+    if description.peaks == "fit" and (sigma is None or low <= sigma <= high):
+        return "fit"
+    return "centroid"
+
+
+class DetectionStage:
+    """Finds the peaks in the lines of all S sensors of a device.
+
+    Lines and shadows are never quite what is fitted, and what that costs is in the standard
+    deviations. Light lines: what the method errs by over the volume of the device's profile, RMS
+    by sensor, added in squares; where no fit was possible, what those err by. Shadows: where the
+    chi-square per degree of freedom is above one, its root as a factor (R. T. Birge,
+    10.1103/PhysRev.40.207); behind the windows of the profile coda-mpx30 the errors are then 0.7
+    deviations RMS, and 2.7 at most. The positions are those of the calibrations: a Gaussian at a
+    whole light line's centre of gravity; what it misses of that in lines with coma is part of the
+    error (printed by tests/service/pipeline/test_peak_methods.py). Widths are those at a third of the
+    height, by whatever method.
+
+    Loads Warp and its kernels for light lines, and takes what time they need: make it and use it
+    in one thread.
+
+    Args:
+        description: the device.
+        frames: most frames of one call.
+        model: what is known of its lines.
+        compute_device: as of FitFinder.
+    """
+
+    def __init__(
+        self,
+        description: DeviceDescription,
+        frames: int,
+        model: ExpectedScans,
+        compute_device: str | None = None,
+    ) -> None:
+        self.method = peak_method(description)
+        self.error_px: Array | None = None
+        """RMS error over the volume, shape (S,) [px]; None: not known."""
+        self.unfitted_error_px = 0.0
+        """That of peaks that were not fitted, of all sensors; 0 where all are."""
+        sensors, pixels = len(description.sensors), description.sensors[0].pixels
+        self._find = _find(self.method, description, frames, model, compute_device)
+        if self._find is not None:
+            # Loads the kernel and touches the buffers, before the first frame waits for it.
+            self._find(np.zeros((sensors, pixels), np.uint16))
+            if model.volume is not None:
+                self.error_px, self.unfitted_error_px = _rms_errors(
+                    self._find, model.volume, frames
+                )
+        shadow = self.method == "shadow"
+        suspect = PeakFlag.SATURATED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
+        if self.error_px is None and not shadow:
+            # Nothing else tells what a wrong shape costs.
+            suspect |= PeakFlag.POOR_FIT
+        # A line of light that runs over the sensor's end is drawn inwards by far more than its
+        # noise; a shadow is not.
+        self.use = PeakFlagPolicy(PeakFlag.NONE if shadow else PeakFlag.CLIPPED, suspect)
+        """What the peaks' flags mean for points."""
+
+    @property
+    def reads(self) -> bool:
+        """Whether there are ever any peaks."""
+        return self._find is not None
+
+    def settings(self) -> dict[str, Any]:
+        """Return as a JSON object by what peaks are found, beyond the device's description."""
+        return {
+            "method": self.method,
+            "error_px": None if self.error_px is None else self.error_px.tolist(),
+            "unfitted_error_px": self.unfitted_error_px,
+        }
+
+    def find(self, lines: NDArray[np.uint16]) -> PeakBatch:
+        """Return the peaks of the lines of F frames, uint16, shape (F x S, P)."""
+        if self._find is None:
+            return no_peaks(len(lines))
+        peaks = self._find(lines)
+        if self.method == "shadow":
+            stretch = np.sqrt(np.maximum(peaks.reduced_chi2, np.float32(1.0)))
+            return replace(peaks, sigma_px=peaks.sigma_px * stretch)
+        if self.method == "fit":
+            peaks = replace(peaks, width_px=peaks.width_px * np.float32(_TO_THIRD))
+        if self.error_px is None:
+            return peaks
+        error = np.tile(self.error_px, len(lines) // len(self.error_px))[:, None]
+        unfitted = (peaks.flags & PeakFlag.UNFITTED) != 0
+        sigma = np.hypot(peaks.sigma_px, np.where(unfitted, self.unfitted_error_px, error))
+        return replace(peaks, sigma_px=sigma.astype(np.float32))
+
+
+def _find(
+    method: Method | None,
+    description: DeviceDescription,
+    frames: int,
+    model: ExpectedScans,
+    compute_device: str | None,
+) -> _Find | None:
+    """Return what finds the peaks; None: nothing does."""
+    sensors, pixels = len(description.sensors), description.sensors[0].pixels
+    noise = SensorNoise.of(
+        [description.electrons_per_count] * sensors,
+        description.read_noise_electrons,
+        description.offset_counts,
+        2**description.bits - 1,
+    )
+    lines = frames * sensors
+    if method == "fit":
+        sigma = description.line_sigma_px
+        settings = (
+            FREE_WIDTH_FIT
+            if sigma is None
+            else FitSettings(search=_SEARCH, width_px=sigma, width_log_sigma=0.0)
+        )
+        return FitFinder(lines, pixels, settings, noise, device=compute_device).find
+    if method == "centroid":
+        return CentroidFinder(lines, pixels, CentroidSettings(), noise, device=compute_device).find
+    if method == "shadow" and model.templates:
+        return MaskReader(model.templates, pixels, noise, ShadowSettings(fit_scale=True)).read
+    return None
+
+
+def _rms_errors(find: _Find, volume: VolumeScans, frames: int) -> tuple[Array | None, float]:
+    """Return the RMS errors of a volume's noiseless lines [px].
+
+    Those of the fitted (or centres of gravity) by sensor, None where one sees nothing; and those of
+    all that were not fitted, 0 where all are.
+    """
+    all_errors, fitted_errors = [], []
+    for part in volume.parts(frames):
+        peaks = find(part.lines)
+        all_errors.append(part.errors_px(peaks))
+        fitted_errors.append(part.errors_px(peaks, PeakFlag.CLIPPED | PeakFlag.UNFITTED))
+    fitted = np.concatenate(fitted_errors)
+    if not np.isfinite(fitted).any(axis=0).all():
+        return None, 0.0
+    unfitted = np.concatenate(all_errors)[np.isnan(fitted)]
+    unfitted = unfitted[np.isfinite(unfitted)]
+    rms = np.sqrt(np.nanmean(fitted**2, axis=0))
+    return np.asarray(rms), float(np.sqrt(np.mean(unfitted**2))) if len(unfitted) else 0.0

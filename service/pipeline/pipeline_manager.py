@@ -1,0 +1,419 @@
+"""PipelineManager: owns every running device's threads; what the REST layer talks to."""
+
+import logging
+import time
+from collections.abc import Callable
+from functools import partial
+from threading import RLock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter, LumilineError
+from hardware.driver import DeviceDescription, Driver
+from hardware.link import LinkedDriver, LinkState
+from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
+from service.pipeline.beam_hold_registry import BeamHoldRegistry
+from service.pipeline.beam_hold_watchdog import BeamHoldWatchdog
+from service.pipeline.compute_thread import ComputeThread
+from service.pipeline.connect import DeviceConnector
+from service.pipeline.device_session import DeviceSession, DeviceStatus
+from service.pipeline.expected_scans import (
+    ExpectedScans,
+    FindProfile,
+    built_in_profile,
+    expected_scans,
+)
+from service.pipeline.frame_processor import FrameProcessor
+from service.pipeline.frame_ring import FrameRing
+from service.pipeline.latency_histogram import LatencyCounts
+from service.pipeline.latest_poses import LatestPoses
+from service.pipeline.pose_counters import ToolCounts
+from service.pipeline.reader_thread import ReaderThread
+from service.pipeline.taps import PeakTap, Tap
+from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
+from service.problems.errors import DeviceNotRunning
+from service.protocols.stream.encoding import status_message
+from service.protocols.stream.hub import Hub
+
+_log = logging.getLogger(__name__)
+
+RING_SECONDS = 2.0
+MIN_RING_FRAMES = 256
+FIRST_ATTEMPT_S = 3.0
+"""How long a start waits for a device that may not be there; then it goes on by itself."""
+_LOOK_S = 0.1
+STOPPED = "the device is stopped"
+NOT_AS_STORED = (
+    "what is stored of it could not be taken over (the log says why); change the hold, or start "
+    "the device again"
+)
+
+Accept = Callable[[DeviceDescription], None]
+"""Raises a LumilineError when a device is not what it should be."""
+
+
+def any_device(_: DeviceDescription) -> None:
+    """Accept it."""
+
+
+class PipelineManager:
+    """Starts and stops devices; all methods may be called from any thread."""
+
+    def __init__(
+        self,
+        compute_device: str | None = None,
+        find_profile: FindProfile = built_in_profile,
+        hub: Hub | None = None,
+    ) -> None:
+        """Start the compute thread; ``compute_device`` is "cpu", "cuda:0" or None for the best.
+
+        ``find_profile`` returns the device profiles that descriptions name; ``hub`` is where
+        frames are published, one of its own by default.
+        """
+        self.hub = Hub() if hub is None else hub
+        self.poses = LatestPoses()
+        """The newest poses of all tools."""
+        self.holds = BeamHoldRegistry(partial(self.hub.publish, content="holds"))
+        """Whether beams are held."""
+        self._watchdog = BeamHoldWatchdog(self.holds)
+        self._watchdog.start()
+        self._compute_device = compute_device
+        self._find_profile = find_profile
+        self._compute = ComputeThread()
+        self._compute.start()
+        # Read without the lock, which may be held while a driver is opened or closed.
+        self._sessions: dict[str, DeviceSession] = {}
+        self._openings: dict[str, DeviceConnector] = {}
+        self._refused: dict[str, str] = {}
+        self._tracked: dict[str, TrackingConfig] = {}
+        self._lock = RLock()
+
+    @property
+    def ready(self) -> bool:
+        """Whether the compute thread runs."""
+        return self._compute.alive
+
+    @property
+    def busy_s(self) -> float:
+        """How long the compute thread is at the batch, or the job, that it has in hand [s]."""
+        return self._compute.busy_s
+
+    def start_device(
+        self,
+        device_id: str,
+        driver: Driver,
+        found: ActiveCalibration = NO_ACTIVE_CALIBRATION,
+        accept: Accept = any_device,
+    ) -> DeviceDescription | None:
+        """Open the driver and start its reader; raises LumilineError when it cannot be opened.
+
+        A device that is running is stopped first. One that cannot be started is "failed", with
+        the reason. One that can be unplugged, and is, becomes "disconnected" and is tried again
+        until it is there, or is stopped: then there is no description yet. ``accept`` checks the
+        description before anything is made of it. The first start in a process takes the time
+        to load the kernels.
+        """
+        previous = self._openings.get(device_id)
+        with self._lock:
+            self.stop_device(device_id)
+            opening = DeviceConnector(
+                device_id,
+                driver,
+                found,
+                lambda opening: self._opened(device_id, opening, accept),
+                lambda opening: self._opening_changed(device_id, opening),
+            )
+            self._refused.pop(device_id, None)
+            self._openings[device_id] = opening
+            self.hub.publish(device_id, status_message(device_id, "starting", None))
+            if not isinstance(driver, LinkedDriver):
+                try:
+                    opening.attempt()
+                except LumilineError as error:
+                    self._refuse(device_id, error.detail)
+                    raise
+                finally:
+                    self._openings.pop(device_id, None)
+        # Not under the lock: other devices go on while this one's is waited for.
+        if isinstance(driver, LinkedDriver):
+            if previous is not None:
+                previous.join()
+            opening.start(FIRST_ATTEMPT_S)
+        session = self._sessions.get(device_id)
+        return session.description if session is not None and session.running else None
+
+    def _opened(self, device_id: str, opening: DeviceConnector, accept: Accept) -> None:
+        """Make the buffers of a device whose driver is open, and start its reader.
+
+        Raises:
+            LumilineError: it is another device than it should be, or cannot be used.
+        """
+        driver = opening.driver
+        description = driver.description
+        accept(description)
+        # Here and not in the compute thread: it takes tenths of a second.
+        model = expected_scans(description, self._find_profile)
+        with self._lock:
+            if opening.cancelled.is_set():
+                driver.close()
+                return
+            session = self._compute.submit(
+                lambda: self._prepare(device_id, description, model)
+            ).result()
+            tracked = self._tracked.get(device_id, NO_TRACKING)
+            if not tracked.nothing:
+                self._compute.submit(lambda: session.set_tracking_config(tracked)).result()
+            self._set(session, opening.found)
+            session.reader = ReaderThread(
+                device_id,
+                driver,
+                session.ring,
+                lambda: self._publish_load_shedding(session),
+                lambda: self._publish_load_shedding(session),
+            )
+            self._compute.submit(lambda: self._compute.add(device_id, session.work)).result()
+            self._sessions[device_id] = session
+            self._openings.pop(device_id, None)
+            self.hub.publish(device_id, session.status_message())
+            session.reader.start()
+
+    def _opening_changed(self, device_id: str, opening: DeviceConnector) -> None:
+        """Tell of a device that is waited for, or given up."""
+        with self._lock:
+            if opening.cancelled.is_set():
+                return
+            if opening.state == "failed":
+                self._openings.pop(device_id, None)
+                self._refuse(device_id, opening.reason or "")
+            else:
+                message = status_message(device_id, opening.state, opening.reason, opening.state)
+                self.hub.publish(device_id, message)
+
+    def _refuse(self, device_id: str, reason: str) -> None:
+        """Keep and tell why a device was not started."""
+        self._sessions.pop(device_id, None)
+        self._refused[device_id] = reason
+        self.hub.publish(device_id, status_message(device_id, "failed", reason))
+
+    def stop_device(self, device_id: str) -> None:
+        """Stop the device and close its driver; nothing happens when it is not running."""
+        with self._lock:
+            opening = self._openings.pop(device_id, None)
+            if opening is not None:
+                opening.cancel()
+                self.holds.fail(device_id, STOPPED)
+                self.hub.publish(device_id, status_message(device_id, "stopped", None))
+                return
+            session = self._sessions.get(device_id)
+            if session is None or session.reader is None or session.stopped:
+                return
+            was_running = session.running
+            session.reader.stop()
+            session.stopped = True
+            # Behind the last batch in hand, so that nothing of it is published after this.
+            self._compute.submit(lambda: self._compute.remove(device_id)).result()
+            self.poses.remove(device_id)
+            self.holds.fail(device_id, STOPPED)
+            if was_running:
+                self.hub.publish(device_id, status_message(device_id, "stopped", None))
+
+    def forget_device(self, device_id: str) -> None:
+        """Stop the device, drop its counters and end its streams: it is deleted."""
+        with self._lock:
+            self.stop_device(device_id)
+            self._sessions.pop(device_id, None)
+            self._refused.pop(device_id, None)
+            self._tracked.pop(device_id, None)
+            self.holds.forget(device_id)
+            self.hub.end(device_id, status_message(device_id, "deleted", None))
+
+    def set_calibration(self, device_id: str, found: ActiveCalibration) -> None:
+        """Switch calibration and table between two frames; nothing happens when it is not running.
+
+        Nor when the device runs with other sensors than the calibration's: its source was
+        changed meanwhile, and sensors and calibration work together from the next start.
+        """
+        with self._lock:
+            opening = self._openings.get(device_id)
+            if opening is not None:
+                opening.found = found
+            session = self._sessions.get(device_id)
+            if session is None or not session.running:
+                return
+            try:
+                self._set(session, found)
+            except InvalidParameter as error:
+                _log.warning("device %s goes on as it was: %s", device_id, error.detail)
+
+    def set_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
+        """Say what of a device is followed: from the next batch on, or once it is started."""
+        with self._lock:
+            self._tracked[device_id] = tracked
+            try:
+                self.holds.set(device_id, tracked.holds)
+                session = self._sessions.get(device_id)
+                if session is not None and session.running:
+                    self._compute.submit(lambda: session.set_tracking_config(tracked)).result()
+            except Exception:
+                self.holds.distrust(device_id, NOT_AS_STORED)
+                raise
+
+    def tracked(self, device_id: str) -> TrackingConfig:
+        """Return what of a device is followed, or will be once it is started."""
+        return self._tracked.get(device_id, NO_TRACKING)
+
+    def _set(self, session: DeviceSession, found: ActiveCalibration) -> None:
+        """Hand calibration and table to the processor, between two batches in its own thread."""
+        given = found.calibration_id, found.calibration, found.table_id, found.table
+        for tap in session.taps:
+            tap.prepare(found)
+
+        def switch() -> None:
+            session.processor.set_calibration(*given)
+            session.in_force = found
+
+        self._compute.submit(switch).result()
+
+    def status(self, device_id: str) -> DeviceStatus:
+        """Return the device's status; "stopped" for one never started. Never waits."""
+        subscribers = self.hub.subscribers(device_id)
+        opening = self._openings.get(device_id)
+        if opening is not None:
+            link = (
+                None if opening.state == "starting" else LinkState("disconnected", opening.reason)
+            )
+            return DeviceStatus(opening.state, opening.reason, subscribers=subscribers, link=link)
+        session = self._sessions.get(device_id)
+        if session is not None:
+            return session.status()
+        reason = self._refused.get(device_id)
+        return DeviceStatus("failed" if reason else "stopped", reason, subscribers=subscribers)
+
+    def latencies(self) -> dict[str, LatencyCounts]:
+        """Return the latencies of every device that was started. Never waits."""
+        return {name: session.latency.counts() for name, session in tuple(self._sessions.items())}
+
+    def pose_counts(self) -> dict[str, dict[str, ToolCounts]]:
+        """Return what was counted of the tools of every device that was started. Never waits."""
+        return {
+            name: session.pose_counts.counts() for name, session in tuple(self._sessions.items())
+        }
+
+    def statuses(self) -> dict[str, DeviceStatus]:
+        """Return the status of every device that was started, or tried to. Never waits."""
+        names = {*tuple(self._sessions), *tuple(self._openings), *tuple(self._refused)}
+        return {name: self.status(name) for name in sorted(names)}
+
+    def describe(self, device_id: str) -> DeviceDescription | None:
+        """Return what the device's driver says it is; None for one never started. Never waits."""
+        session = self._sessions.get(device_id)
+        return session.description if session else None
+
+    def session(self, device_id: str) -> DeviceSession:
+        """Return a running device's session; raises DeviceNotRunning. Never waits."""
+        session = self._sessions.get(device_id)
+        if session is None or not session.running:
+            raise self._not_running(device_id)
+        return session
+
+    def attach(self, session: DeviceSession, tap: Tap) -> None:
+        """Let a tap have the batches of a session from now on."""
+        tap.prepare(session.in_force)
+        session.attach(tap)
+
+    def detach(self, session: DeviceSession, tap: Tap) -> None:
+        """Let it have no more."""
+        session.detach(tap)
+
+    def collect(
+        self, device_id: str, frames: int, marker: int | None, timeout_s: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return what the sensors read of one marker in the next frames of a running device.
+
+        Args:
+            device_id: the device.
+            frames: how many.
+            marker: the strobed marker; None: frames in which all are lit, and one is in view.
+            timeout_s: how long they are waited for; then there are fewer.
+
+        Returns:
+            Positions and their deviations [px], shape (F, S); NaN where a sensor saw no clear
+            peak.
+
+        Raises:
+            DeviceNotRunning: it does not run, ends meanwhile, or is disconnected.
+        """
+        session = self._sessions.get(device_id)
+        if session is None or not session.connected:
+            raise self._not_running(device_id)
+        tap = PeakTap(session.ring.last_sequence, frames, marker)
+        end = time.monotonic() + timeout_s
+        self.attach(session, tap)
+        try:
+            while not tap.wait(max(0.0, min(_LOOK_S, end - time.monotonic()))):
+                if not session.connected:
+                    raise self._not_running(device_id)
+                if time.monotonic() >= end:
+                    break
+        finally:
+            self.detach(session, tap)
+        return tap.readings(len(session.description.sensors))
+
+    def close(self) -> None:
+        """Stop all devices and the compute thread."""
+        with self._lock:
+            openings = list(self._openings.values())
+            for opening in openings:
+                opening.cancel()
+            readers = [s.reader for s in self._sessions.values() if s.reader is not None]
+            for reader in readers:
+                reader.close_driver()
+            self._compute.close()
+            for reader in readers:
+                reader.stop()
+        for opening in openings:
+            opening.join()
+        self._watchdog.close()
+
+    def _prepare(
+        self, device_id: str, description: DeviceDescription, model: ExpectedScans
+    ) -> DeviceSession:
+        """Make the device's buffers; runs in the compute thread."""
+        capacity = max(MIN_RING_FRAMES, int(RING_SECONDS * description.frame_rate_hz))
+        ring = FrameRing(capacity, self._compute.wake)
+        processor = FrameProcessor(device_id, description, self._compute_device, model)
+        return DeviceSession(
+            device_id, description, processor, ring, self.hub, self.poses, self.holds
+        )
+
+    def _publish_load_shedding(self, session: DeviceSession) -> None:
+        """Tell the clients how a device stands now, behind its last frames."""
+
+        def tell() -> None:
+            while session.work():
+                pass
+            if not session.connected:
+                self.poses.remove(session.device_id)
+                if not session.stopped:
+                    status = session.status()
+                    why = "" if status.reason is None else f": {status.reason}"
+                    self.holds.fail(session.device_id, f"the device is {status.state}{why}")
+            if not session.stopped:
+                self.hub.publish(session.device_id, session.status_message())
+
+        self._compute.submit(tell)
+
+    def _not_running(self, device_id: str) -> DeviceNotRunning:
+        """Return the error of a device from which nothing can be captured now."""
+        status = self.status(device_id)
+        if status.state == "disconnected":
+            return DeviceNotRunning(
+                f'device "{device_id}" is disconnected: {status.reason}; connect it, and it goes '
+                "on by itself",
+                device=device_id,
+            )
+        return DeviceNotRunning(
+            f'device "{device_id}" does not run; start it to capture what it sees',
+            device=device_id,
+        )

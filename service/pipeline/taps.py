@@ -1,0 +1,89 @@
+"""Taps: what takes a running device's batches; PeakTap the readings of one marker in them."""
+
+from threading import Condition
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.signal.peaks import PeakFlag
+from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.frame_batch import FrameBatch
+
+Array = NDArray[np.float64]
+
+UNCLEAR = (
+    PeakFlag.SATURATED | PeakFlag.CLIPPED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
+)
+"""Peaks whose position is not what it would be of one marker alone in the middle of a line."""
+
+
+class Tap(Protocol):
+    """Takes the batches of a running device beside the streams."""
+
+    def prepare(self, found: ActiveCalibration) -> None:
+        """Learn what is about to be in force; called in a thread that may wait."""
+        ...
+
+    def offer(self, batch: FrameBatch) -> None:
+        """Take what is wanted of a batch; called in the compute thread, never waits long."""
+        ...
+
+
+class PeakTap:
+    """Collects frames of a strobed marker, or frames in which a single marker is lit.
+
+    Of a strobed frame the brightest peak of each sensor is the marker; of others a sensor counts
+    when it saw one peak and no other.
+    """
+
+    def __init__(self, after_sequence: int, frames: int, marker: int | None) -> None:
+        """Take ``frames`` frames of ``marker`` that were exposed after that sequence number."""
+        self._after = after_sequence
+        self._wanted = frames
+        self._marker = marker
+        self._rows: list[tuple[Array, Array]] = []
+        self._changed = Condition()
+
+    def prepare(self, found: ActiveCalibration) -> None:
+        """Do nothing: readings do not depend on it."""
+
+    def offer(self, batch: FrameBatch) -> None:
+        """Take what is wanted of a batch; called in the compute thread, never waits long."""
+        sensors = len(batch.sensor_names)
+        taken = []
+        for index, frame in enumerate(batch.frames):
+            if frame.marker != self._marker or frame.sequence <= self._after:
+                continue
+            lines = slice(index * sensors, (index + 1) * sensors)
+            taken.append(_readings(batch, lines, strobed=frame.marker is not None))
+        if taken:
+            with self._changed:
+                self._rows += taken[: self._wanted - len(self._rows)]
+                self._changed.notify_all()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Return whether all frames are there, after at most so long."""
+        with self._changed:
+            return self._changed.wait_for(lambda: len(self._rows) >= self._wanted, timeout_s)
+
+    def readings(self, sensors: int) -> tuple[Array, Array]:
+        """Return positions and their deviations [px], shape (frames, sensors), NaN: not seen."""
+        with self._changed:
+            rows = list(self._rows)
+        if not rows:
+            return np.empty((0, sensors)), np.empty((0, sensors))
+        return np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+
+
+def _readings(batch: FrameBatch, lines: slice, *, strobed: bool) -> tuple[Array, Array]:
+    peaks = batch.peaks
+    position = peaks.position_px[lines].astype(np.float64)
+    seen = np.isfinite(position)
+    brightest = np.where(seen, peaks.amplitude[lines], -1.0).argmax(axis=1)
+    row = np.arange(len(position))
+    clear = (peaks.flags[lines][row, brightest] & int(UNCLEAR)) == 0
+    clear &= seen.any(axis=1) if strobed else seen.sum(axis=1) == 1
+    value = np.where(clear, position[row, brightest], np.nan)
+    sigma = np.where(clear, peaks.sigma_px[lines][row, brightest], np.nan)
+    return value, sigma.astype(np.float64)

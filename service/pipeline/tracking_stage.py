@@ -1,0 +1,327 @@
+"""TrackingStage: a device's tracks and tool poses, frame by frame, whatever fails on the way."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import LumilineError
+from compute.pose.rigid_body import RigidBody
+from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.reconstruction.point_batch import PointBatch
+from compute.tracking.blink_identification import BlinkIdentifier
+from compute.tracking.track_batch import TrackBatch
+from hardware.line_frame import LineFrame
+from service.pipeline.measurements import PipelineMeasurements
+from service.pipeline.point_stage import CalibrationSolver
+from service.pipeline.tracker_factory import (
+    DefaultTrackerFactory,
+    MarkerTrackerProtocol,
+    ToolTrackerProtocol,
+    TrackerFactory,
+)
+from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
+from service.pipeline.tracking_result import TrackingResult
+
+_log = logging.getLogger(__name__)
+
+NO_CALIBRATION: Final = "the device has no active calibration"
+FRAME_SKIPPED: Final = "the computer does not keep up with the device: frames are passed over"
+NO_DETECTION_METHOD: Final = "nothing is known to read the lines of this device"
+MIN_BACKOFF_S: Final = 0.5
+"""After which a tool whose tracking failed is tracked anew, and twice as long each time after."""
+MAX_BACKOFF_S: Final = 30.0
+"""Of these: a tool that always fails costs next to nothing, and a line of the log now and then."""
+
+
+class _Group:
+    """Tools that are followed together; a fault in one of them is a fault of its group."""
+
+    def __init__(
+        self,
+        tools: Sequence[RigidBody],
+        tracker: ToolTrackerProtocol | None,
+        reason: str,
+        faults: int = 0,
+    ):
+        self.tools = tuple(tools)
+        self.tracker = tracker
+        self.reason = reason  # why there is no follower
+        self.faults = faults  # of its followers so far
+        self.failed_ns: int | None = None  # on the device's clock; None: it never began
+
+    def may_restart(self, now_ns: int) -> bool:
+        """Whether what failed is to be tried again: after twice the time of the time before."""
+        if self.tracker is not None or self.failed_ns is None:
+            return False
+        wait_s = min(MIN_BACKOFF_S * 2.0 ** (self.faults - 1), MAX_BACKOFF_S)
+        # A device's clock that went back starts the time anew.
+        return not 0 <= now_ns - self.failed_ns < 1e9 * wait_s
+
+
+class TrackingStage:
+    """Follows markers and tools through the frames of one device; lives in the compute thread.
+
+    Nothing that a tracker does stops the device: tools that cannot be followed have the status
+    INVALID and the reason. When following all tools together fails, each is followed by itself
+    from then on, so that the faulty one does not take the others with it; one that fails by itself
+    begins anew after a while, more and more rarely. When following markers fails, it begins anew,
+    at most FRESH_STARTS times.
+
+    Args:
+        device_id: the device, for the log.
+        sensors: how many it has.
+        reads: whether its lines are read at all.
+        make: makes what follows.
+    """
+
+    MAX_RESTARTS: Final = 3
+
+    def __init__(
+        self, device_id: str, sensors: int, *, reads: bool, make: TrackerFactory | None = None
+    ) -> None:
+        self._device_id = device_id
+        self._sensors = sensors
+        self._reads = reads
+        self._make: TrackerFactory = DefaultTrackerFactory() if make is None else make
+        self._tracked = NO_TRACKING
+        self._active: CalibrationSolver | None = None
+        self._markers: MarkerTrackerProtocol | None = None
+        self._names: BlinkIdentifier | None = None
+        self._groups: list[_Group] = []
+        self._restarts = 0
+        self._last_ns: int | None = None
+        self._first_number = 0  # added to the markers' numbers, which are never used again
+        self._highest_number = 0
+
+    @property
+    def is_enabled(self) -> bool:
+        """Whether there is anything to follow."""
+        return not self._tracked.nothing
+
+    def set_tracking_config(self, tracked: TrackingConfig) -> None:
+        """Follow other things from the next frame on; what is followed already goes on."""
+        before, self._tracked = self._tracked, tracked
+        active = self._is_tracking
+        if active is None:
+            return
+        blinking = tracked.blinking != before.blinking
+        if not tracked.tracks:
+            self._markers = None
+        elif self._markers is None or tracked.tracker != before.tracker or blinking:
+            self._start_marker_tracker(active)
+        known = self._groups[0].tracker if len(self._groups) == 1 else None
+        same = tracked.tool_tracker == before.tool_tracker
+        self._groups = self._tool_groups(active, tracked.tools, known if same else None)
+
+    def set_calibration(self, active: CalibrationSolver | None) -> None:
+        """Follow with another calibration; tracks and tools are found anew."""
+        self._active = active
+        self._markers, self._groups = None, []
+        active = self._is_tracking
+        if active is None:
+            return
+        if self._tracked.tracks:
+            self._start_marker_tracker(active)
+        self._groups = self._tool_groups(active, self._tracked.tools, None)
+
+    @property
+    def _is_tracking(self) -> CalibrationSolver | None:
+        """The calibration, where there is one and lines are read."""
+        return self._active if self._reads else None
+
+    def find(
+        self,
+        frames: Sequence[LineFrame],
+        usable: PipelineMeasurements | None,
+        points: PointBatch,
+        owner: NDArray[np.intp],
+        track: Sequence[bool] | None = None,
+    ) -> TrackingResult:
+        """Return what moved in a batch.
+
+        Args:
+            frames: F frames, in their order.
+            usable: their peaks; None: there is no calibration, or nothing is read.
+            points: of these frames.
+            owner: index of the frame of each.
+            follow: of each frame, whether anything is followed in it; None: in all. In others tools
+                are MISSING, as the computer does not keep up, and there are no tracks.
+        """
+        tracks: list[TrackBatch] = []
+        poses: list[tuple[ToolPose, ...]] = []
+        starts = owner.searchsorted(range(len(frames) + 1)).tolist()
+        none = TrackBatch.empty(self._sensors)
+        for index, frame in enumerate(frames):
+            if usable is None:
+                tracks.append(none)
+                poses.append(self._poses_unavailable(frame))
+                continue
+            self._check_clock(frame)
+            if track is not None and not track[index]:
+                tracks.append(none)
+                missing = _without(self._tracked.tools, frame, PoseStatus.MISSING, FRAME_SKIPPED)
+                poses.append(tuple(missing))
+                continue
+            readings = usable.position_px[index], usable.sigma_px[index], usable.flags[index]
+            amplitude = usable.amplitude[index]
+            tracks.append(self._track_markers(frame, *readings, amplitude) or none)
+            own = (
+                None if frame.marker is not None else points.part(starts[index], starts[index + 1])
+            )
+            poses.append(self._track_tools(frame, *readings, own))
+        return TrackingResult.of(tracks, poses, self._sensors)
+
+    def _start_marker_tracker(self, active: CalibrationSolver) -> None:
+        """Follow markers anew; their numbers go on where those before ended."""
+        self._restarts = 0
+        self._markers = self._marker_tracker(active)
+
+    def _marker_tracker(self, active: CalibrationSolver) -> MarkerTrackerProtocol | None:
+        self._first_number = self._highest_number
+        blinking = self._tracked.blinking
+        self._names = None if blinking is None else BlinkIdentifier(*blinking)
+        try:
+            return self._make.markers(active, self._tracked)
+        except Exception:  # noqa: BLE001 - logged
+            self._log("its markers cannot be tracked")
+            return None
+
+    def _tool_groups(
+        self,
+        active: CalibrationSolver,
+        tools: Sequence[RigidBody],
+        before: ToolTrackerProtocol | None,
+    ) -> list[_Group]:
+        """Return all tools in one group; where that cannot be, each in its own."""
+        if not tools:
+            return []
+        try:
+            return [_Group(tools, self._make.tools(active, self._tracked, tools, before), "")]
+        except Exception:  # noqa: BLE001 - logged
+            self._log("its tools cannot be tracked together; each is by itself")
+            return [self._single_tool_group(active, tool) for tool in tools]
+
+    def _single_tool_group(
+        self, active: CalibrationSolver, tool: RigidBody, faults: int = 0
+    ) -> _Group:
+        try:
+            tracker = self._make.tools(active, self._tracked, [tool], None)
+            return _Group([tool], tracker, "", faults)
+        except Exception as error:  # noqa: BLE001 - becomes the tool's status
+            self._log(f"its tool {tool.name} cannot be tracked")
+            return _Group([tool], None, f"the tool cannot be tracked: {_error_message(error)}")
+
+    def _check_clock(self, frame: LineFrame) -> None:
+        """Begin anew when the device's clock did: it was restarted."""
+        last, self._last_ns = self._last_ns, frame.exposure_device_ns
+        if last is None or frame.exposure_device_ns > last:
+            return
+        for tracker in (self._markers, *(group.tracker for group in self._groups)):
+            if tracker is not None:
+                tracker.reset()
+
+    def _track_markers(
+        self,
+        frame: LineFrame,
+        position_px: NDArray[np.float64],
+        sigma_px: NDArray[np.float64],
+        flags: NDArray[np.int32],
+        amplitude: NDArray[np.floating],
+    ) -> TrackBatch | None:
+        if self._markers is None:
+            return None
+        # The device's clock: the host's has the jitter of the way to it.
+        time_ns = frame.exposure_device_ns
+        try:
+            found = self._markers.step(time_ns, position_px, sigma_px, flags, frame.marker)
+            if self._names is not None:
+                lit = frame.marker is None
+                found = self._names.name(frame.sequence, found, amplitude, lit=lit)
+        except Exception:  # noqa: BLE001 - logged
+            self._restarts += 1
+            again = self._restarts <= self.MAX_RESTARTS
+            self._log(f"tracking its markers failed and {'begins anew' if again else 'has ended'}")
+            assert self._active is not None
+            self._markers = self._marker_tracker(self._active) if again else None
+            return None
+        if not len(found):
+            return None
+        if self._first_number:
+            found = replace(found, identity=found.identity + self._first_number)
+        self._highest_number = max(self._highest_number, int(found.identity.max()))
+        return found
+
+    def _track_tools(
+        self,
+        frame: LineFrame,
+        position_px: NDArray[np.float64],
+        sigma_px: NDArray[np.float64],
+        flags: NDArray[np.int32],
+        points: PointBatch | None,
+    ) -> tuple[ToolPose, ...]:
+        found: list[ToolPose] = []
+        groups: list[_Group] = []
+        for group in self._groups:
+            if group.may_restart(frame.exposure_device_ns):
+                assert self._active is not None
+                group = self._single_tool_group(self._active, group.tools[0], group.faults)
+            if group.tracker is None:
+                found += _without(group.tools, frame, PoseStatus.INVALID, group.reason)
+                groups.append(group)
+                continue
+            try:
+                found += group.tracker.step(
+                    frame.exposure_device_ns,
+                    frame.sequence,
+                    position_px,
+                    sigma_px,
+                    flags,
+                    frame.marker,
+                    points,
+                )
+                groups.append(group)
+            except Exception as error:  # noqa: BLE001 - becomes the tools' status
+                reason = f"its tracking failed: {_error_message(error)}"
+                found += _without(group.tools, frame, PoseStatus.INVALID, reason)
+                groups += self._failed(group, reason, frame.exposure_device_ns)
+        self._groups = groups
+        host_ns = frame.exposure_host_ns
+        return tuple(
+            pose if pose.exposure_ns == host_ns else replace(pose, exposure_ns=host_ns)
+            for pose in found
+        )
+
+    def _failed(self, group: _Group, reason: str, now_ns: int) -> list[_Group]:
+        """Return what to do after a fault: each tool by itself; one that was so, after a while."""
+        self._log(f"tracking of {', '.join(tool.name for tool in group.tools)} failed")
+        assert self._active is not None
+        if len(group.tools) > 1:
+            return [self._single_tool_group(self._active, tool) for tool in group.tools]
+        failed = _Group(group.tools, None, reason, group.faults + 1)
+        failed.failed_ns = now_ns
+        return [failed]
+
+    def _poses_unavailable(self, frame: LineFrame) -> tuple[ToolPose, ...]:
+        reason = NO_CALIBRATION if self._reads else NO_DETECTION_METHOD
+        return tuple(_without(self._tracked.tools, frame, PoseStatus.UNKNOWN, reason))
+
+    def _log(self, what: str) -> None:
+        device = {"device": self._device_id}
+        _log.exception("device %s: %s", self._device_id, what, extra=device)
+
+
+def _without(
+    tools: Sequence[RigidBody], frame: LineFrame, status: PoseStatus, reason: str
+) -> list[ToolPose]:
+    return [
+        ToolPose(tool.name, status, reason, frame.exposure_host_ns, frame.sequence)
+        for tool in tools
+    ]
+
+
+def _error_message(error: Exception) -> str:
+    return error.detail if isinstance(error, LumilineError) else type(error).__name__

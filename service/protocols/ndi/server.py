@@ -1,0 +1,158 @@
+"""NdiServer: the answerer on a TCP port, in the asyncio loop."""
+
+import asyncio
+import logging
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from service.protocols.allow_list import AllowList
+from service.protocols.ndi.connection import READ_BYTES, ClientConnection
+from service.protocols.ndi.identity import Identity
+from service.protocols.ndi.pose_feed import PoseFeed
+from service.protocols.ndi.session import Session
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class NdiOptions:
+    """What an administrator sets.
+
+    Args:
+        port: to listen on; 0: a free one.
+        host: address to listen on.
+        allowed: who may connect.
+        clients: at the same time.
+        model: what clients are told that they speak to.
+        version: ours.
+        part_numbers: tools by what uploaded tool definitions call them.
+    """
+
+    port: int
+    host: str = "127.0.0.1"
+    allowed: AllowList = field(default_factory=AllowList)
+    clients: int = 16
+    model: str = "Lumiline Polaris-compatible"
+    version: str = "0"
+    part_numbers: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class NdiCounts:
+    """What happened since the start.
+
+    Args:
+        connections: that were taken.
+        turned_away: that were not: not allowed, or too many.
+        commands: carried out.
+        refused: commands that were not, and what was none.
+    """
+
+    connections: int = 0
+    rejected_connections: int = 0
+    commands: int = 0
+    refused: int = 0
+
+
+class NdiServer:
+    """Answers many clients; each has a state of its own, and none can hold up another.
+
+    Args:
+        options: what an administrator sets.
+        feed: the poses; it is closed with the server.
+
+    Attributes:
+        counts: what happened since the start, of clients that have gone; see ``totals``.
+        address: address and port where it listens.
+    """
+
+    def __init__(self, options: NdiOptions, feed: PoseFeed) -> None:
+        self.counts = NdiCounts()
+        self.address = options.host, options.port
+        self._options = options
+        self._feed = feed
+        self._server: asyncio.Server | None = None
+        self._clients: dict[asyncio.Task[None], ClientConnection] = {}
+
+    @property
+    def clients(self) -> int:
+        """How many are connected."""
+        return len(self._clients)
+
+    def totals(self) -> NdiCounts:
+        """Return what happened since the start, of those who are still connected, too."""
+        sessions = [client.session for client in self._clients.values()]
+        return replace(
+            self.counts,
+            commands=self.counts.commands + sum(one.answered for one in sessions),
+            refused=self.counts.refused + sum(one.refused for one in sessions),
+        )
+
+    async def start(self) -> None:
+        """Listen; raises OSError when the port cannot be had."""
+        self._server = await asyncio.start_server(
+            self._connected, self._options.host, self._options.port, limit=READ_BYTES
+        )
+        found = self._server.sockets[0].getsockname()
+        self.address = str(found[0]), int(found[1])
+        _log.info("NDI clients: listening on %s port %d", *self.address)
+
+    async def close(self) -> None:
+        """End all connections, and listen no longer."""
+        self._feed.close()
+        if self._server is None:
+            return
+        self._server.close()
+        tasks = list(self._clients)
+        for client in self._clients.values():
+            client.end()
+        await asyncio.gather(*tasks)
+        await self._server.wait_closed()
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        try:
+            host = str((writer.get_extra_info("peername") or ("?",))[0])
+            if not self._accept_from(host):
+                self.counts.rejected_connections += 1
+                return
+            self.counts.connections += 1
+            _keep_alive(writer)
+            client = ClientConnection(host, self._session(), self._feed, reader, writer)
+            self._clients[task] = client
+            _log.info("NDI client %s: connected", host)
+            reason = await client.serve()
+            _log.info("NDI client %s: %s", host, reason)
+        finally:
+            if (ended := self._clients.pop(task, None)) is not None:
+                self.counts.commands += ended.session.answered
+                self.counts.refused += ended.session.refused
+            writer.transport.abort()
+
+    def _session(self) -> Session:
+        identity = Identity(self._options.model, self._options.version, "LUMILINE")
+        return Session(identity, self._feed.look, self._options.part_numbers)
+
+    def _accept_from(self, host: str) -> bool:
+        """Return whether a connection is taken; for one more, a client that is none may go."""
+        if not self._options.allowed.permits(host):
+            _log.warning("NDI client %s: not in ndi_allow, turned away", host)
+            return False
+        staying = [client for client in self._clients.values() if not client.leaving]
+        if len(staying) < self._options.clients:
+            return True
+        silent = next((client for client in staying if not client.session.answered), None)
+        if silent is not None:
+            silent.end()
+            return True
+        _log.warning("NDI client %s: turned away, there are %d", host, len(self._clients))
+        return False
+
+
+def _keep_alive(writer: asyncio.StreamWriter) -> None:
+    """Have the system notice clients that are gone without a word."""
+    connection = writer.get_extra_info("socket")
+    if connection is not None:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

@@ -1,0 +1,109 @@
+"""Session: one client's conversation. Commands in, replies out; no socket, no clock."""
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from service.protocols.ndi import handle_commands, system_commands
+from service.protocols.ndi.client_state import ClientState, Mode
+from service.protocols.ndi.command import Command, Received
+from service.protocols.ndi.errors import CommandError, ErrorCode
+from service.protocols.ndi.identity import Identity
+from service.protocols.ndi.pose_view import GetPoseView
+from service.protocols.ndi.reply import RESET, error_reply, text_reply
+from service.protocols.ndi.tracking_commands import tracking
+
+_Carry = Callable[[ClientState, str], str]
+
+
+class Session:
+    """Answers one client.
+
+    Args:
+        identity: what to say of ourselves.
+        look: where poses come from.
+        part_numbers: tools by what uploaded definitions call them.
+
+    Attributes:
+        state: what the client has done so far.
+        answered: commands that were carried out.
+        refused: commands that were not, and what was none.
+    """
+
+    def __init__(
+        self, identity: Identity, look: GetPoseView, part_numbers: Mapping[str, str] | None = None
+    ) -> None:
+        self.state = ClientState(identity, look, part_numbers or {})
+        self.answered = self.refused = 0
+
+    def repeats(self, received: Received) -> bool:
+        """Return whether the reply would have nothing new: a moment's wait may be worth it."""
+        return (
+            isinstance(received, Command)
+            and received.name in _TRACKING
+            and self.state.mode is Mode.TRACKING
+            and self.state.view().sequence == self.state.reported
+        )
+
+    def answer(self, received: Received) -> bytes:
+        """Return the reply to what came."""
+        try:
+            if isinstance(received, ErrorCode):
+                raise CommandError(received)
+            reply = self._execute(received) if isinstance(received, Command) else self._reset()
+        except CommandError as refused:
+            self.refused += 1
+            return error_reply(refused.code)
+        self.answered += 1
+        return reply
+
+    def _reset(self) -> bytes:
+        self.state.restart()
+        return text_reply(RESET)
+
+    def _execute(self, command: Command) -> bytes:
+        found = _COMMANDS.get(command.name)
+        if found is None and command.name not in _TRACKING:
+            raise CommandError(ErrorCode.INVALID_COMMAND)
+        modes, carry = found or (_IN_TRACKING, None)
+        if self.state.mode not in modes:
+            started = self.state.mode is Mode.STARTED
+            raise CommandError(
+                ErrorCode.NOT_INITIALISED if started else ErrorCode.INVALID_IN_THIS_MODE
+            )
+        if carry is None:
+            return tracking(self.state, command.text, binary=command.name == "BX")
+        return text_reply(carry(self.state, command.text))
+
+
+_ANY: Final = frozenset(Mode)
+_READY: Final = frozenset((Mode.SETUP, Mode.TRACKING))
+_IN_SETUP: Final = frozenset((Mode.SETUP,))
+_IN_TRACKING: Final = frozenset((Mode.TRACKING,))
+_TRACKING: Final = ("TX", "BX")
+_COMMANDS: Final[dict[str, tuple[frozenset[Mode], _Carry]]] = {
+    "INIT": (_ANY, system_commands.initialise),
+    "RESET": (_ANY, system_commands.reset),
+    "COMM": (_ANY, system_commands.communication),
+    "ECHO": (_ANY, system_commands.echo),
+    "VER": (_ANY, system_commands.version),
+    "APIREV": (_ANY, system_commands.api_revision),
+    "SFLIST": (_ANY, system_commands.features),
+    "GET": (_ANY, system_commands.get),
+    "SET": (_ANY, system_commands.assign),
+    "BEEP": (_ANY, system_commands.beep),
+    "SSTAT": (_READY, system_commands.system_status),
+    "LED": (_READY, handle_commands.led),
+    "PHSR": (_READY, handle_commands.handles),
+    "PHINF": (_READY, handle_commands.handle_information),
+    "PHRQ": (_IN_SETUP, handle_commands.request_handle),
+    "PVWR": (_IN_SETUP, handle_commands.upload),
+    "PINIT": (_IN_SETUP, handle_commands.initialise_handle),
+    "PENA": (_IN_SETUP, handle_commands.enable),
+    "PDIS": (_IN_SETUP, handle_commands.disable),
+    "PHF": (_IN_SETUP, handle_commands.free),
+    "IRATE": (_IN_SETUP, system_commands.illumination_rate),
+    "VSEL": (_IN_SETUP, system_commands.select_volume),
+    "TSTART": (_IN_SETUP, system_commands.start_tracking),
+    "TSTOP": (_IN_TRACKING, system_commands.stop_tracking),
+}
+"""In which modes a command is carried out, and by what; all others are refused."""

@@ -1,0 +1,243 @@
+"""What a client's message is answered with."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final
+
+from compute.errors import LumilineError
+from service.protocols.openigtlink.command_xml import (
+    CommandReply,
+    CommandRequest,
+    read_command_request,
+    reply_metadata,
+    write_reply,
+)
+from service.protocols.openigtlink.commands import Commands
+from service.protocols.openigtlink.counters import Counters
+from service.protocols.openigtlink.errors import BadMessage, CommandRefused
+from service.protocols.openigtlink.get_point import find_points
+from service.protocols.openigtlink.host import Host, WireTool
+from service.protocols.openigtlink.message import Message
+from service.protocols.openigtlink.pose_bodies import read_start, write_points
+from service.protocols.openigtlink.session import LANDMARKS, SERVER, Kind, Session, Subscription
+from service.protocols.openigtlink.snapshot import Snapshot
+from service.protocols.openigtlink.text_bodies import (
+    Command,
+    StatusCode,
+    read_command,
+    read_string,
+    write_capability,
+    write_command,
+    write_result,
+    write_string,
+)
+
+_KINDS: Final[dict[str, Kind]] = {
+    "TRANS": "TRANSFORM",
+    # What is left of GET_TRANSFORM in a field of 12 bytes.
+    "TRANSFOR": "TRANSFORM",
+    "POSITION": "POSITION",
+    "TDATA": "TDATA",
+    "QTDATA": "QTDATA",
+}
+_ASKED: Final = ("GET_STATUS", "GET_CAPABIL", "GET_POINT", "STRING", "COMMAND", "STATUS")
+KNOWN: Final = frozenset(
+    (*_ASKED, *(f"{prefix}_{kind}" for prefix in ("GET", "STT", "STP") for kind in _KINDS))
+)
+"""Types that are read; others are skipped."""
+_OLD_COMMAND: Final = "CMD_"
+_OLD_REPLY: Final = "ACK_"
+_MAX_WITHHELD_NAMED: Final = 5
+"""Registrations whose landmarks are withheld that are told of by name."""
+
+
+class MessageHandlers:
+    """Answers messages; what takes its time is awaited.
+
+    Args:
+        host: the application.
+        newest: returns the newest poses.
+        tools: returns the tools that are known.
+        counters: of the server.
+        holds: returns the STATUS of a beam hold by its name; None: there is none.
+        invalid: whether poses that are not OK are sent.
+        changes: whether clients may change anything.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        newest: Callable[[], Snapshot | None],
+        tools: Callable[[], Sequence[WireTool]],
+        counters: Counters,
+        holds: Callable[[Session, str], Message | None],
+        *,
+        invalid: bool,
+        changes: bool,
+    ) -> None:
+        self._host = host
+        self._newest = newest
+        self._tools = tools
+        self._counters = counters
+        self._holds = holds
+        self._invalid = invalid
+        self._commands = Commands(host, newest, changes=changes)
+
+    def handle(self, session: Session, message: Message) -> Sequence[Message] | None:
+        """Return the answers to a message; None: ``later`` has them.
+
+        Raises:
+            BadMessage: its content is none of its type.
+        """
+        prefix, _, rest = message.type.partition("_")
+        kind = _KINDS.get(rest)
+        if message.type in ("COMMAND", "GET_POINT") or _is_command(message):
+            return None
+        if message.type == "GET_STATUS":
+            return [self._status(session, message)]
+        if message.type == "GET_CAPABIL":
+            content = write_capability(sorted(KNOWN))
+            return [_answer(session, message, "CAPABILITY", content)]
+        if kind is None:
+            return []  # STATUS keeps a connection alive; a STRING is none of our business
+        if prefix == "GET":
+            return self._current(session, message, kind)
+        return self._stream(session, message, kind, rest, begin=prefix == "STT")
+
+    async def handle_slow(self, session: Session, message: Message) -> Sequence[Message]:
+        """Return the answers to a message that take their time.
+
+        Raises:
+            BadMessage: its content is none of its type.
+        """
+        if message.type == "GET_POINT":
+            return await self._points(session, message)
+        if message.type == "STRING":
+            reply = await self._run(session, "", read_string(message.content))
+            device = f"{_OLD_REPLY}{message.device[len(_OLD_COMMAND) :]}"[:20]
+            answer = _answer(session, message, "STRING", write_string(write_reply(None, reply)))
+            return [replace(answer, device=device)]
+        command = read_command(message.content)
+        reply = await self._run(session, command.name, command.text)
+        text = write_reply(command.name, reply)
+        answer = _answer(
+            session,
+            message,
+            "RTS_COMMAND",
+            write_command(Command(command.number, command.name, text)),
+        )
+        return [replace(answer, metadata=reply_metadata(reply) if session.version > 1 else {})]
+
+    async def _run(self, session: Session, name: str, text: str) -> CommandReply:
+        try:
+            request: CommandRequest = read_command_request(name, text)
+            reply = await self._commands.run(request, session.address)
+        except CommandRefused as error:
+            reply = CommandReply(done=False, message=error.detail)
+        if not reply.done:
+            self._counters.commands_refused += 1
+        return reply
+
+    def _status(self, session: Session, message: Message) -> Message:
+        hold = self._holds(session, message.device)
+        if hold is not None:
+            return hold
+        snapshot = self._newest()
+        if snapshot is None:
+            text = "no device with tools runs now"
+            return session.status(StatusCode.NOT_READY, "NotReady", text, message.device or SERVER)
+        found = session.pose_status(snapshot, message.device)
+        if found is not None:
+            return found
+        if message.device not in ("", SERVER, snapshot.entry.device_id):
+            known = ", ".join(pose.name.short for pose in snapshot.poses) or "none"
+            text = f'there is no transform "{message.device}"; there are: {known}'
+            return session.status(StatusCode.NOT_FOUND, "NotFound", text, message.device)
+        seen = sum(pose.valid for pose in snapshot.poses)
+        text = (
+            f"device {snapshot.entry.device_id}: {seen} of {len(snapshot.poses)} tools are seen in "
+            f"frame {snapshot.entry.sequence}"
+        )
+        return session.status(StatusCode.OK, "OK", text, message.device or SERVER)
+
+    def _current(self, session: Session, message: Message, kind: Kind) -> Sequence[Message]:
+        """Return the newest poses; an empty body if there is none, as the protocol says."""
+        snapshot = self._newest()
+        nothing = [_answer(session, message, kind, b"")]
+        if snapshot is None:
+            return nothing
+        if kind in ("TDATA", "QTDATA"):
+            return [snapshot.tracking(kind, session.version, message.device or SERVER, "")]
+        poses = snapshot.poses
+        if message.device:
+            found = snapshot.find(message.device)
+            poses = () if found is None else (found,)
+        messages = snapshot.messages(kind, session.version, invalid=self._invalid, poses=poses)
+        return messages or nothing
+
+    def _stream(
+        self, session: Session, message: Message, kind: Kind, rest: str, *, begin: bool
+    ) -> Sequence[Message]:
+        """Begin or stop sending a kind, and say whether that was done."""
+        answers: list[Message] = []
+        done = True
+        if begin:
+            start = read_start(message.type, message.content)
+            snapshot = self._newest()
+            try:
+                if start.frame and kind in ("TRANSFORM", "POSITION"):
+                    raise BadMessage(f"{kind} is sent in each tool's own coordinate system")
+                if start.frame and snapshot is not None:
+                    snapshot.poses_in(start.frame)
+                device = message.device or SERVER
+                session.wanted[kind] = Subscription(start.resolution_ms / 1e3, device, start.frame)
+            except BadMessage as error:
+                done = False
+                answers.append(session.status(StatusCode.NOT_FOUND, "NoFrame", error.detail))
+        else:
+            session.wanted.pop(kind, None)
+        result = _answer(session, message, f"RTS_{rest}", write_result(done=done))
+        return [result, *answers]
+
+    async def _points(self, session: Session, message: Message) -> Sequence[Message]:
+        """Return POINT, and a STATUS where landmarks are withheld."""
+        snapshot = self._newest()
+        if snapshot is None:
+            return [_answer(session, message, "POINT", write_points(()))]
+        device = snapshot.entry.device_id
+        try:
+            landmarks = await self._host.landmarks(device)
+        except LumilineError as error:
+            return [session.status(StatusCode.UNKNOWN_ERROR, "NoPoints", error.detail)]
+        # What came into force while they were read counts.
+        snapshot = self._newest() or snapshot
+        tools = [tool for tool in self._tools() if tool.device_id == device]
+        found = find_points(message.device, snapshot, tools, landmarks)
+        answers = [_answer(session, message, "POINT", write_points(found.points))]
+        if found.has_landmarks:
+            session.landmarks_sent(snapshot)
+        if found.withheld:
+            more = len(found.withheld) - _MAX_WITHHELD_NAMED
+            told = [
+                *found.withheld[:_MAX_WITHHELD_NAMED],
+                *([f"and {more} more"] if more > 0 else []),
+            ]
+            text = f"landmarks are withheld: {'; '.join(told)}"
+            answers.append(session.status(StatusCode.UNKNOWN_ERROR, "INVALID", text, LANDMARKS))
+        return answers
+
+
+def _is_command(message: Message) -> bool:
+    return message.type == "STRING" and message.device.upper().startswith(_OLD_COMMAND)
+
+
+def _answer(session: Session, message: Message, kind: str, content: bytes) -> Message:
+    """Return an answer: of the same name and number as what it answers."""
+    return Message(
+        kind,
+        # What was cut, or broken, in the field of the question is not longer in that of the answer.
+        message.device.encode()[:20].decode(errors="ignore"),
+        content,
+        version=session.version,
+        number=message.number,
+    )

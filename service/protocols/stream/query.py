@@ -1,0 +1,123 @@
+"""What a client of the stream asks for, in the query of its websocket."""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Final, TypeVar
+
+from compute.errors import InvalidParameter
+from service.api.base_models import checked_slug
+from service.protocols.stream.encoding import CONTENTS, ENCODINGS, Content
+from service.protocols.stream.subscription import StreamRequest
+
+STATUS: Final = "status"
+"""The content that every client gets; by itself, without frames."""
+PARAMETERS: Final = (
+    "device",
+    "content",
+    "encoding",
+    "mode",
+    "rate_hz",
+    "bundle_ms",
+    "stream",
+    "after",
+)
+MODES: Final = ("live", "lossless")
+MAX_RATE_HZ: Final = 100_000.0
+MAX_BUNDLE_MS: Final = 1000.0
+
+T = TypeVar("T")
+
+
+def parse_stream_request(query: Mapping[str, str]) -> StreamRequest:
+    """Return what a query asks for.
+
+    Raises:
+        InvalidParameter: it has something that is not known, or that contradicts itself.
+    """
+    unknown = sorted(set(query) - set(PARAMETERS))
+    if unknown:
+        raise InvalidParameter(
+            f'the query has "{unknown[0]}"; it may have {_listed(PARAMETERS)}',
+            parameter=unknown[0],
+        )
+    if not query.get("device"):
+        raise InvalidParameter("the query names no device; add ?device=ID")
+    lossless = _one_of(query, "mode", MODES) == "lossless"
+    rate_hz = _number(query, "rate_hz", MAX_RATE_HZ, "Hz")
+    bundle_ms = _number(query, "bundle_ms", MAX_BUNDLE_MS, "ms")
+    if rate_hz is not None and (lossless or bundle_ms is not None):
+        other = "mode=lossless" if lossless else "bundle_ms"
+        raise InvalidParameter(
+            f"the query has rate_hz, the newest frame now and then, and {other}, all of them; "
+            "leave one of them out"
+        )
+    after = query.get("after")
+    if not lossless and (after is not None or "stream" in query):
+        raise InvalidParameter(
+            "the query has stream or after without mode=lossless; only a lossless stream goes on "
+            "where another ended"
+        )
+    if (after is None) != ("stream" not in query):
+        raise InvalidParameter(
+            "the query has one of stream and after; give both: the stream's id of hello, and the "
+            "number n of the last message that you have, or neither"
+        )
+    return StreamRequest(
+        checked_slug(query["device"]),
+        _content(query.get("content", "points")),
+        _one_of(query, "encoding", ENCODINGS),
+        lossless=lossless,
+        rate_hz=rate_hz,
+        bundle_s=None if bundle_ms is None else bundle_ms / 1000.0,
+        stream=query.get("stream"),
+        after=None if after is None else _whole(after),
+    )
+
+
+def _content(text: str) -> frozenset[Content]:
+    known = {str(one): one for one in CONTENTS}
+    words = text.split(",")
+    for word in words:
+        if word != STATUS and word not in known:
+            raise InvalidParameter(
+                f'content has "{word}"; it must be one or more of {_listed((*CONTENTS, STATUS))}'
+            )
+    return frozenset(known[word] for word in words if word != STATUS)
+
+
+def _one_of(query: Mapping[str, str], name: str, known: tuple[T, ...]) -> T:
+    """Return the value of a parameter; the first that is known when it is left out."""
+    given = query.get(name)
+    if given is None:
+        return known[0]
+    for one in known:
+        if one == given:
+            return one
+    raise InvalidParameter(f'{name} is "{given}"; it must be {" or ".join(map(str, known))}')
+
+
+def _number(query: Mapping[str, str], name: str, most: float, unit: str) -> float | None:
+    given = query.get(name)
+    if given is None:
+        return None
+    try:
+        value = float(given)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value <= most:
+        raise InvalidParameter(
+            f'{name} is "{given}"; it must be a number above 0, at most {most:g} {unit}'
+        )
+    return value
+
+
+def _whole(given: str) -> int:
+    if not given.isascii() or not given.isdigit() or len(given) > 18:
+        raise InvalidParameter(
+            f'after is "{given}"; it must be the number n of the last message that you have'
+        )
+    return int(given)
+
+
+def _listed(words: Iterable[str]) -> str:
+    return ", ".join(words)

@@ -1,0 +1,161 @@
+"""The websocket stream: points and peaks of one device, as they are made."""
+
+import asyncio
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, Final
+
+from anyio.to_thread import run_sync
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from starlette.datastructures import State
+
+from compute.errors import LumilineError
+from service.pipeline.beam_hold_state import hold_part
+from service.pipeline.pipeline_manager import PipelineManager
+from service.problems.catalogue import problem_type_of
+from service.problems.errors import NotReady, UpgradeRequired
+from service.problems.handlers import problem_response
+from service.protocols.stream.encoding import describe_message, encode
+from service.protocols.stream.query import parse_stream_request
+from service.protocols.stream.subscription import StreamEnded, StreamRequest, Subscription
+from service.security.credential import SUBPROTOCOL, subprotocols
+from service.security.guard import ACT
+from service.security.principal import Principal
+
+if TYPE_CHECKING:
+    from service.security.authenticator import Authenticator
+    from service.security.stream_limit import StreamLimit
+
+router = APIRouter()
+
+ACCESS_CHECK_INTERVAL_S: Final = 2.0
+"""How often an open stream is checked against its key's revocation and end."""
+
+
+@router.websocket("/api/v1/stream")
+async def stream(websocket: WebSocket) -> None:
+    """Send a greeting, then frames and status messages, until the client or the service ends.
+
+    Query: see ``service.protocols.stream.query`` and docs/stream.md. A request that cannot be served is
+    answered with a problem document instead of a websocket.
+    """
+    principal: Principal = websocket.scope[ACT].principal
+    with ExitStack() as stack:
+        try:
+            request = parse_stream_request(websocket.query_params)
+            await run_sync(websocket.app.state.operation.status, request.device_id)
+            stack.enter_context(websocket.app.state.open_streams.opened(principal))
+        except LumilineError as error:
+            path = websocket.url.path
+            response = problem_response(problem_type_of(type(error)), error.detail, path)
+            await websocket.send_denial_response(response)
+            return
+        await _serve(websocket, request, principal)
+
+
+async def _serve(websocket: WebSocket, request: StreamRequest, principal: Principal) -> None:
+    live: PipelineManager = websocket.app.state.live
+    offered = subprotocols(websocket.headers)
+    await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
+    subscription = live.hub.subscribe(request)
+    try:
+        await _send(websocket, encode(_greeting(live, subscription), request.encoding))
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(_forward(websocket, subscription))
+            tasks.create_task(_until_closed(websocket))
+            tasks.create_task(_until_ended(websocket.app.state, principal))
+    except* WebSocketDisconnect:
+        pass
+    except* _AccessRevoked as ended:
+        await websocket.close(1008, str(ended.exceptions[0]))
+    except* StreamEnded as ended:
+        await websocket.close(1001, str(ended.exceptions[0]))
+    finally:
+        live.hub.unsubscribe(subscription)
+
+
+@router.get("/api/v1/stream", include_in_schema=False)
+def stream_by_http() -> None:
+    """Tell a plain HTTP client what is here."""
+    raise UpgradeRequired(
+        "this is a websocket: open it as ws://HOST:PORT/api/v1/stream?device=ID, "
+        "not as http:// (docs/stream.md describes its messages)"
+    )
+
+
+def _greeting(live: PipelineManager, subscription: Subscription) -> dict[str, Any]:
+    """Return the first message: what will come, and how things stand."""
+    request = subscription.request
+    description = live.describe(request.device_id)
+    status = live.status(request.device_id)
+    unknown: dict[str, Any] = {
+        "sensors": [],
+        "frame_rate_hz": None,
+        "markers": None,
+        "readout": None,
+        "method": None,
+    }
+    return {
+        "type": "hello",
+        "version": 1,
+        "device": request.device_id,
+        "content": sorted(request.content),
+        "mode": "lossless" if request.lossless else "live",
+        "stream": subscription.log.id,
+        "next": subscription.start,
+        "resumed": subscription.resumed,
+        **(describe_message(description) if description else unknown),
+        "state": status.state,
+        "reason": status.reason,
+        "link": status.link.state if status.link else None,
+        "calibration": status.calibration_id,
+        **_holds(live, request),
+    }
+
+
+def _holds(live: PipelineManager, request: StreamRequest) -> dict[str, Any]:
+    """Return how beam holds stand, for who asked for them: frames may never come."""
+    if "holds" not in request.content:
+        return {}
+    return {"holds": [hold_part(now) for now in live.holds.of_device(request.device_id)]}
+
+
+async def _forward(websocket: WebSocket, subscription: Subscription) -> None:
+    while True:
+        await _send(websocket, await subscription.next())
+
+
+async def _until_closed(websocket: WebSocket) -> None:
+    """Read and ignore what the client sends; raises WebSocketDisconnect when it is gone."""
+    while True:
+        message = await websocket.receive()
+        if message["type"] == "websocket.disconnect":
+            raise WebSocketDisconnect(message.get("code", 1005))
+
+
+class _AccessRevoked(Exception):
+    """The key or token of a stream has expired or was revoked."""
+
+
+async def _until_ended(state: State, principal: Principal) -> None:
+    """Raise _AccessRevoked once a key is revoked or anything expires."""
+    authenticator: Authenticator = state.authenticator
+    streams: StreamLimit = state.open_streams
+    while principal.kind != "local":
+        await asyncio.sleep(ACCESS_CHECK_INTERVAL_S)
+        try:
+            reason = await run_sync(authenticator.why_ended, principal, limiter=streams.checks)
+        except NotReady:
+            continue  # a database that does not answer must not end a measurement
+        if reason is not None:
+            raise _AccessRevoked(reason)
+
+
+async def _send(websocket: WebSocket, payload: bytes | str) -> None:
+    try:
+        if isinstance(payload, bytes):
+            await websocket.send_bytes(payload)
+        else:
+            await websocket.send_text(payload)
+    except RuntimeError as error:
+        # The server closed the connection meanwhile (no answer to its pings, or it shuts down).
+        raise WebSocketDisconnect(1006) from error

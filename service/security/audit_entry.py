@@ -1,0 +1,98 @@
+"""Entries of the audit log that have a transaction of their own: nothing else was changed."""
+
+import logging
+from typing import Final, Literal
+
+from anyio import move_on_after
+from anyio.to_thread import run_sync
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.types import Scope
+
+from service.api.audit.audited_session import entry
+from service.database.engine import Database
+from service.problems.errors import NotReady
+from service.security.principal import Act, current_act
+from service.security.redaction import decoded, redact
+
+_log = logging.getLogger(__name__)
+
+_WAITED_S: Final = 2.0
+"""A database that is slower writes the entry down later, and the answer does not wait for it."""
+
+_KINDS = {
+    "devices": "device",
+    "calibrations": "calibration",
+    "correction-tables": "correction-table",
+    "runs": "run",
+    "captures": "capture",
+    "keys": "key",
+    "reconstructions": "reconstruction",
+    "exports": "export",
+}
+
+
+async def record_act(
+    scope: Scope, act: Act, outcome: Literal["done", "refused"], detail: str | None
+) -> None:
+    """Write down what an act did beside the database, or wanted to do; never raises.
+
+    A database that does not answer keeps no device from being stopped; the log says so then.
+    """
+    kind, identity = _object(scope["path"])
+    await _record(scope["app"].state.database, act, kind, identity, outcome, detail)
+
+
+async def record_repeats(database: Database, act: Act, more: int) -> None:
+    """Write down how often the same was refused again; never raises."""
+    detail = f"{more} more of this operation, refused within a minute for lack of the scope"
+    await _record(database, act, "server", None, "refused", detail)
+
+
+async def _record(
+    database: Database,
+    act: Act,
+    kind: str,
+    identity: str | None,
+    outcome: str,
+    detail: str | None,
+) -> None:
+    shown = None if detail is None else redact(detail)
+    problem = None
+    try:
+        with move_on_after(_WAITED_S) as waited:
+            await run_sync(
+                _write, database, act, kind, identity, outcome, shown, abandon_on_cancel=True
+            )
+        if waited.cancelled_caught:
+            problem = "is not written down yet: the database is slow"
+    except (SQLAlchemyError, NotReady):
+        problem = "could not be written down"
+    if problem is not None:
+        who = act.principal.label
+        _log.error("audit: %s by %s, %s, %s", act.operation, who, outcome, problem)
+
+
+def _write(
+    database: Database,
+    act: Act,
+    kind: str,
+    identity: str | None,
+    outcome: str,
+    detail: str | None,
+) -> None:
+    token = current_act.set(act)
+    try:
+        with database.write() as session:
+            session.add(entry(kind, identity, outcome, detail=detail))
+    finally:
+        current_act.reset(token)
+
+
+def _object(path: str) -> tuple[str, str | None]:
+    """Return kind and id of what a path names: /api/v1/devices/sim/start is of device sim.
+
+    The path is as it came: a whole key in the place of its id is not to stay in the log for good.
+    """
+    parts = path.strip("/").split("/")[2:]
+    kind = _KINDS.get(parts[0], parts[0].removesuffix("s")) if parts else "server"
+    return kind[:32], redact(decoded(parts[1]))[:200] if len(parts) > 1 else None

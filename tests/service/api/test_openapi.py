@@ -1,0 +1,208 @@
+"""The OpenAPI document: complete, and every example in it works as it stands on a new server."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.routing import APIRoute, iter_route_contexts
+
+from hardware.recording.writer import RecordingWriter
+from hardware.simulated.driver import SimulatedDriver
+from hardware.simulated.scenes import MovingTool, MovingTools
+from hardware.simulated.settings import SimulationSettings
+from service.api.correction_tables.hdf5_file import write_table
+from service.api.correction_tables.table_content import MEDIA_TYPE
+from service.api.tools import tip_calibration
+from service.application.app import create_app
+from service.database.models import ApiKeyRow
+from service.settings import Settings
+from tests.service.api.correction_tables.tables import content as content_of_table
+from tests.service.api.quality.batches import strobed_batch
+from tests.service.api.tools.batches import pivoting, resting, spinning, tool_batch
+from tests.service.fake_pipeline import FakePipeline, TestClient
+
+# Strobed markers of the tool that an example captures.
+CLAMP = {
+    4: np.array([0.0, 0.0, 1500.0]),
+    5: np.array([90.0, 0.0, 1500.0]),
+    6: np.array([0.0, 50.0, 1500.0]),
+}
+METHODS = ("post", "put", "get", "patch", "delete")
+# Making comes first, then reading and changing; what ends something comes last.
+LAST = ("delete-", "retire-", "roll-back-", "stop-")
+
+
+@dataclass(frozen=True)
+class Example:
+    """One request: an example of the body with an example of each path parameter."""
+
+    operation: str
+    method: str
+    path: str
+    body: Any = None
+
+
+@cache
+def document() -> dict[str, Any]:
+    return create_app(Settings()).openapi()
+
+
+def operations(found: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    for path, item in found["paths"].items():
+        for method, operation in item.items():
+            yield path, method, operation
+
+
+def values(examples: dict[str, Any]) -> list[Any]:
+    return [example["value"] for example in examples.values()]
+
+
+def examples(found: dict[str, Any]) -> list[Example]:
+    requests = []
+    for path, method, operation in operations(found):
+        paths = [path]
+        for parameter in operation.get("parameters", []):
+            if parameter["in"] == "path":
+                given = values(parameter["examples"])
+                name = f"{{{parameter['name']}}}"
+                paths = [one.replace(name, value) for one in paths for value in given]
+        content = operation.get("requestBody", {}).get("content", {})
+        if content and "application/json" not in content:
+            continue  # a file, which no example holds: see prepare()
+        bodies = values(content["application/json"]["examples"]) if content else [None]
+        requests += [
+            Example(operation["operationId"], method, one, body) for one in paths for body in bodies
+        ]
+    return sorted(
+        requests, key=lambda one: (one.operation.startswith(LAST), METHODS.index(one.method))
+    )
+
+
+def prepare(client: Any) -> None:
+    """Upload the tables that examples of paths name: on a server they come from mapping runs."""
+    nominal = client.get("/api/v1/calibrations/sim-nominal").json()
+    for name in ("sim-map", "sim-map-spare"):
+        sent = client.post(
+            f"/api/v1/correction-tables?id={name}",
+            content=write_table(content_of_table(nominal["content_hash"])),
+            headers={"content-type": MEDIA_TYPE},
+        )
+        assert sent.status_code == 201, sent.text
+    now = datetime.now(UTC)
+    with client.app.state.database.write() as session:  # a key's id is the server's choice
+        session.add(
+            ApiKeyRow(
+                id="examplekey00",
+                name="example",
+                digest="0" * 64,
+                scopes=[],
+                created_by="local",
+                created_at=now,
+            )
+        )
+
+
+def test_every_example_works_on_a_new_server(
+    sqlite_settings: Settings, monkeypatch: pytest.MonkeyPatch
+):
+    live = FakePipeline()
+    shown = MovingTools((MovingTool(((0.0, 0.0, 0.0),) * 4), MovingTool(((0.0, 0.0, 0.0),) * 3)))
+    live.records = SimulatedDriver("sim", SimulationSettings(scene=shown)).description
+    live.batches = [
+        strobed_batch(range(20)),
+        tool_batch([pivoting("pointer", 60), spinning("clamp", 60)], CLAMP),
+        tool_batch([resting("pointer", 700, first=1000)]),
+    ]
+    # Poses are collected for as long as the example says, or until there are enough.
+    monkeypatch.setattr(tip_calibration, "MAX_COLLECTED", 60)
+    with TestClient(create_app(sqlite_settings, live)) as client:
+        served = client.get("/openapi.json").json()
+        prepare(client)
+        with RecordingWriter(sqlite_settings.folders.recordings / "earlier.h5", live.records):
+            pass
+        sqlite_settings.folders.exports.mkdir()
+        (sqlite_settings.folders.exports / "walk.csv").write_text("made before")
+        requests = examples(served)
+        assert {one.operation for one in requests} == {
+            operation["operationId"]
+            for _, _, operation in operations(served)
+            if operation["operationId"] != "upload-correction-table"
+        }
+        for one in requests:
+            given = {} if one.body is None else {"json": one.body}
+            answer = client.request(one.method, one.path, **given)
+            assert answer.is_success, (one.operation, one.path, answer.text)
+
+
+def test_every_operation_has_a_summary_of_its_own():
+    """Where a route has none, the document has one all the same: its function's name."""
+    routes = {
+        context.route.operation_id: context.route.summary
+        for context in iter_route_contexts(create_app(Settings()).routes)
+        if isinstance(context.route, APIRoute) and context.route.include_in_schema
+    }
+    assert set(routes) == {found["operationId"] for *_, found in operations(document())}
+    assert [name for name, summary in routes.items() if not (summary or "").strip()] == []
+
+
+def test_every_operation_is_described():
+    found = document()
+    tags = {tag["name"] for tag in found["tags"]}
+    ids = [operation["operationId"] for _, _, operation in operations(found)]
+    assert len(ids) == len(set(ids))
+    for path, method, operation in operations(found):
+        assert operation["summary"].strip(), path
+        assert operation["description"], path
+        assert set(operation["tags"]) <= tags
+        for parameter in operation.get("parameters", []):
+            assert parameter.get("description") or parameter["in"] == "query", (path, parameter)
+            if parameter["in"] == "path":
+                assert parameter["examples"]
+        if method in ("post", "patch") and "requestBody" in operation:
+            content = operation["requestBody"]["content"]
+            if "application/json" in content:
+                assert content["application/json"]["examples"]
+            else:
+                assert operation["operationId"] == "upload-correction-table"
+
+
+def test_every_error_response_is_a_problem_document():
+    for path, method, operation in operations(document()):
+        errors = {
+            status: response
+            for status, response in operation["responses"].items()
+            if int(status) >= 400
+        }
+        assert "500" in errors
+        for status, response in errors.items():
+            assert set(response["content"]) == {"application/problem+json"}, (path, method, status)
+            schema = response["content"]["application/problem+json"]["schema"]
+            assert schema == {"$ref": "#/components/schemas/Problem"}
+
+
+def test_no_reference_dangles():
+    found = document()
+    schemas = found["components"]["schemas"]
+
+    def references(node: Any) -> Iterator[str]:
+        if isinstance(node, dict):
+            if isinstance(node.get("$ref"), str):
+                yield node["$ref"]
+            for value in node.values():
+                yield from references(value)
+        elif isinstance(node, list):
+            for value in node:
+                yield from references(value)
+
+    for reference in set(references(found)):
+        assert reference.rpartition("/")[2] in schemas
+    assert "HTTPValidationError" not in schemas
+
+
+@pytest.mark.parametrize("path", ["/docs", "/redoc"])
+def test_there_is_a_page_to_read_it(sqlite_client: Any, path: str):
+    assert "/openapi.json" in sqlite_client.get(path).text

@@ -1,0 +1,183 @@
+"""A live side that records its calls, and the test client, for tests of the REST side."""
+
+import warnings
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.driver import DeviceDescription, Driver
+from service.api.beam_holds.reference_capture import ReferenceTap
+from service.api.quality.interval_statistics_tap import IntervalStatisticsTap
+from service.api.quality.point_tap import PointTap
+from service.api.tools.marker_tap import MarkerTap
+from service.api.tools.pose_tap import PoseTap
+from service.api.tools.tip_tap import TipTap
+from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
+from service.pipeline.beam_hold_registry import BeamHoldRegistry
+from service.pipeline.detection_stage import DetectionStage
+from service.pipeline.device_session import DeviceSession, DeviceStatus
+from service.pipeline.frame_processor import FrameProcessor
+from service.pipeline.frame_ring import FrameRing
+from service.pipeline.latency_histogram import LatencyCounts
+from service.pipeline.latest_poses import LatestPoses
+from service.pipeline.pipeline_manager import Accept, PipelineManager, any_device
+from service.pipeline.pose_counters import ToolCounts
+from service.pipeline.taps import Tap
+from service.pipeline.tracking_config import TrackingConfig
+from service.problems.errors import DeviceNotRunning
+from service.protocols.stream.hub import Hub
+
+if TYPE_CHECKING:
+    from service.pipeline.frame_batch import FrameBatch
+
+with warnings.catch_warnings():
+    # Starlette asks for httpx2 in place of httpx; both work, and the service itself uses httpx.
+    warnings.simplefilter("ignore")
+    from starlette import testclient
+    from starlette.testclient import WebSocketDenialResponse
+
+__all__ = ["FakePipeline", "TestClient", "WebSocketDenialResponse"]
+
+
+class TestClient(testclient.TestClient):
+    """A client on the server's own machine, as a server on loopback has them."""
+
+    __test__ = False
+
+    def __init__(self, app: Any, **options: Any) -> None:
+        defaults = {"base_url": "http://localhost", "client": ("127.0.0.1", 50000)}
+        super().__init__(app, **(defaults | options))
+
+    def websocket_connect(self, url: str, *others: Any, **options: Any) -> Any:
+        host = str(self.base_url).replace("http", "ws", 1).rstrip("/")
+        return super().websocket_connect(f"{host}{url}", *others, **options)
+
+
+class _Processor(FrameProcessor):
+    """Processes nothing."""
+
+    def __init__(self) -> None:
+        self._finding = DetectionStage.__new__(DetectionStage)
+        self._finding.method = self._finding.error_px = None
+        self._finding.unfitted_error_px = 0.0
+
+
+class _Running(DeviceSession):
+    """Runs, and no frame ever comes."""
+
+    @property
+    def drained(self) -> bool:
+        return False
+
+    @property
+    def connected(self) -> bool:
+        return True
+
+
+class FakePipeline(PipelineManager):
+    """Takes the live pipeline's calls, opens drivers, and runs nothing."""
+
+    def __init__(self) -> None:
+        self.hub = Hub()
+        self.calls: list[tuple[Any, ...]] = []
+        self.states: dict[str, DeviceStatus] = {}
+        self.seen_px = np.full(4, 1000.0)
+        self.in_force: dict[str, ActiveCalibration] = {}
+        self.poses = LatestPoses()
+        self.holds = BeamHoldRegistry(partial(self.hub.publish, content="holds"))
+        self.tracked: dict[str, TrackingConfig] = {}
+        self.answers = True
+        self.busy = 0.0
+        self.records: DeviceDescription | None = None
+        """What devices are that can be recorded, of which no frame ever comes; None: none can."""
+        self.batches: list[FrameBatch] = []
+        """What quality checks see of them."""
+
+    @property
+    def ready(self) -> bool:
+        return self.answers
+
+    @property
+    def busy_s(self) -> float:
+        return self.busy
+
+    def latencies(self) -> dict[str, LatencyCounts]:
+        return {}
+
+    def statuses(self) -> dict[str, DeviceStatus]:
+        return dict(self.states)
+
+    def start_device(
+        self,
+        device_id: str,
+        driver: Driver,
+        found: ActiveCalibration = NO_ACTIVE_CALIBRATION,
+        accept: Accept = any_device,
+    ) -> DeviceDescription:
+        driver.open()
+        try:
+            description = driver.description
+            accept(description)
+        finally:
+            driver.close()
+        self.in_force[device_id] = found
+        self.calls.append(("start", device_id, found.calibration_id, found.calibration))
+        self.states[device_id] = DeviceStatus("running", calibration_id=found.calibration_id)
+        return description
+
+    def stop_device(self, device_id: str) -> None:
+        self.calls.append(("stop", device_id))
+        if device_id in self.states:
+            self.states[device_id] = DeviceStatus("stopped")
+
+    def forget_device(self, device_id: str) -> None:
+        self.calls.append(("forget", device_id))
+        self.states.pop(device_id, None)
+        self.holds.forget(device_id)
+
+    def set_calibration(self, device_id: str, found: ActiveCalibration) -> None:
+        self.calls.append(("calibration", device_id, found.calibration_id, found.calibration))
+        self.in_force[device_id] = found
+
+    def set_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
+        self.tracked[device_id] = tracked
+        self.holds.set(device_id, tracked.holds)
+
+    def pose_counts(self) -> dict[str, dict[str, ToolCounts]]:
+        return {}
+
+    def status(self, device_id: str) -> DeviceStatus:
+        return self.states.get(device_id, DeviceStatus("stopped"))
+
+    def describe(self, device_id: str) -> DeviceDescription | None:
+        return None
+
+    def collect(
+        self, device_id: str, frames: int, marker: int | None, timeout_s: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        if self.status(device_id).state != "running":
+            raise DeviceNotRunning(f'device "{device_id}" does not run')
+        self.calls.append(("collect", device_id, frames, marker))
+        noise = np.random.default_rng(1).normal(0.0, 0.05, (frames, 4))
+        return self.seen_px + noise, np.full((frames, 4), 0.05)
+
+    def session(self, device_id: str) -> DeviceSession:
+        if self.records is None:
+            raise DeviceNotRunning(f'device "{device_id}" does not run')
+        return _Running(device_id, self.records, _Processor(), FrameRing(1, int), self.hub)
+
+    def attach(self, session: DeviceSession, tap: Tap) -> None:
+        self.calls.append(("attach", session.device_id))
+        if isinstance(
+            tap, PointTap | IntervalStatisticsTap | PoseTap | ReferenceTap | MarkerTap | TipTap
+        ):
+            for batch in self.batches:
+                tap.offer(batch)
+
+    def detach(self, session: DeviceSession, tap: Tap) -> None:
+        self.calls.append(("detach", session.device_id))
+
+    def close(self) -> None:
+        self.calls.append(("close",))

@@ -1,8 +1,0 @@
-"""For all tests here: a machine may stand still for a while, and poses do not get stale by it."""
-
-import pytest
-
-
-@pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.openigtlink.snapshot.STALE_S", 1e6)

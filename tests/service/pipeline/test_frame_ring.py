@@ -1,0 +1,87 @@
+"""The frame ring: bounded, in order, and counting what it drops."""
+
+import threading
+from collections import deque
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hardware.line_frame import LineFrame
+from service.pipeline.frame_ring import FrameRing
+
+LINES = np.zeros((1, 64), np.uint16)
+
+
+def frame(sequence: int) -> LineFrame:
+    return LineFrame("d", sequence, 0, 0, None, LINES)
+
+
+@given(st.integers(1, 8), st.lists(st.one_of(st.none(), st.integers(1, 6)), max_size=60))
+def test_behaves_as_a_bounded_queue(capacity: int, steps: list[int | None]) -> None:
+    """None puts a frame, a number takes up to so many; compared with a deque."""
+    ring, model = FrameRing(capacity, lambda: None), deque[int]()
+    put = dropped = 0
+    for step in steps:
+        if step is None:
+            ring.put(frame(put))
+            if len(model) == capacity:
+                model.popleft()
+                dropped += 1
+            model.append(put)
+            put += 1
+        else:
+            expected = [model.popleft() for _ in range(min(step, len(model)))]
+            assert [taken.sequence for taken in ring.take(step)] == expected
+        assert len(ring) == len(model)
+    assert (ring.received, ring.dropped, ring.lost) == (put, dropped, 0)
+
+
+def test_frames_that_are_put_back_come_first_as_far_as_there_is_room() -> None:
+    ring = FrameRing(4, lambda: None)
+    for number in range(4):
+        ring.put(frame(number))
+    taken = ring.take(3)
+    ring.put(frame(4))
+    ring.put_back(taken[1:])
+    assert [one.sequence for one in ring.take(2)] == [1, 2]
+    ring.put_back([frame(1), frame(2)])
+    ring.put(frame(5))  # one too many
+    assert [one.sequence for one in ring.take(9)] == [2, 3, 4, 5]
+    assert (ring.received, ring.dropped, ring.lost) == (6, 1, 0)
+    more = [frame(number) for number in range(6, 12)]
+    ring.put_back(more)
+    assert [one.sequence for one in ring.take(9)] == [8, 9, 10, 11]
+    assert ring.dropped == 3
+
+
+@given(st.lists(st.integers(1, 5), max_size=30))
+def test_counts_exposures_lost_before_it(gaps: list[int]) -> None:
+    ring = FrameRing(100, lambda: None)
+    sequence = 7
+    ring.put(frame(sequence))
+    for gap in gaps:
+        sequence += gap
+        ring.put(frame(sequence))
+    assert ring.lost == sum(gap - 1 for gap in gaps)
+
+
+def test_nothing_is_lost_or_doubled_between_threads() -> None:
+    wake = threading.Event()
+    ring = FrameRing(100_000, wake.set)
+    count = 20_000
+
+    def produce() -> None:
+        for sequence in range(count):
+            ring.put(frame(sequence))
+
+    producer = threading.Thread(target=produce)
+    producer.start()
+    taken: list[int] = []
+    while len(taken) < count:
+        assert wake.wait(10.0)
+        wake.clear()
+        while batch := ring.take(64):
+            taken.extend(item.sequence for item in batch)
+    producer.join()
+    assert taken == list(range(count))

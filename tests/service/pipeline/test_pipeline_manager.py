@@ -1,0 +1,467 @@
+"""The live pipeline without a server: from a driver's frames to what the hub publishes."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from compute.calibration.result import Calibration, SensorFit
+from compute.camera.model import SensorModel
+from compute.errors import InvalidParameter, InvalidRecording
+from hardware.driver import DeviceDescription
+from hardware.line_frame import LineFrame
+from hardware.recording.writer import RecordingWriter
+from hardware.replay import ReplayDriver
+from hardware.simulated.driver import SimulatedDriver
+from hardware.simulated.scenes import RotatingBar, StillPoints
+from hardware.simulated.settings import SimulationSettings
+from hardware.simulated.simulated_rig import simulated_rig
+from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.device_session import BATCH_SECONDS, DeviceStatus
+from service.pipeline.frame_batch import FrameBatch
+from service.pipeline.frame_processor import FrameProcessor
+from service.pipeline.pipeline_manager import PipelineManager
+from service.protocols.stream.encoding import frame_messages
+from service.protocols.stream.hub import Hub
+from service.protocols.stream.stream_batch import StreamBatch
+
+
+class RecordingHub(Hub):
+    """Keeps everything that is published."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.batches: list[FrameBatch] = []
+        self.messages: list[dict[str, Any]] = []
+
+    def publish_batch(self, batch: FrameBatch) -> None:
+        self.batches.append(batch)
+        super().publish_batch(batch)
+
+    def publish(self, device_id: str, message: dict[str, Any]) -> None:
+        self.messages.append(message)
+        super().publish(device_id, message)
+
+
+def models() -> tuple[SensorModel, ...]:
+    return tuple(sensor.model for sensor in simulated_rig())
+
+
+def nominal(offset_mm: float = 0.0) -> Calibration:
+    """The simulator's own cameras, its world moved along X."""
+    moved = [
+        replace(
+            model,
+            offset_x_mm=model.offset_x_mm - float(model.rotation[0, 0]) * offset_mm,
+            offset_z_mm=model.offset_z_mm - float(model.rotation[2, 0]) * offset_mm,
+        )
+        for model in models()
+    ]
+    fits = tuple(SensorFit(model, 0, 0.0, 0.0, 1e-3, "given", None) for model in moved)
+    size = 7 * len(fits)
+    return Calibration("metric", fits, tuple(tuple([0.0] * size) for _ in range(size)), ())
+
+
+@pytest.fixture
+def live() -> Iterator[PipelineManager]:
+    manager = PipelineManager("cpu")
+    manager.hub = RecordingHub()
+    yield manager
+    manager.close()
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come true"
+        time.sleep(0.005)
+
+
+def simulation(**changes: Any) -> SimulationSettings:
+    return replace(SimulationSettings(realtime=False, duration_s=0.2), **changes)
+
+
+def run_to_the_end(
+    live: PipelineManager, settings: SimulationSettings, calibration: Calibration | None
+) -> list[dict[str, Any]]:
+    """Run a simulation; returns its frame messages."""
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    identity = None if calibration is None else "c1"
+    live.start_device(
+        "sim", SimulatedDriver("sim", settings), ActiveCalibration(identity, calibration)
+    )
+    wait_for(lambda: any(message["state"] == "ended" for message in hub.messages))
+    return [
+        message
+        for batch in hub.batches
+        for message in frame_messages(StreamBatch.of(batch), frozenset({"points", "peaks"}))
+    ]
+
+
+def test_every_frame_becomes_a_message_with_a_point_where_the_marker_is(
+    live: PipelineManager,
+) -> None:
+    bar = RotatingBar()
+    messages = run_to_the_end(live, simulation(scene=bar), nominal())
+    assert [message["sequence"] for message in messages] == list(range(200))
+    errors, squares = [], []
+    for message in messages:
+        (point,) = message["points"]
+        true = bar.points(message["device_ns"] * 1e-9)[message["marker"]]
+        error = np.array(point["position_mm"]) - true
+        errors.append(error)
+        squares.append(error @ np.linalg.solve(np.array(point["covariance_mm2"]), error))
+        assert point["marker"] == message["marker"] == message["sequence"] % 2
+        assert len(point["sensors"]) == 4
+        assert message["calibration"] == "c1"
+        assert len(message["peaks"]) == 4
+    # The stated covariance is that of the errors: chi2 of 3 has mean 3 and variance 6. The peaks'
+    # error within a pixel is an average over widths, so it may be off by a fifth of the variance.
+    assert np.mean(squares) == pytest.approx(3.0, abs=0.6 + 5.0 * np.sqrt(6 / len(messages)))
+    residuals = [message["points"][0]["residual_sigma"] for message in messages]
+    assert np.mean(np.square(residuals)) == pytest.approx(
+        1.0, abs=0.2 + 5.0 * np.sqrt(2 / len(messages))
+    )
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.05
+    assert live.status("sim") == DeviceStatus(
+        "ended", "the source has no more frames", "c1", None, 200, 0, 0, 200, 0
+    )
+
+
+def test_the_same_frames_give_the_same_messages(live: PipelineManager) -> None:
+    settings = simulation(duration_s=0.05)
+    first = run_to_the_end(live, settings, nominal())
+    assert isinstance(live.hub, RecordingHub)
+    live.hub.batches.clear()
+    live.hub.messages.clear()
+    second = run_to_the_end(live, settings, nominal())
+    for message in (*first, *second):
+        del message["exposure_ns"]
+    assert first == second
+
+
+def test_a_replay_gives_the_same_bits(live: PipelineManager, tmp_path: Path) -> None:
+    settings = simulation(duration_s=0.1)
+    path = tmp_path / "bar.h5"
+    driver = SimulatedDriver("sim", settings)
+    driver.open()
+    with RecordingWriter(path, driver.description) as writer:
+        for frame in driver.frames():
+            writer.append(frame)
+    direct = run_to_the_end(live, settings, nominal())
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    hub.batches.clear()
+    hub.messages.clear()
+    live.start_device(
+        "sim", ReplayDriver("sim", path, speed=None), ActiveCalibration("c1", nominal())
+    )
+    wait_for(lambda: any(message["state"] == "ended" for message in hub.messages))
+    replayed = [
+        message
+        for batch in hub.batches
+        for message in frame_messages(StreamBatch.of(batch), frozenset({"points", "peaks"}))
+    ]
+    assert len(replayed) == 100
+    for message in (*direct, *replayed):
+        del message["exposure_ns"]
+    assert replayed == direct
+
+
+def test_markers_lit_together_are_told_apart_by_the_fourth_sensor(live: PipelineManager) -> None:
+    scene = StillPoints(
+        points_mm=((-90.0, 30.0, 1450.0), (60.0, -45.0, 1560.0), (10.0, 80.0, 1500.0))
+    )
+    messages = run_to_the_end(
+        live, simulation(scene=scene, illumination="simultaneous", duration_s=0.05), nominal()
+    )
+    true = np.array(scene.points_mm)
+    for message in messages:
+        assert message["marker"] is None
+        positions = np.array([point["position_mm"] for point in message["points"]])
+        assert len(positions) == 3
+        distance = np.linalg.norm(positions[:, None] - true, axis=2)
+        assert sorted(distance.argmin(axis=1)) == [0, 1, 2]
+        assert distance.min(axis=1).max() < 0.5
+
+
+@pytest.mark.parametrize("illumination", ["strobed", "simultaneous"])
+def test_a_line_over_the_sensors_end_is_not_used(live: PipelineManager, illumination: str) -> None:
+    """It is drawn inwards by many times its deviation."""
+    model = next(model for model in models() if model.name == "horizontal")
+    lens = -model.offset_x_mm * model.rotation[0] - model.offset_z_mm * model.rotation[2]
+    middle = model.rotation @ (np.array([0.0, 0.0, 1500.0]) - lens)
+    u = (model.pixels - 1.5 - model.principal_point_px) / model.principal_distance_px
+    point = lens + np.array([u * middle[2], middle[1], middle[2]]) @ model.rotation
+    scene = StillPoints(points_mm=(tuple(point.tolist()),))
+    messages = run_to_the_end(
+        live, simulation(scene=scene, duration_s=0.05, illumination=illumination), nominal()
+    )
+    for message in messages:
+        peaks = {peak["sensor"]: peak["flags"] for peak in message["peaks"]}
+        assert peaks["horizontal"] == ("clipped",)
+        (found,) = message["points"]
+        assert "horizontal" not in found["sensors"]
+        assert np.linalg.norm(np.subtract(found["position_mm"], point)) < 1.0
+
+
+def test_the_misfit_counts_once_however_markers_are_lit(live: PipelineManager) -> None:
+    """One marker, the same lines: strobed or not, the point and its covariance are the same."""
+    known = nominal()
+    fits = tuple(replace(fit, sigma_px=0.01, chi2_per_dof=26.0) for fit in known.sensors)
+    misfit = replace(known, sensors=fits)
+    scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
+    found = []
+    for illumination in ("strobed", "simultaneous"):
+        hub = live.hub
+        assert isinstance(hub, RecordingHub)
+        hub.batches.clear()
+        hub.messages.clear()
+        settings = simulation(scene=scene, illumination=illumination, duration_s=0.02)
+        messages = run_to_the_end(live, settings, misfit)
+        found.append([message["points"][0]["covariance_mm2"] for message in messages])
+    assert np.allclose(found[0], found[1], rtol=1e-9)
+
+
+def test_a_saturated_peak_makes_a_doubtful_point(live: PipelineManager) -> None:
+    scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
+    for electrons, flagged in ((1e5, False), (5e6, True)):
+        hub = live.hub
+        assert isinstance(hub, RecordingHub)
+        hub.batches.clear()
+        hub.messages.clear()
+        settings = simulation(scene=scene, signal_electrons=electrons, duration_s=0.02)
+        for message in run_to_the_end(live, settings, nominal()):
+            assert ("suspect-peak" in message["points"][0]["flags"]) == flagged
+
+
+def test_without_a_calibration_there_are_peaks_and_no_points(live: PipelineManager) -> None:
+    messages = run_to_the_end(live, simulation(duration_s=0.02), None)
+    assert all(message["points"] == [] for message in messages)
+    assert all(message["calibration"] is None for message in messages)
+    assert all(len(message["peaks"]) == 4 for message in messages)
+
+
+def test_a_hidden_marker_is_a_point_without_position_and_with_a_reason(
+    live: PipelineManager,
+) -> None:
+    scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
+    messages = run_to_the_end(
+        live, simulation(scene=scene, signal_electrons=0.0, duration_s=0.02), nominal()
+    )
+    for message in messages:
+        (point,) = message["points"]
+        assert point["position_mm"] is None
+        assert point["flags"] == ("too-few-sensors",)
+
+
+def test_calibrations_are_switched_between_two_frames(live: PipelineManager) -> None:
+    """No frame is lost, and each message's point belongs to the calibration that it names."""
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
+    settings = SimulationSettings(scene=scene, frame_rate_hz=500.0)
+    live.start_device("sim", SimulatedDriver("sim", settings), ActiveCalibration("zero", nominal()))
+    wait_for(lambda: len(hub.batches) > 20)
+    for turn in range(20):
+        name, shift = (("ten", 10.0), ("zero", 0.0))[turn % 2]
+        live.set_calibration("sim", ActiveCalibration(name, nominal(shift)))
+        seen = len(hub.batches)
+        wait_for(lambda seen=seen: len(hub.batches) > seen + 1)  # type: ignore[misc]
+    live.stop_device("sim")
+    messages = [
+        m for b in hub.batches for m in frame_messages(StreamBatch.of(b), frozenset({"points"}))
+    ]
+    sequences = [message["sequence"] for message in messages]
+    assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+    assert {message["calibration"] for message in messages} == {"zero", "ten"}
+    for message in messages:
+        expected = {"zero": 0.0, "ten": 10.0}[message["calibration"]]
+        assert message["points"][0]["position_mm"][0] == pytest.approx(expected, abs=0.5)
+
+
+class FaultyDriver(SimulatedDriver):
+    """Fails after some frames, as a driver with a bug or an unplugged device does."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__("sim", simulation())
+        self._error = error
+
+    def frames(self) -> Iterator[LineFrame]:
+        for count, frame in enumerate(super().frames()):
+            if count == 5:
+                raise self._error
+            yield frame
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (InvalidRecording("the file ends in frame 5"), "the file ends in frame 5"),
+        (OSError("secret path"), "the driver failed: OSError"),
+    ],
+)
+def test_a_failing_driver_is_a_state_with_a_reason(
+    live: PipelineManager, error: Exception, reason: str
+) -> None:
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    live.start_device("sim", FaultyDriver(error), ActiveCalibration("c1", nominal()))
+    wait_for(lambda: any(message["state"] == "failed" for message in hub.messages))
+    status = live.status("sim")
+    assert (status.state, status.reason) == ("failed", reason)
+    assert status.frames_processed == 5
+
+
+def test_a_driver_that_cannot_be_opened_starts_nothing(live: PipelineManager) -> None:
+    class Closed(SimulatedDriver):
+        def open(self) -> None:
+            raise InvalidRecording("no such recording")
+
+    with pytest.raises(InvalidRecording):
+        live.start_device("sim", Closed("sim", simulation()))
+    assert live.status("sim") == DeviceStatus("failed", "no such recording")
+    live.start_device("sim", SimulatedDriver("sim", simulation()))
+    assert live.status("sim").state != "failed"
+
+
+def test_a_description_that_the_kernel_cannot_take_closes_the_driver(live: PipelineManager) -> None:
+    closed = threading.Event()
+
+    class Tiny(SimulatedDriver):
+        @property
+        def description(self) -> DeviceDescription:
+            known = super().description
+            sensors = tuple(replace(sensor, pixels=3) for sensor in known.sensors)
+            return replace(known, sensors=sensors)
+
+        def close(self) -> None:
+            super().close()
+            closed.set()
+
+    driver = Tiny("sim", simulation())
+    with pytest.raises(Exception, match="3 pixels"):
+        live.start_device("sim", driver)
+    assert closed.is_set()
+
+
+def test_stopping_and_starting_again(live: PipelineManager) -> None:
+    endless = SimulationSettings()
+    for _ in range(3):
+        live.start_device(
+            "sim", SimulatedDriver("sim", endless), ActiveCalibration("c1", nominal())
+        )
+        wait_for(lambda: live.status("sim").frames_processed > 3)
+        live.stop_device("sim")
+        assert live.status("sim").state == "stopped"
+    live.start_device("sim", SimulatedDriver("sim", endless), ActiveCalibration("c1", nominal()))
+    live.start_device("sim", SimulatedDriver("sim", endless), ActiveCalibration("c1", nominal()))
+    assert live.status("sim").state == "running"
+    names = [thread.name for thread in threading.enumerate()]
+    assert names.count("reader-sim") == 1
+    live.forget_device("sim")
+    assert live.status("sim") == DeviceStatus("stopped")
+
+
+def test_a_calibration_of_other_sensors_is_refused(live: PipelineManager) -> None:
+    known = nominal()
+    first = replace(known.sensors[0], model=replace(known.sensors[0].model, name="another"))
+    other = replace(known, sensors=(first, *known.sensors[1:]))
+    with pytest.raises(InvalidParameter, match="another"):
+        live.start_device(
+            "sim", SimulatedDriver("sim", simulation()), ActiveCalibration("c1", other)
+        )
+    assert live.status("sim").state == "failed"
+
+    # A running one goes on with what it has: its source was changed, and works from the next start.
+    live.start_device(
+        "sim", SimulatedDriver("sim", SimulationSettings()), ActiveCalibration("c1", known)
+    )
+    live.set_calibration("sim", ActiveCalibration("c2", other))
+    assert live.status("sim").calibration_id == "c1"
+    live.set_calibration("sim", ActiveCalibration("c3", known))
+    assert live.status("sim").calibration_id == "c3"
+    live.stop_device("sim")
+    live.set_calibration("sim", ActiveCalibration("c4", known))
+    assert live.status("sim").calibration_id == "c3"
+
+
+def test_a_failure_of_the_processing_ends_the_device(
+    live: PipelineManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    process = FrameProcessor.process
+
+    def fail_after_20(
+        self: FrameProcessor, frames: Sequence[LineFrame], *, track: bool
+    ) -> FrameBatch:
+        if frames[-1].sequence > 20:
+            raise ArithmeticError("singular")
+        return process(self, frames, track=track)
+
+    monkeypatch.setattr(FrameProcessor, "process", fail_after_20)
+    driver = SimulatedDriver("sim", SimulationSettings())
+    live.start_device("sim", driver, ActiveCalibration("c1", nominal()))
+    wait_for(lambda: any(message["state"] == "failed" for message in hub.messages))
+    status = live.status("sim")
+    assert status.state == "failed"
+    assert status.reason is not None
+    assert "singular" in status.reason
+    wait_for(lambda: "reader-sim" not in [thread.name for thread in threading.enumerate()])
+    live.start_device(
+        "sim", SimulatedDriver("sim", simulation()), ActiveCalibration("c1", nominal())
+    )
+    assert live.status("sim").state != "failed"
+
+
+def test_a_device_with_slow_frames_takes_few_at_a_time(
+    live: PipelineManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Other devices wait for one batch: 64 slow frames would be seconds."""
+    hub = live.hub
+    assert isinstance(hub, RecordingHub)
+    process = FrameProcessor.process
+
+    def slow(self: FrameProcessor, frames: Sequence[LineFrame], *, track: bool) -> FrameBatch:
+        time.sleep(2.0 * BATCH_SECONDS * len(frames))
+        return process(self, frames, track=track)
+
+    monkeypatch.setattr(FrameProcessor, "process", slow)
+    live.start_device(
+        "sim", SimulatedDriver("sim", SimulationSettings()), ActiveCalibration("c1", nominal())
+    )
+    wait_for(lambda: len(hub.batches) > 5)
+    assert {len(batch.frames) for batch in hub.batches[1:]} == {1}
+
+
+def test_status_never_waits(live: PipelineManager) -> None:
+    """The event loop asks for it; a start or stop may hold the manager for seconds."""
+    live.start_device(
+        "sim", SimulatedDriver("sim", SimulationSettings()), ActiveCalibration("c1", nominal())
+    )
+    answers: list[DeviceStatus] = []
+    with live._lock:
+        asking = threading.Thread(
+            target=lambda: (live.describe("sim"), answers.append(live.status("sim")))
+        )
+        asking.start()
+        asking.join(10.0)
+        assert len(answers) == 1
+
+
+def test_a_closed_manager_starts_nothing_and_does_not_hang() -> None:
+    manager = PipelineManager("cpu")
+    manager.start_device("sim", SimulatedDriver("sim", SimulationSettings()))
+    manager.close()
+    assert not manager.ready
+    with pytest.raises(RuntimeError, match="closed"):
+        manager.start_device("other", SimulatedDriver("sim", SimulationSettings()))
+    names = [thread.name for thread in threading.enumerate()]
+    assert "reader-sim" not in names

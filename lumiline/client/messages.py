@@ -1,4 +1,4 @@
-"""What a stream sends, typed (docs/stream.md). Lengths mm, angles rad, times ns."""
+"""What a stream sends, typed (docs/reference/stream.md). Lengths mm, angles rad, times ns."""
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields

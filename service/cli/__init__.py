@@ -17,7 +17,7 @@ from service.cli import (
     server_commands,
     tools_commands,
 )
-from service.version import package_version
+from service.version import DISCLAIMER, package_version
 
 app = typer.Typer(
     name="lumiline",
@@ -30,7 +30,7 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(package_version())
+        typer.echo(f"{package_version()}\n{DISCLAIMER}")
         raise typer.Exit
 
 
@@ -38,7 +38,7 @@ def _version(wanted: bool) -> None:
 def options(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+        typer.Option("--version", callback=_version, is_eager=True, help="Print version and disclaimer."),
     ] = False,
 ) -> None:
     """Tracking server for linear (1D) optical sensors."""

@@ -24,7 +24,7 @@ source_suffix = {".md": "markdown"}
 exclude_patterns = ["examples", "generators"]
 nitpicky = False
 
-myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 4
 
 autodoc_member_order = "bysource"

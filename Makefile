@@ -9,15 +9,16 @@ STAMP := $(VENV)/.installed
 help:
 	@echo "make demo   the main job, end to end: real service, simulated device, measured frames"
 	@echo "make test   the test suite, without the few dearest tests: make test-slow"
-	@echo "make lint   ruff, mypy --strict, import contracts"
+	@echo "make lint   ruff, mypy --strict, import contracts, the kernels' C++ headers"
 	@echo "make docs   the documentation site, in build/docs; warnings are errors"
 	@echo "make serve  the service on port 8000"
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): pyproject.toml lumiline/pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "installing into $(VENV) ..."
 	@PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
-		$(BIN)/python -m pip install --disable-pip-version-check --editable '.[dev]'
+		$(BIN)/python -m pip install --disable-pip-version-check \
+		--editable ./lumiline --editable '.[dev]'
 	@touch $(STAMP)
 
 demo: $(STAMP)
@@ -39,6 +40,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.compute.native.lint
 
 # -E: links between pages are checked in pages that have not changed, too.
 docs: $(STAMP)

@@ -1,6 +1,7 @@
 #!/bin/sh
-# Does as the Dockerfile does, in a temporary directory: installs, prebuilds, starts the service from
-# the result, waits for its health check and stops it. Usage: docker/check.sh [PYTHON]
+# Builds the wheels of client and server, and installs the client's alone. Then does as the Dockerfile
+# does, in a temporary directory: installs, prebuilds, starts the service from the result, waits for
+# its health check and stops it. Usage: docker/check.sh [PYTHON]
 set -eu
 source_dir=$(cd "$(dirname "$0")/.." && pwd)
 work=$(mktemp -d)
@@ -23,6 +24,31 @@ for part in compute hardware service lumiline migrations validation benchmarks d
     grep -qx "!$part" "$source_dir/docker/Dockerfile.dockerignore" || fail "$part is not copied"
     cp -R "$source_dir/$part" "$work/src/"
 done
+
+# The client is a distribution of its own: no file is in both wheels, and it runs without the server.
+"${1:-python3.11}" -m venv "$work/client"
+PIP_CONSTRAINT=$work/src/constraints.txt PIP_BUILD_CONSTRAINT=$work/src/constraints.txt
+export PIP_CONSTRAINT PIP_BUILD_CONSTRAINT
+for part in lumiline .; do
+    "$work/client/bin/python" -m pip wheel --quiet --disable-pip-version-check --no-deps \
+        --wheel-dir "$work/wheels" "$work/src/$part"
+done
+"$work/client/bin/python" -c '
+import sys, zipfile
+for wheel in sys.argv[1:]:
+    print(*zipfile.ZipFile(wheel).namelist(), sep="\n")
+' "$work"/wheels/*.whl | sort | uniq -d >"$work/twice"
+test ! -s "$work/twice" || fail "in both wheels: $(cat "$work/twice")"
+"$work/client/bin/python" -m pip install --quiet --disable-pip-version-check \
+    "$work"/wheels/lumiline_client-*.whl
+(
+    cd "$work/wheels"
+    "$work/client/bin/python" -I -c 'import lumiline.client; lumiline.client.Client().close()'
+    ! "$work/client/bin/python" -I -c 'import numpy' 2>/dev/null
+) || fail "the client does not run alone"
+unset PIP_CONSTRAINT PIP_BUILD_CONSTRAINT
+rm -rf "$work/src/build" "$work/src/lumiline/build"
+
 "$work/src/docker/install.sh" "$work/src" "$work/venv" "${1:-python3.11}"
 "$work/src/docker/prebuild.sh" "$work/venv"
 rm -rf "$work/src"
@@ -54,4 +80,4 @@ test -z "$written" || fail "written outside of the data directory: $written"
 # All kernels that the start needed were built before it.
 new=$(find "$work/data/cache/warp" -type f -newer "$work/data/cache/stamp")
 test -z "$new" || fail "kernels were built at the start: $new"
-echo "docker/check.sh: installed, prebuilt, started, healthy, stopped"
+echo "docker/check.sh: both wheels built, installed, prebuilt, started, healthy, stopped"

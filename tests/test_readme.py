@@ -28,13 +28,13 @@ def blocks(language: str) -> list[str]:
 
 def test_the_table_of_errors_is_what_the_command_prints() -> None:
     from validation.published_errors import DLT, PUBLISHED
-    from validation.tests_5_1_to_5_8 import CASES, LEFT_OUT, METRIC
+    from validation.tests_5_1_to_5_8 import CASES, LEAVE_ONE_OUT, METRIC
 
     result = CASES["test-5.4"].run()
     rows = {
         "thesis, DLT": PUBLISHED["test-5.4"][DLT],
         "Lumiline, fitted points": result.column(METRIC).errors,
-        "Lumiline, points left out of the calibration": result.column(LEFT_OUT).errors,
+        "Lumiline, points left out of the calibration": result.column(LEAVE_ONE_OUT).errors,
     }
     for label, errors in rows.items():
         assert errors is not None

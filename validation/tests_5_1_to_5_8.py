@@ -39,7 +39,7 @@ METRIC = "metric (default)"
 LEAVE_ONE_OUT = "metric, leave one out"
 REPAIRED = "metric, labels mended"
 REPAIRED_LEFT_OUT = "metric, labels mended, leave one out"
-KNOWN_SIGMA = "known cameras, [5.24]"
+KNOWN_CAMERAS = "known cameras, [5.24]"
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def generated_columns(
         _iterative(NORMALISED, known, wanted, scales, normalised=True),
         _metric(calibration, wanted, scales),
         Column(
-            KNOWN_SIGMA,
+            KNOWN_CAMERAS,
             AxisErrors.of(exact),
             tuple(
                 scale.to_mm(model.principal_point_px)

@@ -78,21 +78,23 @@ class PointSolver:
         self._arrays: list[Any] = []
         job = np.zeros(1, dtype=JOB)
 
-        def put(name: str, array: NDArray[Any]) -> None:
+        def keep(array: NDArray[Any]) -> int:
             values: Any = np.ascontiguousarray(array)
             if place.is_cuda:
                 values = wp.array(values, device=place) if values.size else None
-                job[name] = 0 if values is None else values.ptr
-            else:
-                job[name] = address(values)
             self._arrays.append(values)
+            if values is None:
+                return 0
+            return int(values.ptr) if place.is_cuda else address(values)
 
         row = row_length(self.sensors, cuda=bool(place.is_cuda))
-        fill_cameras(job, put, stack, corrections, row)
+        fill_cameras(job["cameras"], keep, stack, corrections, row)
         dofs = range(-3, self.sensors - 2)
-        put("limits", np.array([chi2_limit(f, INCONSISTENCY_SIGNIFICANCE) for f in dofs]))
+        limits = [chi2_limit(f, INCONSISTENCY_SIGNIFICANCE) for f in dofs]
+        job["chi2_limits"] = keep(np.array(limits))
         if parameter_covariance is not None:
-            put("parameters", stack.covariance_blocks(np.asarray(parameter_covariance)))
+            spread = stack.covariance_blocks(np.asarray(parameter_covariance))
+            job["parameter_covariance"] = keep(spread)
         kernel = point_kernel(self.sensors, term_capacity(stack))
         self.launch: CpuLaunch | CudaLaunch = (
             CudaLaunch(wp, kernel, job, self.sensors, place)

@@ -1,7 +1,6 @@
 """A typed client of a Lumiline server: REST resources, and streams as iterators."""
 
-from lumiline.client.async_client import AsyncClient
-from lumiline.client.client import Client
+from lumiline.client.client import AsyncClient, Client
 from lumiline.client.errors import (
     ClientError,
     ServerProblem,

@@ -1,28 +1,91 @@
-"""Client: a server's resources and streams, for programs that wait."""
+"""Client and AsyncClient: requests to a server by HTTP, and its streams."""
 
-from collections.abc import Sequence
+import asyncio
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, Generic, TypeVar
 
-from lumiline.client.beam_holds.methods import BeamHoldMethods
-from lumiline.client.devices.methods import DeviceMethods
-from lumiline.client.recordings.methods import RecordingMethods
-from lumiline.client.registrations.methods import RegistrationMethods
-from lumiline.client.stream import Stream
-from lumiline.client.stream_state import Content, Mode, StreamRequest, start_state
-from lumiline.client.tools.methods import ToolMethods
+import httpx
+
+from lumiline.client.beam_holds import BeamHoldMethods
+from lumiline.client.devices import DeviceMethods
+from lumiline.client.errors import ServerUnreachable, UnreadableMessage, server_problem
+from lumiline.client.exchange import (
+    AsyncRunner,
+    BlockingRunner,
+    ClientMethod,
+    Download,
+    Exchange,
+    HttpRequest,
+    Pause,
+)
+from lumiline.client.recordings import RecordingMethods
+from lumiline.client.registrations import RegistrationMethods
+from lumiline.client.server import KeyBy, Server
+from lumiline.client.stream import AsyncStream, Stream
+from lumiline.client.stream_state import Content, Mode, StreamRequest, StreamState
+from lumiline.client.tools import ToolMethods
+
+Http = TypeVar("Http", httpx.Client, httpx.AsyncClient)
+AnyStream = TypeVar("AnyStream", Stream, AsyncStream)
 
 
-class Client(
+class _SharedClient(
     DeviceMethods,
     ToolMethods,
     RegistrationMethods,
     BeamHoldMethods,
     RecordingMethods,
+    Generic[Http, AnyStream],
 ):
-    """A connection to a server; a context manager that closes it.
+    """Settings, requests and streams of a client; its subclasses add input and output."""
 
-    ``ServerProblem`` is raised where the server refuses, with its reason, ``ServerUnreachable`` where it
-    does not answer.
-    """
+    _http_type: type[Http]
+    _stream_type: type[AnyStream]
+
+    def __init__(
+        self,
+        url: str = "http://127.0.0.1:8000",
+        key: str | None = None,
+        *,
+        key_by: KeyBy = "header",
+        timeout_s: float = 30.0,
+    ) -> None:
+        """Make a client; nothing is sent yet.
+
+        Args:
+            url: of the server.
+            key: an API key, or a token; None: none is needed.
+            key_by: how a stream carries the key: ``header``, or ``subprotocol`` as browsers do.
+            timeout_s: how long an answer is waited for [s]; calibrations from live poses take
+                their own time besides.
+        """
+        self._server = Server(url, key, key_by)
+        self._timeout_s = timeout_s
+        self._http: Http = self._http_type(
+            base_url=self._server.url, headers=self._server.headers, timeout=timeout_s
+        )
+
+    @ClientMethod
+    def request(
+        self,
+        method: str,
+        path: str,
+        *,
+        query: Mapping[str, Any] | None = None,
+        body: Any = None,
+        timeout_s: float | None = None,
+    ) -> Exchange[Any]:
+        """Send any request of the server's interface, and return the JSON that it answers.
+
+        Raises:
+            ServerProblem: the server refused.
+            ServerUnreachable: it did not answer.
+            UnreadableMessage: what it answered is no JSON.
+        """
+        return (yield HttpRequest(method, path, query, body, timeout_s))
 
     def stream(
         self,
@@ -34,19 +97,146 @@ class Client(
         bundle_ms: float | None = None,
         resume: tuple[str, int] | None = None,
         reconnect_s: float = 30.0,
-    ) -> Stream:
-        """Return what a device measures, as it comes.
+    ) -> AnyStream:
+        """Return the stream of a device's measurements; it connects with its first message.
 
         Args:
             device_id: the device.
             content: what frames hold: ``points``, ``peaks``, ``tracks``, ``tools``,
                 ``holds``; ``status``: no frames.
-            mode: ``live``: what is new; ``lossless``: every message, also over lost connections.
-            rate_hz: at most so many frames a second.
-            bundle_ms: frames of so many ms sent together.
+            mode: ``live``: the newest frames; ``lossless``: every message, also over lost
+                connections.
+            rate_hz: highest rate of frames [Hz]; None: every frame.
+            bundle_ms: send the frames of this time [ms] together; None: each by itself.
             resume: with ``lossless``: the stream's id, of ``hello``, and the number of the last
                 message that the program has, to go on after it.
             reconnect_s: how long a lost connection is tried again [s].
+
+        Raises:
+            ValueError: ``resume`` without ``lossless``.
         """
         request = StreamRequest(device_id, tuple(content), mode, rate_hz, bundle_ms)
-        return Stream(start_state(self._server, request, resume, reconnect_s), self._timeout_s)
+        state = StreamState.begin(self._server, request, resume, reconnect_s)
+        return self._stream_type(state, self._timeout_s)
+
+    def _http_arguments(self, step: HttpRequest) -> dict[str, Any]:
+        timeout_s = self._timeout_s if step.timeout_s is None else step.timeout_s
+        query = {name: value for name, value in (step.query or {}).items() if value is not None}
+        return {
+            "method": step.method,
+            "url": step.path,
+            "params": query or None,
+            "json": step.body,
+            "timeout": timeout_s + step.extra_timeout_s,
+        }
+
+
+class Client(_SharedClient[httpx.Client, Stream], BlockingRunner):
+    """A connection to a server, with blocking calls; a context manager that closes it.
+
+    ``ServerProblem`` is raised where the server refuses, with its reason, ``ServerUnreachable``
+    where it does not answer.
+    """
+
+    _http_type = httpx.Client
+    _stream_type = Stream
+
+    def close(self) -> None:
+        """Close the connections; streams have their own."""
+        self._http.close()
+
+    def _perform(self, step: HttpRequest | Download | Pause) -> Any:
+        match step:
+            case HttpRequest():
+                what = f"{step.method} {step.path}"
+                with _connection_errors(what):
+                    response = self._http.request(**self._http_arguments(step))
+                return _json_of(response, what)
+            case Download():
+                with (
+                    _connection_errors(f"GET {step.source}"),
+                    self._http.stream("GET", step.source) as response,
+                ):
+                    if not response.is_success:
+                        _check(response, response.read())
+                    with _whole_file(step.path) as file:
+                        for piece in response.iter_bytes():
+                            file.write(piece)
+                return step.path
+            case Pause():
+                time.sleep(step.seconds)
+        return None
+
+
+class AsyncClient(_SharedClient[httpx.AsyncClient, AsyncStream], AsyncRunner):
+    """A connection to a server, with asyncio; an asynchronous context manager that closes it.
+
+    ``ServerProblem`` is raised where the server refuses, with its reason, ``ServerUnreachable``
+    where it does not answer.
+    """
+
+    _http_type = httpx.AsyncClient
+    _stream_type = AsyncStream
+
+    async def close(self) -> None:
+        """Close the connections; streams have their own."""
+        await self._http.aclose()
+
+    async def _perform(self, step: HttpRequest | Download | Pause) -> Any:
+        match step:
+            case HttpRequest():
+                what = f"{step.method} {step.path}"
+                with _connection_errors(what):
+                    response = await self._http.request(**self._http_arguments(step))
+                return _json_of(response, what)
+            case Download():
+                with _connection_errors(f"GET {step.source}"):
+                    async with self._http.stream("GET", step.source) as response:
+                        if not response.is_success:
+                            _check(response, await response.aread())
+                        with _whole_file(step.path) as file:
+                            async for piece in response.aiter_bytes():
+                                file.write(piece)
+                return step.path
+            case Pause():
+                await asyncio.sleep(step.seconds)
+        return None
+
+
+def _check(response: httpx.Response, body: bytes) -> None:
+    """Raise ServerProblem where the server refused."""
+    if not response.is_success:
+        retry_after = response.headers.get("Retry-After")
+        raise server_problem(response.status_code, body, retry_after)
+
+
+def _json_of(response: httpx.Response, what: str) -> Any:
+    """Return the JSON of a response that has been read; None where it is empty."""
+    _check(response, response.content)
+    if not response.content:
+        return None
+    try:
+        return response.json()
+    except ValueError as error:
+        raise UnreadableMessage(f"{what} did not answer JSON") from error
+
+
+@contextmanager
+def _connection_errors(what: str) -> Iterator[None]:
+    """Raise ServerUnreachable where the connection fails or is lost."""
+    try:
+        yield
+    except httpx.TransportError as error:
+        raise ServerUnreachable(f"{what}: {error or type(error).__name__}") from error
+
+
+@contextmanager
+def _whole_file(path: Path) -> Iterator[IO[bytes]]:
+    """Open a temporary file, which takes its name only when all of it is written."""
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            yield file
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)

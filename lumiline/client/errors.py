@@ -1,11 +1,11 @@
-"""What can go wrong between a program and a server."""
+"""Errors that the client raises."""
 
 import json
 from typing import Any
 
 
 class ClientError(Exception):
-    """Base of every error of the client."""
+    """Base of all errors of the client."""
 
 
 class ServerUnreachable(ClientError):
@@ -13,7 +13,7 @@ class ServerUnreachable(ClientError):
 
 
 class UnreadableMessage(ClientError):
-    """The server sent what is no message of a stream, or no document of its interface."""
+    """The server sent something that is no message of a stream and no document of its API."""
 
 
 class StreamEnded(ClientError):
@@ -31,14 +31,14 @@ class StreamEnded(ClientError):
 
 
 class ServerProblem(ClientError):
-    """The server refused a request, and said why (a problem document, RFC 9457).
+    """The server refused a request, with a reason (problem document, RFC 9457).
 
     Args:
         status: of HTTP.
         code: stable name of the problem, such as ``unknown-device``; the path /problems/CODE of
             the server says what it means. Empty where what answered is no Lumiline server.
         detail: what was wrong, with the value, and what would be right.
-        errors: every place of a request that does not fit, as the document lists them.
+        errors: each invalid member of the request, as the document lists them.
         context: the values by name.
         retry_after_s: how long to wait before asking again [s]; None: not said.
     """
@@ -62,14 +62,14 @@ class ServerProblem(ClientError):
 
 
 def server_problem(status: int, body: bytes, retry_after: str | None = None) -> ServerProblem:
-    """Return the problem that an answer tells of, whatever is in it."""
+    """Return the problem that a response reports; its body may be anything."""
     try:
         document = json.loads(body)
     except ValueError:
         document = None
     if not isinstance(document, dict):
-        told = body[:200].decode("utf-8", "replace").strip()
-        document = {"detail": told or "no reason given"}
+        text = body[:200].decode("utf-8", "replace").strip()
+        document = {"detail": text or "no reason given"}
     kind, errors, context = (document.get(name) for name in ("type", "errors", "context"))
     return ServerProblem(
         status,

@@ -1,4 +1,4 @@
-"""What a stream sends, typed (docs/reference/stream.md). Lengths mm, angles rad, times ns."""
+"""Messages of a stream (docs/reference/stream.md). Lengths mm, angles rad, times ns."""
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
@@ -12,7 +12,7 @@ Matrix = tuple[Vector, ...]
 
 @dataclass(frozen=True, slots=True)
 class BeamHoldSample:
-    """Whether a beam is held: only ``held`` false lets it go on. ``reason`` says why it is."""
+    """State of a beam hold; the beam may be on only where ``held`` is false."""
 
     hold: str
     held: bool
@@ -26,7 +26,7 @@ class BeamHoldSample:
 
 @dataclass(frozen=True, slots=True)
 class BeamHoldEvent:
-    """A beam is held now, or is not any more, or for another cause; sent at once."""
+    """A change of a beam hold's state or cause; sent at once."""
 
     n: int
     device: str
@@ -44,9 +44,9 @@ class BeamHoldEvent:
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """The first message of a connection, and of every one that follows a lost one.
+    """The first message of each connection.
 
-    ``resumed`` is true where a lossless stream goes on without a gap.
+    ``resumed`` is true where a lossless stream continues without a gap.
     """
 
     version: int
@@ -86,11 +86,16 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Missed:
-    """Messages that this client was too slow for: how many, and the number of the first."""
+    """Messages that were dropped because this client was too slow: number of the first, count."""
 
     device: str
     messages: int
     first: int
+
+    @property
+    def last(self) -> int:
+        """Number of the last of them."""
+        return self.first + self.messages - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +112,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """A line of light on a sensor."""
+    """A peak: the image of a marker on a sensor."""
 
     sensor: str
     position_px: float
@@ -138,10 +143,10 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class ToolPose:
-    """A tool's pose; only one whose ``status`` is OK is one to use, else ``reason`` says why.
+    """A tool's pose; use it only where ``status`` is OK, otherwise ``reason`` says why.
 
-    ``covariance`` is of a small turn about the world's axes, on the left, and of the translation,
-    in this order.
+    ``covariance`` is that of a small rotation about the world's axes (left perturbation) and of the
+    translation, in this order.
     """
 
     tool: str
@@ -167,7 +172,7 @@ class ToolPose:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One exposure, with the content that was asked for; None: it was not."""
+    """One exposure; content that was not requested is None."""
 
     n: int
     device: str
@@ -187,7 +192,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class UnknownMessage:
-    """A message of a kind that this client does not know; newer servers may send such."""
+    """A message of a type that this client does not know; a newer server may send it."""
 
     type: str
     members: Mapping[str, Any] = field(default_factory=dict)
@@ -212,54 +217,51 @@ _PARTS: Final[dict[str, type[Any]]] = {
     "holds": BeamHoldSample,
 }
 _MEMBERS: Final[dict[type[Any], tuple[tuple[str, bool], ...]]] = {
-    kind: tuple((one.name, one.default is MISSING) for one in fields(kind))
+    kind: tuple((member.name, member.default is MISSING) for member in fields(kind))
     for kind in (*_KINDS.values(), *_PARTS.values())
 }
 """Members of each kind by name, and whether a message must have them."""
 
 
-def messages_of(given: object) -> tuple[Message, ...]:
-    """Return the messages in what was decoded: one, or those of a bundle.
+def messages_of(payload: object) -> tuple[Message, ...]:
+    """Return the messages of a decoded payload: one, or those of a bundle.
 
     Raises:
-        UnreadableMessage: it is no message.
+        UnreadableMessage: the payload is no message.
     """
-    if not isinstance(given, dict) or not isinstance(given.get("type"), str):
-        raise UnreadableMessage(f"a message of the stream has no type: {str(given)[:100]}")
-    if given["type"] == "frames":
-        bundled = given.get("frames")
+    if not isinstance(payload, dict) or not isinstance(payload.get("type"), str):
+        raise UnreadableMessage(f"a message of the stream has no type: {str(payload)[:100]}")
+    if payload["type"] == "frames":
+        bundled = payload.get("frames")
         if not isinstance(bundled, list):
             raise UnreadableMessage("a bundle of the stream has no frames")
-        return tuple(one for frame in bundled for one in messages_of(frame))
-    kind = _KINDS.get(given["type"])
+        return tuple(message for frame in bundled for message in messages_of(frame))
+    kind = _KINDS.get(payload["type"])
     if kind is None:
-        return (
-            UnknownMessage(
-                given["type"], {key: one for key, one in given.items() if key != "type"}
-            ),
-        )
+        members = {key: value for key, value in payload.items() if key != "type"}
+        return (UnknownMessage(payload["type"], members),)
     if kind in (Frame, Hello):
-        given = dict(given)
+        payload = dict(payload)
         for name, part in _PARTS.items():
-            if given.get(name) is not None:
-                given[name] = tuple(_decode(part, one) for one in given[name])
-    found: Message = _decode(kind, given)
+            if payload.get(name) is not None:
+                payload[name] = tuple(_decode(part, item) for item in payload[name])
+    found: Message = _decode(kind, payload)
     return (found,)
 
 
-def _decode(kind: type[T], given: object) -> T:
-    """Return a message from its members; those that are not known are left aside."""
-    if not isinstance(given, dict):
-        raise UnreadableMessage(f"a {kind.__name__} of the stream is {str(given)[:100]}")
+def _decode(kind: type[T], payload: object) -> T:
+    """Return a message from its members; unknown members are ignored."""
+    if not isinstance(payload, dict):
+        raise UnreadableMessage(f"a {kind.__name__} of the stream is {str(payload)[:100]}")
     values = {}
     for name, needed in _MEMBERS[kind]:
-        if name in given:
-            value = given[name]
-            values[name] = _frozen(value) if isinstance(value, list) else value
+        if name in payload:
+            value = payload[name]
+            values[name] = _to_tuple(value) if isinstance(value, list) else value
         elif needed:
             raise UnreadableMessage(f"a {kind.__name__} of the stream has no {name}")
     return kind(**values)
 
 
-def _frozen(value: list[Any]) -> tuple[Any, ...]:
-    return tuple(_frozen(one) if isinstance(one, list) else one for one in value)
+def _to_tuple(value: list[Any]) -> tuple[Any, ...]:
+    return tuple(_to_tuple(item) if isinstance(item, list) else item for item in value)

@@ -1,4 +1,4 @@
-"""Where a server is, and how a client shows who it is."""
+"""Address of a server, and how a client authenticates."""
 
 from dataclasses import dataclass
 from typing import Final, Literal

@@ -1,9 +1,9 @@
-"""What a stream asks for, what it has, and whether it goes on: the same for both clients."""
+"""State of a stream over its connections: resumption, repeated messages, reconnection."""
 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Self
 from urllib.parse import urlencode
 
 import msgpack
@@ -15,6 +15,7 @@ from websockets.exceptions import (
 )
 
 from lumiline.client.errors import (
+    ServerProblem,
     ServerUnreachable,
     StreamEnded,
     UnreadableMessage,
@@ -38,22 +39,22 @@ Mode = Literal["live", "lossless"]
 POLICY_CLOSE: Final = 1008
 _BACKOFF_S: Final = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 _RETRYABLE_STATUS: Final = frozenset({429, 500, 502, 503, 504})
-MAX_BYTES: Final = 2**26
-"""Largest message that is taken: a bundle of 512 frames with all content is below a tenth."""
+MAX_MESSAGE_BYTES: Final = 2**26
+"""Largest message accepted; a bundle of 512 frames with all content is below a tenth of it."""
 
 
 @dataclass(frozen=True)
 class StreamRequest:
-    """What a stream is to send.
+    """Query of a stream: device, content, mode and rate.
 
     Args:
         device: its id.
         content: what frames hold; ``("status",)``: no frames.
         mode: ``live``: what is new; ``lossless``: every message in order, also over a lost
             connection, as long as the server still has them.
-        rate_hz: at most so many frames a second; None: every frame.
-        bundle_ms: the frames of so many ms in one message of the connection, which costs both
-            sides far less at thousands of frames a second; None: each by itself.
+        rate_hz: highest rate of frames [Hz]; None: every frame.
+        bundle_ms: send the frames of this time [ms] in one message, which costs both sides far
+            less at thousands of frames a second; None: each by itself.
         encoding: ``msgpack``, or ``json``.
     """
 
@@ -65,7 +66,7 @@ class StreamRequest:
     encoding: Literal["msgpack", "json"] = "msgpack"
 
     def query(self, stream: str | None, after: int | None) -> str:
-        """Return the query of a connection; a lossless one goes on after a message."""
+        """Return the URL query of a connection; a lossless one resumes after a message."""
         values: dict[str, Any] = {
             "device": self.device,
             "content": ",".join(self.content),
@@ -81,17 +82,17 @@ class StreamRequest:
 
 @dataclass
 class StreamState:
-    """How far a stream has come, over all of its connections.
+    """State of a stream over all of its connections.
 
     Args:
         server: where it comes from.
-        wish: what it is to send.
+        request: what it is to send.
         reconnect_s: how long a lost connection is tried again [s]; 0: not at all.
         stream: id of the server's numbered messages, from ``resume``; None: from now on.
         last: number of the last message that was received.
-        had: number of the last message that the program has taken.
-        hello: the greeting of the newest connection.
-        reconnections: how often the connection was lost and made again.
+        last_taken: number of the last message that the program has taken.
+        hello: the first message of the newest connection.
+        reconnections: connections that were made again after a loss.
         deleted: whether the device was, which ends the stream.
     """
 
@@ -100,19 +101,43 @@ class StreamState:
     reconnect_s: float = 30.0
     stream: str | None = None
     last: int | None = None
-    had: int | None = None
+    last_taken: int | None = None
     hello: Hello | None = None
     reconnections: int = 0
     deleted: bool = False
     _lost_at_s: float | None = field(default=None, repr=False)
     _tries: int = field(default=0, repr=False)
 
-    def taken(self, message: Message) -> Message:
-        """Return a message that the program takes now, and count it."""
+    @classmethod
+    def begin(
+        cls,
+        server: Server,
+        request: StreamRequest,
+        resume: tuple[str, int] | None = None,
+        reconnect_s: float = 30.0,
+    ) -> Self:
+        """Return the state of a stream before its first connection.
+
+        Args:
+            server: where the stream comes from.
+            request: what it is to send.
+            resume: with ``lossless``: the stream's id and the number of the last message there is.
+            reconnect_s: how long a lost connection is tried again [s].
+
+        Raises:
+            ValueError: only a lossless stream goes on where another ended.
+        """
+        if resume is not None and request.mode != "lossless":
+            raise ValueError("only a lossless stream goes on where another ended")
+        stream, last = resume or (None, None)
+        return cls(server, request, reconnect_s, stream, last)
+
+    def take(self, message: Message) -> Message:
+        """Return a message that the program takes now, and note its number."""
         if isinstance(message, Frame | Status | BeamHoldEvent):
-            self.had = message.n
+            self.last_taken = message.n
         elif isinstance(message, Missed):
-            self.had = message.first + message.messages - 1
+            self.last_taken = message.last
         return message
 
     @property
@@ -122,19 +147,23 @@ class StreamState:
 
     @property
     def options(self) -> dict[str, Any]:
-        """How the websocket is opened, for both of the library's clients."""
+        """Options with which either websocket client connects."""
         return {
             "additional_headers": self.server.stream_headers,
             "subprotocols": self.server.stream_subprotocols,
             "compression": None,
-            "max_size": MAX_BYTES,
+            "max_size": MAX_MESSAGE_BYTES,
             "close_timeout": 2.0,
         }
 
-    def take(self, payload: bytes | str) -> list[Message]:
-        """Return the messages of a payload that the program has not got yet."""
+    def decode(self, payload: bytes | str) -> list[Message]:
+        """Return the messages of a payload that have not been received yet.
+
+        Raises:
+            UnreadableMessage: the payload is no message of a stream.
+        """
         found = []
-        for message in messages_of(_decoded(payload)):
+        for message in messages_of(_unpack(payload)):
             if isinstance(message, Hello):
                 self._handle_hello(message)
             elif isinstance(message, Frame | Status | BeamHoldEvent):
@@ -145,9 +174,9 @@ class StreamState:
                 if isinstance(message, Status):
                     self.deleted = message.state == "deleted"
             elif isinstance(message, Missed):
-                self.last = message.first + message.messages - 1
+                self.last = message.last
             elif isinstance(message, UnknownMessage):
-                self.last = _number(message.members, self.last)
+                self.last = _number_of(message.members, self.last)
             found.append(message)
         return found
 
@@ -160,47 +189,47 @@ class StreamState:
         self.stream, self.hello = hello.stream, hello
 
     def wait_after(self, error: Exception, now_s: float) -> float | None:
-        """Return how long to wait before the next connection [s]; None: the stream has ended.
+        """Time to wait before the next connection [s]; None: the stream has ended.
 
         Args:
             error: what ended the connection, or kept it from being made.
-            now_s: of a clock that does not go back [s].
+            now_s: time of a monotonic clock [s].
 
         Raises:
             StreamEnded: the key was revoked or has expired.
             ServerProblem: the server refused, and would again.
-            ServerUnreachable: it was tried for long enough.
+            ServerUnreachable: the first connection failed, or ``reconnect_s`` has passed.
         """
         if self.deleted:
             return None
         closed = error.rcvd if isinstance(error, ConnectionClosed) else None
         if closed is not None and closed.code == POLICY_CLOSE:
             raise StreamEnded(closed.code, closed.reason) from error
-        told = _refused(error)
-        if told is not None and (told.status not in _RETRYABLE_STATUS or self._first):
-            raise told from error
-        start_state = now_s if self._lost_at_s is None else self._lost_at_s
-        first, self._lost_at_s = self._first, start_state
-        if first or now_s - start_state >= self.reconnect_s:
+        problem = _problem_of(error)
+        if problem is not None and (problem.status not in _RETRYABLE_STATUS or self._first):
+            raise problem from error
+        lost_at_s = now_s if self._lost_at_s is None else self._lost_at_s
+        first, self._lost_at_s = self._first, lost_at_s
+        if first or now_s - lost_at_s >= self.reconnect_s:
             raise ServerUnreachable(
                 f"the stream of {self.server.url} "
                 f"{'could not be opened' if first else 'was lost'}: {error or type(error).__name__}"
             ) from error
         wait = _BACKOFF_S[min(self._tries, len(_BACKOFF_S) - 1)]
         self._tries += 1
-        return min(wait, max(start_state + self.reconnect_s - now_s, 0.0))
+        return min(wait, max(lost_at_s + self.reconnect_s - now_s, 0.0))
 
     @property
     def _first(self) -> bool:
-        """Whether no connection was made yet: what fails then is told at once."""
+        """Whether no connection was made yet; failures are raised at once then."""
         return self.hello is None
 
 
-FAILURES: Final = (OSError, ConnectionClosed, InvalidHandshake, InvalidMessage, EOFError)
+CONNECTION_FAILURES: Final = (OSError, ConnectionClosed, InvalidHandshake, InvalidMessage, EOFError)
 """What the websocket library raises when a connection is lost or is not made."""
 
 
-def _refused(error: Exception) -> Any:
+def _problem_of(error: Exception) -> ServerProblem | None:
     if not isinstance(error, InvalidStatus):
         return None
     response = error.response
@@ -209,12 +238,12 @@ def _refused(error: Exception) -> Any:
     )
 
 
-def _number(members: Mapping[str, Any], last: int | None) -> int | None:
+def _number_of(members: Mapping[str, Any], last: int | None) -> int | None:
     number = members.get("n")
     return number if isinstance(number, int) else last
 
 
-def _decoded(payload: bytes | str) -> object:
+def _unpack(payload: bytes | str) -> object:
     try:
         found: object = (
             json.loads(payload) if isinstance(payload, str) else msgpack.unpackb(payload)
@@ -222,44 +251,3 @@ def _decoded(payload: bytes | str) -> object:
     except (ValueError, msgpack.UnpackException) as error:
         raise UnreadableMessage(f"a message of the stream cannot be decoded: {error}") from error
     return found
-
-
-def start_state(
-    server: Server, request: StreamRequest, resume: tuple[str, int] | None, reconnect_s: float
-) -> StreamState:
-    """Return the state of a stream before its first connection.
-
-    Args:
-        server: where.
-        wish: what is to come.
-        resume: with ``lossless``: the stream's id and the number of the last message there is.
-        reconnect_s: how long a lost connection is tried again [s].
-
-    Raises:
-        ValueError: only a lossless stream goes on where another ended.
-    """
-    if resume is not None and request.mode != "lossless":
-        raise ValueError("only a lossless stream goes on where another ended")
-    stream, last = resume or (None, None)
-    return StreamState(server, request, reconnect_s, stream, last)
-
-
-class StreamProgress:
-    """How far a stream has come, as both kinds of it tell."""
-
-    _state: StreamState
-
-    @property
-    def hello(self) -> Hello | None:
-        """The greeting of the newest connection."""
-        return self._state.hello
-
-    @property
-    def last(self) -> int | None:
-        """Number of the last message taken, to go on from with ``resume``."""
-        return self._state.had
-
-    @property
-    def reconnections(self) -> int:
-        """How often the connection was lost and made again."""
-        return self._state.reconnections

@@ -179,7 +179,7 @@ def _counted(counters: Counters) -> dict[str, Any]:
 
 
 def _show(found: dict[str, Any]) -> None:
-    received, bare, server = found["received"], found["bare"], found["server"]
+    received, bare, server = found["received"], found["baseline"], found["server"]
     table = Table(title=TITLE, title_justify="left")
     table.add_column("figure")
     table.add_column("Lumiline", justify="right")

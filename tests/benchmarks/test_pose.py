@@ -18,7 +18,7 @@ def test_all_methods_end_at_the_same_minimum() -> None:
         assert float(row["worst_error_mm"]) < 1.0
     steps = [row for row in rows if str(row["job"]).startswith("step")]
     assert len(steps) == 3
-    assert {row["method"] for row in steps} == {pose.OURS, f"{pose.OURS}, a single regime"}
+    assert {row["method"] for row in steps} == {pose.OURS, f"{pose.OURS}, a single mode"}
     assert all(float(row["valid_poses"]) >= 9.0 for row in steps)
 
 

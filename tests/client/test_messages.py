@@ -56,7 +56,7 @@ def test_a_pose_of_the_server_is_read_whole(
         "probe", PoseStatus.HIGH_ERROR, "too far off", 1, 2, np.eye(3), np.array(place),
         np.eye(6), np.array(place), np.eye(3), residual, 4, 12,
     )  # fmt: skip
-    (frame,) = state().take(encode({**HEAD, "tools": [pose_message(pose)]}, encoding))
+    (frame,) = state().decode(encode({**HEAD, "tools": [pose_message(pose)]}, encoding))
     assert isinstance(frame, Frame)
     assert frame.tools is not None
     (read,) = frame.tools
@@ -98,9 +98,9 @@ def test_a_bundle_is_its_frames(sequences: list[int], encoding: Any) -> None:
         encode({**HEAD, "sequence": sequence, "n": n}, encoding)
         for n, sequence in enumerate(sequences)
     ]
-    together = state().take(bundle("sim", one_by_one, encoding))
+    together = state().decode(bundle("sim", one_by_one, encoding))
     singly = state()
-    assert together == [message for payload in one_by_one for message in singly.take(payload)]
+    assert together == [message for payload in one_by_one for message in singly.decode(payload)]
     assert [frame.sequence for frame in together if isinstance(frame, Frame)] == sequences
 
 
@@ -124,7 +124,7 @@ def test_what_is_no_message_is_told(given: object) -> None:
 @given(st.binary(max_size=60) | st.text(max_size=60))
 def test_any_payload_is_messages_or_an_error_of_the_client(payload: bytes | str) -> None:
     with contextlib.suppress(UnreadableMessage):
-        assert state().take(payload)
+        assert state().decode(payload)
 
 
 def test_a_program_gets_every_message_once_and_says_where_it_is() -> None:
@@ -132,7 +132,7 @@ def test_a_program_gets_every_message_once_and_says_where_it_is() -> None:
     assert "after" not in stream.url
 
     def numbers_of(*messages: dict[str, Any]) -> list[int]:
-        taken = [one for message in messages for one in stream.take(msgpack.packb(message))]
+        taken = [one for message in messages for one in stream.decode(msgpack.packb(message))]
         return [one.n for one in taken if isinstance(one, Frame | Status)]
 
     assert numbers_of(HELLO, {**HEAD, "n": 5}, {**HEAD, "n": 6}) == [5, 6]
@@ -141,7 +141,7 @@ def test_a_program_gets_every_message_once_and_says_where_it_is() -> None:
     again = {**HELLO, "next": 6, "resumed": True}
     assert numbers_of(again, {**HEAD, "n": 6}, {**HEAD, "n": 7}) == [7]
     lost = missed_message("sim", 10, 8)
-    assert stream.take(msgpack.packb(lost)) == [Missed("sim", 10, 8)]
+    assert stream.decode(msgpack.packb(lost)) == [Missed("sim", 10, 8)]
     assert stream.last == 17
     told = {**status_message("sim", "stopped", None), "n": 18}
     assert numbers_of(told) == [18]

@@ -1,7 +1,6 @@
 """Resources of a real server, through both clients."""
 
 import asyncio
-import inspect
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -82,7 +81,7 @@ def test_points_from_readings(ask: Ask) -> None:
 
 
 def test_a_list_of_many_pages_is_read_whole(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lumiline.client.api_request.PAGE", 2)
+    monkeypatch.setattr("lumiline.client.exchange.PAGE_SIZE", 2)
     for _ in range(5):
         ask("reconstruct", "sim", {"a": {simulated_rig()[0].model.name: 1000.0}})
     found = ask("reconstructions", "sim")
@@ -239,14 +238,3 @@ def test_a_key_is_shown_nowhere() -> None:
     assert server.stream_url == "ws://a/lumi/api/v1/stream"
     assert server.stream_subprotocols == ["lumiline.v1", "lumiline.bearer.lumi_secret"]
     assert server.stream_headers == {}
-
-
-def test_both_clients_have_the_same_methods() -> None:
-    def methods(kind: type[Any]) -> dict[str, list[str]]:
-        return {
-            name: [str(one) for one in inspect.signature(member).parameters.values()]
-            for name, member in inspect.getmembers(kind, inspect.isfunction)
-            if not name.startswith("_")
-        }
-
-    assert methods(Client) == methods(AsyncClient)

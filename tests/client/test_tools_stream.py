@@ -133,7 +133,7 @@ def test_a_point_is_measured_and_registered(server: str, tool: str) -> None:
         )
         client.request("DELETE", "/api/v1/registrations/touched")
         assert np.allclose(np.array(made.matrix)[:3, 3], point.position_mm, atol=1.0)
-        asked = dict(made.asked)["fiducials"][0]
+        asked = dict(made.request)["fiducials"][0]
         assert asked["measured_mm"] == list(point.position_mm)
         assert asked["measured_covariance_mm2"] == [list(row) for row in point.covariance_mm2]
 

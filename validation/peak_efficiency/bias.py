@@ -14,7 +14,7 @@ from compute.signal.fit.width_prior import width_prior
 from compute.signal.fit.window_model import Windows, evaluate
 from compute.signal.peaks import PeakBatch
 from validation.peak_efficiency.monte_carlo import (
-    KNOWN_SIGMA,
+    KNOWN_WIDTH,
     Errors,
     Setting,
     errors_of,
@@ -87,7 +87,7 @@ def bias_figures(setting: Setting, name: str, count: int, seed: int = 1) -> Bias
 
     Args:
         setting: the line.
-        name: what the fit knows of its width: KNOWN_SIGMA, FITTED, ...
+        name: what the fit knows of its width: KNOWN_WIDTH, FITTED, ...
         count: number of lines.
         seed: of the noise.
     """
@@ -102,7 +102,7 @@ def bias_figures(setting: Setting, name: str, count: int, seed: int = 1) -> Bias
         some = slice(begin, min(begin + _BLOCK, count))
         lines = expose(gaussian_electrons(place[some, None], width, (setting.light,)), read, rng)
         first_order[some] = first_order_errors(
-            setting, place[some], lines, width_known=name == KNOWN_SIGMA
+            setting, place[some], lines, width_known=name == KNOWN_WIDTH
         )
         parts.append(vars(finder.find(lines)))
     found = PeakBatch(**{key: np.concatenate([part[key] for part in parts]) for key in parts[0]})
@@ -112,7 +112,7 @@ def bias_figures(setting: Setting, name: str, count: int, seed: int = 1) -> Bias
     some_found = PeakBatch(**{key: values[near] for key, values in vars(found).items()})
     places = MIDDLE_PX + (np.arange(_PLACES) + 0.5) / (2 * _PLACES)
     strict = position_bounds(
-        places[:, None], [setting.light], AMBIENT, PIXELS, fit_settings(KNOWN_SIGMA, width), noise,
+        places[:, None], [setting.light], AMBIENT, PIXELS, fit_settings(KNOWN_WIDTH, width), noise,
         only_positions=True,
     )  # fmt: skip
     return Bias(

@@ -10,7 +10,7 @@ from validation.peak_efficiency.monte_carlo import (
     EDGE,
     FITTED,
     GRAVITY,
-    KNOWN_SIGMA,
+    KNOWN_WIDTH,
     PRIOR,
     SETTINGS,
     WRONG_WIDTH,
@@ -38,7 +38,7 @@ def compute_tables() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     shapes, shape_findings = shape_tables()
     biases = {
         name: [bias_figures(setting, name, BIAS_LINES) for setting in FAINT]
-        for name in (KNOWN_SIGMA, FITTED, DEFAULT)
+        for name in (KNOWN_WIDTH, FITTED, DEFAULT)
     }
     tables = (_known(lines), _others(lines), _gravity(lines), _bias(biases), *shapes)
     return tables, (*_findings(lines), _biased(biases), *shape_findings)
@@ -58,7 +58,7 @@ def _known(lines: Sequence[Efficiency]) -> ResultTable:
         lambda line: (
             round(line.found, 4),
             round(line.strict_px, 4),
-            *_beside(line, line.errors[KNOWN_SIGMA]),
+            *_beside(line, line.errors[KNOWN_WIDTH]),
         ),
     )
 
@@ -152,20 +152,20 @@ def _findings(lines: Sequence[Efficiency]) -> tuple[str, ...]:
     def squares(name: str) -> list[float]:
         return [line.errors[name].nees for line in good]
 
-    biased = max(good, key=lambda line: line.errors[KNOWN_SIGMA].bias_px / line.strict_px)
-    bias = biased.errors[KNOWN_SIGMA]
+    biased = max(good, key=lambda line: line.errors[KNOWN_WIDTH].bias_px / line.strict_px)
+    bias = biased.errors[KNOWN_WIDTH]
     where = _where
 
     return (
         (
             f"Of {len(lines)} settings {len(good)} have a bound below {USEFUL_PX} px. There the "
-            f"fit with the width known has {min(ratios(KNOWN_SIGMA)):.3f} to {max(ratios(KNOWN_SIGMA)):.3f} "
+            f"fit with the width known has {min(ratios(KNOWN_WIDTH)):.3f} to {max(ratios(KNOWN_WIDTH)):.3f} "
             "of the bound for which nothing but the position is unknown, give or take "
             f"{(2 * LINES) ** -0.5:.3f} by chance. Its bias, at the worst place in a pixel, is "
             f"{bias.bias_px / biased.strict_px:.3f} +- "
             f"{bias.bias_error_px / biased.strict_px:.3f} of the bound at most "
             f"({bias.bias_px:.4f} px: {where(biased)}), and the squared errors in stated "
-            f"deviations average {min(squares(KNOWN_SIGMA)):.2f} to {max(squares(KNOWN_SIGMA)):.2f}."
+            f"deviations average {min(squares(KNOWN_WIDTH)):.2f} to {max(squares(KNOWN_WIDTH)):.2f}."
         ),
         (
             "A symmetric line's position is not correlated with light, level and width: unknown, "
@@ -189,7 +189,7 @@ def _findings(lines: Sequence[Efficiency]) -> tuple[str, ...]:
         (
             "Past the bound of 0.2 px, the fit with the width known: "
             + "; ".join(
-                f"{line.errors[KNOWN_SIGMA].rms_px / line.strict_px:.2f} of {line.strict_px:.2f} px "
+                f"{line.errors[KNOWN_WIDTH].rms_px / line.strict_px:.2f} of {line.strict_px:.2f} px "
                 f"({where(line)}, {100 * line.found:.0f} % found)"
                 for line in faint
             )
@@ -229,7 +229,7 @@ def _inconsistent_sigma(good: Sequence[Efficiency]) -> str:
     return (
         f"Squared errors in stated deviations that average outside {1 - NEES_TOLERANCE:.2f} to "
         f"{1 + NEES_TOLERANCE:.2f} (+- {(2 / LINES) ** 0.5:.3f} by chance): with the width known "
-        f"{beyond(KNOWN_SIGMA)}. As FitSettings comes {beyond(DEFAULT)}. With the width unknown "
+        f"{beyond(KNOWN_WIDTH)}. As FitSettings comes {beyond(DEFAULT)}. With the width unknown "
         f"{beyond(FITTED)}. In faint light a fitted width varies by about a fifth, and a deviation "
         "stated for the likeliest width would be too small where that comes out too narrow: their "
         "deviations are averaged over the widths that the pixels leave open (FitSettings, Unknown "
@@ -255,7 +255,7 @@ def _biased(biases: dict[str, list[Bias]]) -> str:
     ]
     return (
         f"Of biases 0.002 px or 2 % of the bound, the larger, is allowed. Nearest to it, by "
-        f"{BIAS_LINES} lines of each kind: with the width known {most(KNOWN_SIGMA)}, with the width "
+        f"{BIAS_LINES} lines of each kind: with the width known {most(KNOWN_WIDTH)}, with the width "
         f"fitted {most(FITTED)}, as FitSettings comes {most(DEFAULT)}. More than is allowed: "
         f"{'; '.join(beyond) or 'nowhere'}. A line of 0.6 px, believed narrower or wider, is drawn "
         "towards or from its pixel's middle."

@@ -37,7 +37,7 @@ READ_NOISES: Final = (5.0, 20.0, 50.0)
 PHASES: Final = 16
 """Parts of a pixel over which the bias is looked at."""
 
-KNOWN_SIGMA, FITTED, PRIOR = "width known", "width fitted", "width within 10 %"
+KNOWN_WIDTH, FITTED, PRIOR = "width known", "width fitted", "width within 10 %"
 DEFAULT = "as it comes"
 """FitSettings without a word: next to nothing is known of the width."""
 GRAVITY, EDGE = "centre of gravity", "edge-corrected"
@@ -104,7 +104,7 @@ class Efficiency:
 
 def fit_settings(name: str, width_px: float) -> FitSettings:
     """Return what an estimator knows of the width."""
-    if name == KNOWN_SIGMA:
+    if name == KNOWN_WIDTH:
         return FitSettings(width_px=width_px, width_log_sigma=0.0)
     if name == DEFAULT:
         return FitSettings()
@@ -127,7 +127,7 @@ def efficiency(setting: Setting, count: int, seed: int = 1) -> Efficiency:
     place = places_px(count, rng)
     electrons = gaussian_electrons(place[:, None], width, (light,))
     lines = expose(electrons, read, rng)
-    noise, known = line_noise(read), fit_settings(KNOWN_SIGMA, width)
+    noise, known = line_noise(read), fit_settings(KNOWN_WIDTH, width)
     strict, nuisance = (
         position_bounds(
             place[:: max(count // 64, 1), None], [light], AMBIENT, PIXELS,
@@ -142,9 +142,9 @@ def efficiency(setting: Setting, count: int, seed: int = 1) -> Efficiency:
     amplitude = float(electrons.max(axis=1).mean()) / GAIN
     errors = {}
     start = nearest(find(lines, known.search, read), place, width, amplitude, rng)
-    for name in (KNOWN_SIGMA, FITTED, PRIOR, DEFAULT):
+    for name in (KNOWN_WIDTH, FITTED, PRIOR, DEFAULT):
         fitted = fit_lines(lines, fit_settings(name, width), noise, candidates=start.peaks)
-        given = first_order if name == KNOWN_SIGMA else of_free
+        given = first_order if name == KNOWN_WIDTH else of_free
         errors[name] = errors_of(match_true_peaks(fitted, place), fitted, place, given)
     for name, weighting in _WEIGHTINGS.items():
         settings = CentroidSettings(weighting=weighting, min_width_px=1)
@@ -171,7 +171,7 @@ def first_order_errors(
         (MIDDLE_PX + half) * each,
         line_noise(setting.read_noise),
     )
-    known = fit_settings(KNOWN_SIGMA, setting.width_px)
+    known = fit_settings(KNOWN_WIDTH, setting.width_px)
     model = evaluate(windows, parameters, layout, known, LineSpreadFunction.gaussian())
     jacobian = model.jacobian[:, :-1] if width_known else model.jacobian
     weighted = jacobian / model.variance[:, None]

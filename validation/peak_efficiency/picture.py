@@ -11,7 +11,7 @@ from validation.peak_efficiency.monte_carlo import (
     EDGE,
     FITTED,
     GRAVITY,
-    KNOWN_SIGMA,
+    KNOWN_WIDTH,
     LIGHTS,
     WIDTHS_PX,
     Setting,
@@ -19,7 +19,7 @@ from validation.peak_efficiency.monte_carlo import (
 )
 
 _READ_NOISE = 20.0
-_MARKS = {KNOWN_SIGMA: "o-", FITTED: "s--", GRAVITY: "v-", EDGE: "^-"}
+_MARKS = {KNOWN_WIDTH: "o-", FITTED: "s--", GRAVITY: "v-", EDGE: "^-"}
 
 
 def draw(path: Path) -> None:

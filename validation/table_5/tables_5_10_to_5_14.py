@@ -30,7 +30,7 @@ from validation.table_5.calibration_frame import (
 from validation.table_5.error_statistics import of_column, printed, statistics_tables
 from validation.tests_5_1_to_5_8 import (
     AS_PUBLISHED,
-    KNOWN_SIGMA,
+    KNOWN_CAMERAS,
     METRIC,
     NORMALISED,
     generated_columns,
@@ -294,7 +294,7 @@ def _table_5_14() -> Worked:
             "by known cameras, and by the metric calibration",
             {
                 "thesis, BA": printed("5.14", "BA"),
-                **{label: of_column(columns[label]) for label in (KNOWN_SIGMA, METRIC)},
+                **{label: of_column(columns[label]) for label in (KNOWN_CAMERAS, METRIC)},
             },
         ),
     )

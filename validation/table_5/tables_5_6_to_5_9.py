@@ -4,7 +4,7 @@ from typing import Final
 
 from validation.result_tables import ResultTable, TablesCase
 from validation.table_5.error_statistics import of_column, printed, statistics_tables
-from validation.tests_5_1_to_5_8 import AS_PUBLISHED, CASES, KNOWN_SIGMA, METRIC, NORMALISED
+from validation.tests_5_1_to_5_8 import AS_PUBLISHED, CASES, KNOWN_CAMERAS, METRIC, NORMALISED
 
 Worked = tuple[tuple[ResultTable, ...], tuple[str, ...]]
 
@@ -34,7 +34,7 @@ def _table_5_6() -> Worked:
 
 
 def _table_5_7() -> Worked:
-    tables = _columns("5.7", "BA", "test-5.2", KNOWN_SIGMA, METRIC)
+    tables = _columns("5.7", "BA", "test-5.2", KNOWN_CAMERAS, METRIC)
     return tables, (
         (
             "The thesis's cameras are known here, not calibrated: what is left is the rounding of "
@@ -46,9 +46,9 @@ def _table_5_7() -> Worked:
 def _table_5_8() -> Worked:
     tables = (
         *_columns("5.8", "Test 5.5, DLT", "test-5.5", AS_PUBLISHED, NORMALISED, METRIC),
-        *_columns("5.8", "Test 5.5, BA", "test-5.5", KNOWN_SIGMA),
+        *_columns("5.8", "Test 5.5, BA", "test-5.5", KNOWN_CAMERAS),
         *_columns("5.8", "Test 5.6, DLT", "test-5.6", AS_PUBLISHED, NORMALISED, METRIC),
-        *_columns("5.8", "Test 5.6, BA", "test-5.6", KNOWN_SIGMA),
+        *_columns("5.8", "Test 5.6, BA", "test-5.6", KNOWN_CAMERAS),
     )
     return tables, (
         (

@@ -7,16 +7,17 @@ from typing import Final
 
 import warp as wp
 
-from compute.optics.tracing.ray_kernel_source import WITH_TOROIDS, WITHOUT_TOROIDS
-
-# Its greeting and its compile times are nothing to a user of ours.
-wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
+from compute.native.headers import module_options
 
 # Without fused multiply-adds, both devices round as NumPy does.
-OPTIONS: Final = {"enable_backward": False, "fast_math": False, "fuse_fp": False}
+OPTIONS: Final = module_options("compute/optics/tracing/native/ray_tracing.h", fuse_fp=False)
+_CALL: Final = (
+    "lumiline::tracing::trace_ray<{}>"
+    "(ray, rays, rays_address, surfaces_address, image, results_address);"
+)
 
 
-@wp.func_native(WITH_TOROIDS)  # type: ignore[untyped-decorator]
+@wp.func_native(_CALL.format("true"))  # type: ignore[untyped-decorator]
 def _trace_one_ray(
     ray: int,
     rays: int,
@@ -27,7 +28,7 @@ def _trace_one_ray(
 ) -> None: ...
 
 
-@wp.func_native(WITHOUT_TOROIDS)  # type: ignore[untyped-decorator]
+@wp.func_native(_CALL.format("false"))  # type: ignore[untyped-decorator]
 def _trace_one_ray_without_toroids(
     ray: int,
     rays: int,

@@ -172,14 +172,14 @@ def _polarisations(d: Vectors) -> tuple[Vectors, Vectors]:
 def _into_frame(record: np.void, origin: Vectors, direction: Vectors) -> tuple[Vectors, Vectors]:
     vertex, r = record["vertex_mm"], record["rotation"]
     moved = (origin[0] - vertex[0], origin[1] - vertex[1], origin[2] - vertex[2])
-    if not record["turned"]:
+    if not record["is_rotated"]:
         return moved, direction
     return _times(r.T, moved), _times(r.T, direction)
 
 
 def _out_of_frame(record: np.void, position: Vectors) -> Vectors:
     vertex = record["vertex_mm"]
-    if record["turned"]:
+    if record["is_rotated"]:
         position = _times(record["rotation"], position)
     return position[0] + vertex[0], position[1] + vertex[1], position[2] + vertex[2]
 
@@ -220,7 +220,7 @@ def _refract(
     else:
         own = normal(record, position)
         cosine = dot(local, own)
-        n = _times(record["rotation"], own) if record["turned"] else own
+        n = _times(record["rotation"], own) if record["is_rotated"] else own
     inner = abs(cosine)
     square = 1.0 - ratio * ratio * (1.0 - inner * inner)
     outer = np.sqrt(square)

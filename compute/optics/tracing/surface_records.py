@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.native.records import Record
 from compute.optics.tracing.shapes import Plane, Toroid
 from compute.optics.tracing.surfaces import Surface, SurfaceStack
 
@@ -20,28 +21,30 @@ class Form(IntEnum):
     TOROID = 2
 
 
-SURFACE_RECORD: Final = np.dtype(
-    [
-        ("form", "<i4"),
-        ("turned", "<i4"),  # its rotation is not the identity
-        ("refracts", "<i4"),  # the indices before and behind it differ
-        ("elliptical", "<i4"),
-        ("vertex_mm", "<f8", 3),
-        ("rotation", "<f8", (3, 3)),  # own frame to the system's
-        ("cx", "<f8"),
-        ("cy", "<f8"),
-        ("e", "<f8"),  # (1 + conic constant) x curvature of the profile
-        ("index_before", "<f8"),
-        ("index_behind", "<f8"),
-        ("ratio", "<f8"),  # index before / index behind
-        ("half_width_mm", "<f8"),
-        ("half_height_mm", "<f8"),
-        ("profile_reach_mm", "<f8"),  # of a toroid: where the profile ends in x
-        ("reach_mm", "<f8"),  # of a toroid: no point is farther from the vertex
-        ("radius_mm", "<f8"),  # of a toroid: the smaller of its radii
-    ]
+SURFACE: Final = Record(
+    "Surface",
+    {
+        "form": "int",
+        "is_rotated": "int",  # its rotation is not the identity
+        "refracts": "int",  # the indices before and behind it differ
+        "elliptical": "int",
+        "vertex_mm": "double[3]",
+        "rotation": "double[3][3]",  # own frame to the system's
+        "cx": "double",
+        "cy": "double",
+        "e": "double",  # (1 + conic constant) x curvature of the profile
+        "index_before": "double",
+        "index_behind": "double",
+        "ratio": "double",  # index before / index behind
+        "half_width_mm": "double",
+        "half_height_mm": "double",
+        "profile_reach_mm": "double",  # of a toroid: where the profile ends in x
+        "reach_mm": "double",  # of a toroid: no point is farther from the vertex
+        "radius_mm": "double",  # of a toroid: the smaller of its radii
+    },
 )
-"""One surface. The kernel has the same record in C."""
+SURFACE_RECORD: Final = SURFACE.dtype
+"""One surface."""
 
 Records = NDArray[np.void]
 
@@ -88,7 +91,7 @@ def _fill(record: np.void, surface: Surface) -> None:
         if isinstance(shape, Toroid)
         else Form.QUADRIC
     )
-    record["turned"] = any(surface.rotation_vector_rad)
+    record["is_rotated"] = any(surface.rotation_vector_rad)
     record["vertex_mm"], record["rotation"] = surface.vertex_mm, surface.rotation
     record["cx"], record["cy"], record["e"] = cx, cy, (1.0 + shape.conic) * cx
     if isinstance(shape, Toroid):

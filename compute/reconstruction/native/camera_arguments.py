@@ -1,4 +1,4 @@
-"""What kernels are given of cameras and their correction table: the fields that records share."""
+"""Cameras and their correction table as the record that kernels read."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,44 +11,42 @@ from compute.mapping.table import CorrectionTable
 from compute.reconstruction.native.kernel_arguments import CAMERA_FIELDS
 
 Array = NDArray[np.float64]
-Put = Callable[[str, NDArray[Any]], None]
-"""Keeps an array where the kernel reads it, and writes its address into the record's field."""
+Keep = Callable[[NDArray[Any]], int]
+"""Keeps an array where the kernel reads it, and returns its address there."""
 
 
 def fill_cameras(
-    job: NDArray[np.void],
-    put: Put,
+    record: NDArray[np.void],
+    keep: Keep,
     cameras: CameraStack,
     corrections: CorrectionTable | None,
     row: int,
 ) -> None:
-    """Write cameras and table into a record with the fields of JOB, or with those that it has.
+    """Write cameras and their table into a record of CAMERAS.
 
     Args:
-        job: one record.
-        put: for the arrays.
+        record: the record.
+        keep: for the arrays.
         cameras: S cameras.
         corrections: their table; None: none.
         row: length of rows with a value for each sensor, as of ``row_length``.
     """
-    put("cameras", _filled(_fields(cameras), row))
-    put("coefficients", _filled(cameras.coefficients.T, row))
-    put("powers", np.array(cameras.terms, dtype=np.int32).reshape(-1, 2))
-    job["terms"] = len(cameras.terms)
-    job["top_power"] = max((max(term) for term in cameras.terms), default=0)
+    record["models"] = keep(_filled(_fields(cameras), row))
+    record["coefficients"] = keep(_filled(cameras.coefficients.T, row))
+    record["powers"] = keep(np.array(cameras.terms, dtype=np.int32).reshape(-1, 2))
+    record["terms"] = len(cameras.terms)
+    record["max_power"] = max((max(term) for term in cameras.terms), default=0)
     if corrections is None:
         return
-    has = job.dtype.names or ()
     for name, values in (
-        ("values", corrections.coefficients_px),
-        ("variance", corrections.variance_px2),
-        ("valid", corrections.valid.astype(np.uint8)),
+        ("table_values", corrections.coefficients_px),
+        ("table_variance", corrections.variance_px2),
+        ("table_valid", corrections.valid.astype(np.uint8)),
     ):
-        if name in has:
-            put(name, _filled(np.moveaxis(values, 0, -1), row))
-    job["degree"] = corrections.degree
-    job["cells_x"], job["cells_y"], job["cells_z"] = corrections.grid.cells
-    job["origin"], job["pitch"] = corrections.grid.origin_mm, corrections.grid.pitch_mm
+        record[name] = keep(_filled(np.moveaxis(values, 0, -1), row))
+    record["degree"] = corrections.degree
+    record["cells"] = corrections.grid.cells
+    record["origin_mm"], record["pitch_mm"] = corrections.grid.origin_mm, corrections.grid.pitch_mm
 
 
 def _filled(values: NDArray[Any], row: int) -> NDArray[Any]:

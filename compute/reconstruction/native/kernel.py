@@ -4,16 +4,11 @@ Only ``compute.reconstruction.solver`` imports this module, when a solver is mad
 """
 
 from functools import cache
-from typing import Any, Final
+from typing import Any
 
 import warp as wp
 
-from compute.reconstruction.native.triangulation import point_source
-
-# Its greeting and its compile times are nothing to a user of ours.
-wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
-
-OPTIONS: Final = {"enable_backward": False, "fast_math": False}
+from compute.native.headers import module_options
 
 
 @cache
@@ -25,9 +20,12 @@ def point_kernel(sensors: int, capacity: int) -> Any:
 
     def make_point(number: int, job_address: wp.uint64) -> None: ...
 
-    native = wp.func_native(point_source(sensors, capacity))(make_point)
+    native = wp.func_native(f"lumiline::solve_point<{sensors}, {capacity}>(number, job_address);")(
+        make_point
+    )
 
     def solve_points(job_address: wp.uint64) -> None:
         native(wp.tid(), job_address)
 
-    return wp.kernel(module="unique", module_options=OPTIONS)(solve_points)
+    options = module_options("compute/reconstruction/native/triangulation.h")
+    return wp.kernel(module="unique", module_options=options)(solve_points)

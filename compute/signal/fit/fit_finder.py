@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.signal.fit.fit_settings import FitSettings
+from compute.signal.fit.fitted_record import fitted_line_record
 from compute.signal.fit.kernel_parameters import pack_plan
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peak_finder import PeakFinder
@@ -47,7 +48,7 @@ class FitFinder(PeakFinder):
         # Here and not above: Warp takes a second to load, and the types are used without it.
         import warp as wp
 
-        from compute.signal.fit.fit_kernel import fit_peaks, fitted_line_record
+        from compute.signal.fit.fit_kernel import fit_peaks
         from compute.signal.native.cuda_launch_sizes import FIT_LINES_PER_WARP
         from compute.signal.native.kernel_runner import ScanKernelRunner
 

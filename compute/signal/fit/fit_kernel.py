@@ -5,44 +5,20 @@ Only ``compute.signal.fit.fit_finder`` imports this module, when a finder is mad
 
 from typing import Final
 
-import numpy as np
 import warp as wp
 
-from compute.signal.fit.fit_source import FIT_PEAKS
+from compute.native.headers import module_options
 from compute.signal.native.centroid_source import FIND_PEAKS
 from compute.signal.native.cuda_launch_sizes import FIT_LAUNCH_BOUNDS
-from compute.signal.native.peak_record import line_record
-from compute.signal.peaks import MAX_JOINT_PEAKS
 
-# Its greeting and its compile times are nothing to a user of ours.
-wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
 # Without fused multiply-adds, CUDA rounds as the CPU does.
-wp.set_module_options({"enable_backward": False, "fast_math": False, "fuse_fp": False})
+wp.set_module_options(module_options("compute/signal/fit/native/fit_peaks.h", fuse_fp=False))
 
-FITTED_RECORD: Final = np.dtype(
-    [
-        ("position_px", "<f8"),
-        ("sigma_px", "<f4"),
-        ("amplitude", "<f4"),
-        ("width_px", "<f4"),
-        ("flags", "<i4"),
-        ("reduced_chi2", "<f4"),
-        ("covariance_px2", "<f4", (MAX_JOINT_PEAKS - 1,)),
-    ]
+_FIT_PEAKS: Final = (
+    "lumiline::signal::fit_peaks({lines_address, lines, pixels, lines_per_warp, "
+    "dark_variance_address, photon_variance_address, offset_address, full_scale_address, "
+    "sensors, max_peaks, plan_address, records_address, record_bytes}, number);"
 )
-"""One fitted peak as the kernel writes it."""
-
-
-def fitted_line_record(max_peaks: int) -> np.dtype[np.void]:
-    """Return the type of one line's record: fitted peaks, then the candidates of the search."""
-    return np.dtype(
-        [
-            ("count", "<i4"),
-            ("truncated", "<i4"),
-            ("peaks", FITTED_RECORD, (max_peaks,)),
-            ("candidates", line_record(max_peaks)),
-        ]
-    )
 
 
 @wp.func_native(FIND_PEAKS)  # type: ignore[untyped-decorator]
@@ -68,7 +44,7 @@ def _find_candidates(
 ) -> None: ...
 
 
-@wp.func_native(FIT_PEAKS)  # type: ignore[untyped-decorator]
+@wp.func_native(_FIT_PEAKS)  # type: ignore[untyped-decorator]
 def _fit_peaks(
     number: int,
     lines_address: wp.uint64,

@@ -31,7 +31,7 @@ class GroupFit:
         position_px: of the peaks, in ascending order [px], shape (K,).
         sigma_px: their standard deviations [px], shape (K,).
         amplitude: light in a pixel about the line's middle [counts], shape (K,).
-        dark_corrected_counts: light of each line [counts], shape (K,).
+        light_counts: light of each line [counts], shape (K,).
         light_electrons: the same [electrons], shape (K,).
         width_px: the group's width: a Gaussian's deviation, or in the shape's own unit [px].
         width_sigma_px: its standard deviation [px]; zero where it is known.
@@ -52,7 +52,7 @@ class GroupFit:
     position_px: Array
     sigma_px: Array
     amplitude: Array
-    dark_corrected_counts: Array
+    light_counts: Array
     light_electrons: Array
     width_px: float
     width_sigma_px: float

@@ -6,50 +6,41 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.native.records import Record
 from compute.signal.fit.fit_settings import NARROW_POWER, WIDTH_LIMITS_PX, FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 
-_PLAN: Final = np.dtype(
-    [
-        *[
-            (name, "<f8")
-            for name in (
-                "width_px",
-                "log_width",
-                "prior",
-                "reach",
-                "shape_error2",
-                "min_start",
-                "max_start",
-                "min_log",
-                "max_log",
-                "width_unit",
-                "margin",
-                "first",
-                "inverse_step",
-                "first_node",
-                "node_step",
-                "narrow4",
-            )
-        ],
-        *[
-            (name, "<i4")
-            for name in (
-                "max_joint_peaks",
-                "sloped",
-                "width_is_fitted",
-                "has_prior",
-                "sensors",
-                "nodes",
-                "pieces",
-                "limits",
-                "further_peaks",
-            )
-        ],
-    ],
-    align=True,
+PLAN: Final = Record(
+    "Plan",
+    {
+        "width_px": "double",
+        "log_width": "double",
+        "prior": "double",
+        "reach": "double",
+        "shape_error2": "double",
+        "min_start": "double",
+        "max_start": "double",
+        "min_log": "double",
+        "max_log": "double",
+        "width_unit": "double",
+        "margin": "double",
+        "first": "double",
+        "inverse_step": "double",
+        "first_node": "double",
+        "node_step": "double",
+        "narrow4": "double",
+        "max_joint_peaks": "int",
+        "sloped": "int",
+        "width_is_fitted": "int",
+        "has_prior": "int",
+        "sensors": "int",
+        "nodes": "int",
+        "pieces": "int",
+        "limits": "int",
+        "further_peaks": "int",
+    },
 )
-"""The kernel's ``Plan``."""
+"""What of the settings and the line shape the kernel reads."""
 
 
 def pack_plan(settings: FitSettings, shape: LineSpreadFunction) -> NDArray[np.uint64]:
@@ -67,8 +58,8 @@ def pack_plan(settings: FitSettings, shape: LineSpreadFunction) -> NDArray[np.ui
     limits = settings.chi2_limits()
     sensors, nodes, places = shape.cumulative.shape
     # The pieces in float32 are read 16 bytes at a time.
-    limits = np.append(limits, np.full((_PLAN.itemsize // 8 + len(limits)) % 2, np.inf))
-    plan = np.zeros((), _PLAN)
+    limits = np.append(limits, np.full((PLAN.dtype.itemsize // 8 + len(limits)) % 2, np.inf))
+    plan = np.zeros((), PLAN.dtype)
     plan["width_px"] = settings.width_px
     plan["log_width"] = log(settings.width_px)
     plan["prior"] = spread**-2 if 0.0 < spread < np.inf else 0.0

@@ -1,9 +1,8 @@
 """Native sources of the kernels: C++ for the CPU and for CUDA, from lines to peaks.
 
 They are native, because the compiler vectorises their search for bright pixels and does not
-vectorise a loop of Warp's own over the pixels (a factor of eight on the CPU). Each module holds
-one step as text; a kernel's source is their concatenation. Every decision is taken in integers,
-so that all devices take the same.
+vectorise a loop of Warp's own over the pixels (a factor of eight on the CPU). Every decision is
+taken in integers, so that all devices take the same.
 
 On the CPU one thread takes a line from its first pixel to its last. On CUDA a warp takes a few
 lines: its 32 lanes read them together, 16 bytes at a time, and note the groups of pixels that

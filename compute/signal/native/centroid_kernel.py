@@ -8,13 +8,12 @@ from typing import Any, Final
 
 import warp as wp
 
-from compute.signal.native.centroid_source import Length, find_peaks_source
+from compute.native.headers import module_options
+from compute.signal.native.centroid_source import HEADER_PATH, Length, find_peaks_call
 from compute.signal.native.cuda_launch_sizes import LAUNCH_BOUNDS, LINES_PER_BATCH
 
-# Its greeting and its compile times are nothing to a user of ours.
-wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
 # Without fused multiply-adds, CUDA rounds as the CPU does.
-OPTIONS: Final = {"enable_backward": False, "fast_math": False, "fuse_fp": False}
+OPTIONS: Final = module_options(HEADER_PATH, fuse_fp=False)
 
 
 @cache
@@ -51,8 +50,7 @@ def centroid_kernel(length: Length) -> Any:
         record_bytes: int,
     ) -> None: ...
 
-    source = find_peaks_source(LINES_PER_BATCH, length)
-    native = wp.func_native(source)(find_line_peaks)
+    native = wp.func_native(find_peaks_call(LINES_PER_BATCH, length))(find_line_peaks)
 
     def find_peaks(
         lanes: int,

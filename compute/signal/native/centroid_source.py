@@ -1,21 +1,20 @@
-"""Native source of the whole kernel: threshold and centre of gravity."""
+"""Calls of the search: threshold and centre of gravity."""
 
 from typing import Final, Literal
 
-from compute.signal.native.centre_of_gravity_source import MEASURE, RUN
-from compute.signal.native.cpu_scan_source import CPU_LINE
 from compute.signal.native.cuda_launch_sizes import (
     BLOCK_PIXELS,
     CANDIDATE_LINES_PER_BATCH,
     SHORT_PIXELS,
 )
-from compute.signal.native.cuda_memory_source import CUDA_MEMORY
-from compute.signal.native.cuda_warp_source import CUDA_WARP
-from compute.signal.native.peak_record import CONSTANTS, LEVEL, TYPES
 
 Length = Literal["block", "short", "long", "any"]
 """Lines of at most BLOCK_PIXELS, of at most SHORT_PIXELS, longer ones, or all: with less to choose
-from, the source for CUDA is shorter, which leaves the compiler more registers."""
+from, the code for CUDA is shorter, which leaves the compiler more registers."""
+
+HEADER_PATH: Final = "compute/signal/native/find_peaks.h"
+
+_NAMES: Final = {"block": "block", "short": "at_most_short", "long": "longer", "any": "any"}
 
 
 def length_of(pixels: int) -> Length:
@@ -23,20 +22,20 @@ def length_of(pixels: int) -> Length:
     return "block" if pixels <= BLOCK_PIXELS else "short" if pixels <= SHORT_PIXELS else "long"
 
 
-def find_peaks_source(lines_per_batch: int, length: Length) -> str:
-    """Return the source for CUDA's warps to take so many lines of a length, and for the CPU."""
-    sizes = (
-        f"    const int batch_lines = {lines_per_batch};\n"
-        f"    const bool all_blocks = {int(length == 'block')};\n"
-        f"    const bool all_short = {int(length in ('block', 'short'))};\n"
-        f"    const bool all_long = {int(length == 'long')};\n"
-    )
-    on_cuda = "#if defined(__CUDA_ARCH__)\n"
+def find_peaks_call(lines_per_batch: int, length: Length) -> str:
+    """Return the call in C++ for CUDA's warps to take so many lines of a length, and for the CPU.
+
+    The variables are named as the parameters of ``centroid_kernel``.
+    """
     return (
-        f"{CONSTANTS}{TYPES}{on_cuda}{sizes}{CUDA_MEMORY}#endif\n"
-        f"{LEVEL}{RUN}{MEASURE}{on_cuda}{CUDA_WARP}#else\n{CPU_LINE}#endif\n"
+        f"lumiline::signal::find_peaks<{lines_per_batch}, "
+        f"lumiline::signal::Length::{_NAMES[length]}>("
+        "{lines_address, lines, pixels, lines_per_warp, dark_variance_address, "
+        "photon_variance_address, offset_address, full_scale_address, sensors, detection_sigma, "
+        "fraction_units, weigh_above_threshold, correct_edges, min_width_px, max_peaks, "
+        "records_address, record_bytes}, number);"
     )
 
 
-FIND_PEAKS: Final = find_peaks_source(CANDIDATE_LINES_PER_BATCH, "any")
+FIND_PEAKS: Final = find_peaks_call(CANDIDATE_LINES_PER_BATCH, "any")
 """The search that a fit begins with."""

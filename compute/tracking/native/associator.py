@@ -49,10 +49,9 @@ class Associator:
         # Kept: the job has their addresses.
         self._kept: list[NDArray[Any]] = []
         row = row_length(len(cameras), cuda=False)
-        fill_cameras(self._job, self._put, cameras, model.corrections, row)
-        self._put("first", model.first_px)
-        self._put("last", model.last_px)
         job = self._job
+        fill_cameras(job["cameras"], self._keep, cameras, model.corrections, row)
+        job["first"], job["last"] = self._keep(model.first_px), self._keep(model.last_px)
         for name in (
             "detection_probability",
             "clutter_density_per_px",
@@ -65,7 +64,8 @@ class Associator:
         job["max_hypotheses"] = settings.max_hypotheses
         grown = max(_GROWN * settings.max_hypotheses, MAX_OPTIONS + 1)
         job["max_grown"] = grown
-        self._put("partials", np.empty((settings.max_hypotheses + grown) * PARTIAL_BYTES, np.uint8))
+        partials = (settings.max_hypotheses + grown) * PARTIAL_BYTES
+        job["partials"] = self._keep(np.empty(partials, np.uint8))
         self._grown = grown
         self._tracks = self._room = 0
         self._work: list[NDArray[Any]] = []
@@ -141,7 +141,7 @@ class Associator:
         for name, array in zip(("numbers", "marks", "order"), self._work, strict=True):
             self._job[name] = address(array)
 
-    def _put(self, name: str, array: NDArray[Any]) -> None:
+    def _keep(self, array: NDArray[Any]) -> int:
         values = np.ascontiguousarray(array)
-        self._job[name] = address(values)
         self._kept.append(values)
+        return address(values)

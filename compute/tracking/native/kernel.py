@@ -4,16 +4,11 @@ Only ``compute.tracking.native.associator`` imports this module, when it is made
 """
 
 from functools import cache
-from typing import Any, Final
+from typing import Any
 
 import warp as wp
 
-from compute.tracking.native.association import association_source
-
-# Its greeting and its compile times are nothing to a user of ours.
-wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
-
-OPTIONS: Final = {"enable_backward": False, "fast_math": False}
+from compute.native.headers import module_options
 
 
 @cache
@@ -22,9 +17,12 @@ def association_kernel(sensors: int, room: int) -> Any:
 
     def associate_frame(job_address: wp.uint64) -> None: ...
 
-    native = wp.func_native(association_source(sensors, room))(associate_frame)
+    native = wp.func_native(
+        f"lumiline::tracking::associate_frame<{sensors}, {room}>(job_address);"
+    )(associate_frame)
 
     def associate_peaks(job_address: wp.uint64) -> None:
         native(job_address)
 
-    return wp.kernel(module="unique", module_options=OPTIONS)(associate_peaks)
+    options = module_options("compute/tracking/native/association.h")
+    return wp.kernel(module="unique", module_options=options)(associate_peaks)

@@ -180,7 +180,7 @@ def _draw_fit(axes: Axes, window: FitWindow, method: Method) -> float:
     ground = window.background_counts + (window.slope_counts_per_px or 0.0) * (place - middle)
     shape = method.line_shape or LineSpreadFunction.gaussian()
     lines = []
-    for position, light in zip(window.position_px, window.dark_corrected_counts, strict=True):
+    for position, light in zip(window.position_px, window.light_counts, strict=True):
         above, _ = shape.at((place + 0.5 - position) / window.width_px, position_px=position)
         below, _ = shape.at((place - 0.5 - position) / window.width_px, position_px=position)
         lines.append((light or 0.0) * (above - below))

@@ -115,7 +115,7 @@ class FitWindow(ResponseModel):
     )
     position_px: list[float]
     sigma_px: list[float | None]
-    dark_corrected_counts: list[float | None] = Field(description="Light of each stripe.")
+    light_counts: list[float | None] = Field(description="Light of each stripe.")
     light_electrons: list[float | None]
     width_px: float | None = Field(description="Standard deviation of the stripes.")
     width_sigma_px: float | None

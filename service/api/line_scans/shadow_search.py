@@ -112,7 +112,7 @@ def _fitted(
             residual_sigma=_where(known, rest),
             position_px=[reading],
             sigma_px=[sigma],
-            dark_corrected_counts=[None],
+            light_counts=[None],
             light_electrons=[None],
             width_px=None,
             width_sigma_px=None,

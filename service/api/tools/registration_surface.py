@@ -184,7 +184,7 @@ def _check_near(request: NewSurface, rotation_deg: float, shifted_mm: float) -> 
             request.initial_rotation_tolerance_deg,
             "degrees",
         ),
-        ("start_shift_mm", shifted_mm, request.initial_shift_tolerance_mm, "mm"),
+        ("initial_shift_tolerance_mm", shifted_mm, request.initial_shift_tolerance_mm, "mm"),
     ):
         if most > 0.0 and value > most:
             raise HighError(

@@ -173,7 +173,7 @@ def write_points(points: Sequence[Point]) -> bytes:
     )
 
 
-def simulate_readings(content: bytes) -> tuple[Point, ...]:
+def read_points(content: bytes) -> tuple[Point, ...]:
     """Return the points of POINT; raises BadMessage."""
     _check("POINT", len(content) % _POINT.size == 0, content)
     return tuple(

@@ -7,7 +7,7 @@ import pytest
 
 from compute.calibration.assessment.cross_validation import control_errors, fitted_errors
 from compute.calibration.calibrate import calibrate
-from compute.calibration.calibrate_and_assess import assess
+from compute.calibration.calibrate_and_assess import calibrate_and_assess
 from compute.calibration.effective_readings import count_readings, effective_readings
 from compute.calibration.settings import CalibrationSettings, LabelPolicy
 from compute.camera.stack import CameraStack
@@ -86,7 +86,7 @@ def test_outliers_without_weight_cover_no_pixels() -> None:
     spoilt = clean.copy()
     far = int(clean[:, 0].argmax())
     spoilt[far, 0] += 200.0
-    found = assess(
+    found = calibrate_and_assess(
         points, spoilt, geometry(rig()), np.full(clean.shape, SIGMA),
         CalibrationSettings(loss="robust"),
     )  # fmt: skip

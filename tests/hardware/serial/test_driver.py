@@ -322,8 +322,8 @@ def test_a_busy_device_is_waited_for(bar: BenchDevice, busy: BusyDevice) -> None
 def test_a_device_that_stays_busy_is_tried_again_as_one_that_is_lost(
     bar: BenchDevice, busy: BusyDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for place in ("busy", "connection"):
-        monkeypatch.setattr(f"hardware.serial.{place}.BUSY_NS", 100_000_000)
+    for module in ("busy_retry", "connection"):
+        monkeypatch.setattr(f"hardware.serial.{module}.BUSY_LIMIT_NS", 100_000_000)
     busy.left = 60
     with pytest.raises(DeviceNotConnected, match="the device is busy for"):
         SerialDriver("bar", bar.status()).open()

@@ -20,7 +20,7 @@ def test_figures_of_what_was_received():
 
 def test_a_short_run():
     found = measure(0.5, quiet=True)
-    received, bare = found["received"], found["bare"]
+    received, bare = found["received"], found["baseline"]
     assert found["frames_put_up"] == 0.5 * RATE_HZ
     assert set(received["messages"]) == set(bare["messages"])
     assert set(received["messages"]) == {f"{tool}ToTracker" for tool in TOOLS}

@@ -35,7 +35,7 @@ def test_json_of_ones_own_file(tmp_path: Path) -> None:
     found = json.loads(run(own, "--grid", "3", "--markers", "2", "--json").stdout)
     assert found["profile"] == "own"
     assert len(found["points"]) == 27
-    assert found["noise"]["middle"][2] > found["noise"]["middle"][0] > 0.0
+    assert found["noise"]["centre"][2] > found["noise"]["centre"][0] > 0.0
     assert [ghost["markers"] for ghost in found["ghosts"]] == [2]
 
 

@@ -29,7 +29,7 @@ def test_what_was_acknowledged_is_there_after_a_kill(tmp_path: Path) -> None:
     calibrations: dict[str, str] = {}
     runs: list[str] = []
     recorded = 0
-    service.application.bootstrap()
+    service.start()
     try:
         for kill in range(KILLS):
             clients = Clients(service.url, f"k{kill}")
@@ -46,7 +46,7 @@ def test_what_was_acknowledged_is_there_after_a_kill(tmp_path: Path) -> None:
             assert [one.text for one in clients.refused if one.status_code in range(500, 503)] == []
             calibrations |= clients.calibrations
             runs += clients.runs
-            service.application.bootstrap()
+            service.start()
             check_calibrations(service.url, calibrations)
             check_runs(service.url, runs)
             check_activations(service.url, clients)

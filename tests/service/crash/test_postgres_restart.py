@@ -74,7 +74,7 @@ def cluster() -> Iterator[Cluster]:
 @pytest.mark.postgres
 def test_requests_fail_cleanly_and_recover(cluster: Cluster, tmp_path: Path) -> None:
     service = ServiceProcess(tmp_path, cluster.url)
-    service.application.bootstrap()
+    service.start()
     clients = Clients(service.url, "c")
     try:
         clients.start()

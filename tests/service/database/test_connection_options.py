@@ -58,9 +58,7 @@ def test_a_statement_that_takes_long(
 
 def test_what_the_url_says_is_kept(database_url: str) -> None:
     own = {"connect_timeout": "9", "keepalives_idle": "99", "options": "-cstatement_timeout=7"}
-    found = connection_options.connection_options(
-        make_url(database_url).set(query=own), statements=True
-    )
+    found = connection_options.timeouts(make_url(database_url).set(query=own), statements=True)
     assert not found.keys() & own.keys()
     assert {"tcp_user_timeout", "keepalives"} <= found.keys()
 

@@ -203,7 +203,7 @@ def test_prometheus_knows(client: Client, hold: str) -> None:
 
 
 def lumiline(client: Client, *arguments: str, code: int = 0) -> str:
-    given = ["holds", *arguments, "--url", client._server.url]
+    given = ["beam-holds", *arguments, "--url", client._server.url]
     run = CliRunner().invoke(app, given, env={"COLUMNS": "160"})
     assert run.exit_code == code, run.output
     return run.output

@@ -57,7 +57,7 @@ def test_tracks_of_blinking_markers_have_their_numbers() -> None:
         ({"words": ["000000010111", "000000010110"]}, "must be at least 3"),
         ({"words": ["0101010101"]}, "must be at least 3"),
         ({"words": ["000000010111", "0000000101"]}, "lengths"),
-        ({"words": ["000000010111"], "low": 0.0}, "0.05"),
+        ({"words": ["000000010111"], "off_level": 0.0}, "0.05"),
         ({"words": ["00000001011x"]}, "pattern"),
         ({"words": []}, "at least 1 item"),
     ],
@@ -73,9 +73,9 @@ def test_codes_that_cannot_be_told_are_refused(
 
 def test_codes_are_kept_and_taken_away(client: TestClient) -> None:
     words = list(CODES.words)
-    change = {"tracking": {"blinking": {"words": words, "low": 0.3}}}
+    change = {"tracking": {"blinking": {"words": words, "off_level": 0.3}}}
     kept = client.patch("/api/v1/devices/sim", json=change).json()["tracking"]["blinking"]
-    assert kept == {"words": words, "low": 0.3, "missed": 0.05}
+    assert kept == {"words": words, "off_level": 0.3, "miss_probability": 0.05}
     other = client.patch("/api/v1/devices/sim", json={"tracking": {"tracks": "always"}}).json()
     assert other["tracking"]["blinking"] == kept
     gone = client.patch("/api/v1/devices/sim", json={"tracking": {"blinking": None}}).json()

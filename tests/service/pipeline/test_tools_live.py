@@ -384,7 +384,7 @@ class Costly(FrameProcessor):
 
 
 @pytest.mark.parametrize(
-    ("waits", "thins", "follow_s", "most"),
+    ("waits", "sheds", "follow_s", "most"),
     [
         (20, False, 3.5e-3, 5),  # the other devices wait for all that frames cost, 4 ms each
         (60, True, 3.5e-3, 40),  # for 0.5 ms each, as one of them is followed

@@ -39,7 +39,7 @@ def test_only_the_same_text_and_only_for_a_while() -> None:
 
 
 def test_memory_is_bounded() -> None:
-    keys = KeyCache(most=3)
+    keys = KeyCache(max_entries=3)
     for number in range(10):
         keys.valid("first", "1", ADA)
         keys.valid(str(number), "1", ADA)

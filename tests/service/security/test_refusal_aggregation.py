@@ -64,7 +64,7 @@ def test_they_are_told_of_without_another_request() -> None:
 def test_memory_is_bounded_and_nothing_is_lost() -> None:
     async def scenario() -> None:
         told = Told()
-        refusals = RefusalAggregator(told, most=3)
+        refusals = RefusalAggregator(told, max_entries=3)
         for number in range(10):
             for _ in range(number + 1):
                 refusals.is_first(act(str(number)))

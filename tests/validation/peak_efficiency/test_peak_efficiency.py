@@ -31,7 +31,7 @@ from validation.peak_efficiency.monte_carlo import (
     EDGE,
     FITTED,
     GRAVITY,
-    KNOWN,
+    KNOWN_WIDTH,
     PHASES,
     PRIOR,
     SETTINGS,
@@ -62,7 +62,7 @@ def test_the_fit_is_at_the_bound(setting):
     the worst counts, which by chance alone is two or three errors off.
     """
     found = efficiency(setting, LINES, SEED)
-    known = found.errors[KNOWN]
+    known = found.errors[KNOWN_WIDTH]
     if found.strict_px >= USEFUL_PX:
         assert known.rms_px < 1.15 * found.strict_px * (1 + 4 / np.sqrt(2 * LINES))
         return
@@ -90,7 +90,7 @@ def test_the_worst_corner_by_more_lines():
     """Narrow, faint and noisy: 20 000 lines make the chance small."""
     count = 20_000
     found = efficiency(Setting(0.6, 1e3, 50.0), count, SEED)
-    known = found.errors[KNOWN]
+    known = found.errors[KNOWN_WIDTH]
     assert known.rms_px < 1.05 * found.strict_px
     assert known.bias_px < 0.002 + 3 * known.bias_error_px
     assert known.bias_error_px < 0.005 * found.strict_px
@@ -117,7 +117,7 @@ def test_faint_lines_of_unknown_width_are_not_biased(setting, name):
 
 @pytest.mark.parametrize(
     ("setting", "name"),
-    [(FAINT[1], KNOWN), (FAINT[2], KNOWN), (FAINT[0], FITTED), (FAINT[4], FITTED)],
+    [(FAINT[1], KNOWN_WIDTH), (FAINT[2], KNOWN_WIDTH), (FAINT[0], FITTED), (FAINT[4], FITTED)],
 )
 def test_a_small_bias_is_that_of_second_order(setting, name):
     found = bias_figures(setting, name, 40_000, SEED)

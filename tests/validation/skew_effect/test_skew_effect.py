@@ -94,8 +94,8 @@ def test_no_light_falls_beside_the_long_row(width: float, place: StopPlace) -> N
         centroid.append(lines.centroid_px - row.centre_px)
     assert light[1] == pytest.approx(light[2], rel=1e-9, abs=0.0)
     assert centroid[1] == pytest.approx(centroid[2], abs=1e-6)
-    # The row itself does cut them.
-    assert (light[0] < 0.99 * light[1]).all()
+    # The short row loses what falls more than its own length beside it.
+    assert (light[0] < 0.999 * light[1]).all()
 
 
 def test_without_a_stop_no_polynomial_follows_the_centroid() -> None:

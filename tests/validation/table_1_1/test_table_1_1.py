@@ -62,8 +62,8 @@ def test_mitchelsons_lateral_figure_is_more_than_its_rounding() -> None:
     assert number(row["bound"]) == pytest.approx(step / np.sqrt(12.0), rel=1e-6)
     profile = load_profile("mitchelson-1971")
     found = planned("mitchelson-1971", 3000.0)
-    assert found.noise.middle is not None
-    x, y, z = found.noise.middle
+    assert found.noise.centre is not None
+    x, y, z = found.noise.centre
     text = remark(profile, found)
     assert f"{0.5 / y:.2g} to {0.5 / x:.2g} times less" in text
     assert f"{z:.2g} mm in depth" in text
@@ -138,7 +138,7 @@ def test_a_largest_error_is_compared_with_the_worst_place() -> None:
 
 def test_remarks_say_the_figures() -> None:
     owen = remark(load_profile("owen-1995"), planned("owen-1995", 1500.0))
-    x, y, z = planned("owen-1995", 1500.0).dilution.middle or (0.0, 0.0, 0.0)
+    x, y, z = planned("owen-1995", 1500.0).dilution.centre or (0.0, 0.0, 0.0)
     assert "published 5 and 8.9 times worse" in owen
     assert f"make it {z / x:.2g} and {z / y:.2g} times" in owen
     assert remark(load_profile("bar"), planned("bar", 1500.0)) == ""
@@ -149,10 +149,10 @@ def test_codas_templates_fit_their_distance() -> None:
     coda = load_profile("coda-mpx30")
     own, other = (template_errors_px(coda, at, 2500.0) for at in (2500.0, 3000.0))
     assert own.shape == (25, 3)
-    assert np.sqrt(np.nees(own).mean()) < 0.03
-    assert np.sqrt(np.nees(other).mean()) > 2.0 * np.sqrt(np.nees(own).mean())
+    assert np.sqrt(np.square(own).mean()) < 0.03
+    assert np.sqrt(np.square(other).mean()) > 2.0 * np.sqrt(np.square(own).mean())
     text = remark(coda, planned("coda-mpx30", 3000.0))
-    assert f"by {np.sqrt(np.nees(other).mean()):.2g} and " in text
+    assert f"by {np.sqrt(np.square(other).mean()):.2g} and " in text
 
 
 def test_a_device_without_figures_has_rows_of_predictions() -> None:

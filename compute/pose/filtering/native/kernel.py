@@ -8,32 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from compute.pose.filtering.native.gated_update import CROSSED, FIGURES, TAKING
-from compute.pose.filtering.native.imm_predict import MOTION
-from compute.pose.filtering.native.kernel_arguments import ARGUMENTS_SOURCE
-from compute.pose.filtering.native.predict_measurements import READINGS
-from compute.reconstruction.native.algebra import ALGEBRA
-from compute.reconstruction.native.correction_table import TABLE
-from compute.reconstruction.native.kernel import OPTIONS
-from compute.reconstruction.native.kernel_arguments import JOB_SOURCE
-from compute.reconstruction.native.projection import CAMERAS
-
-
-def step_source(sensors: int, room: int) -> str:
-    """Return the source for so many sensors, with room for so many terms of distortion."""
-    return (
-        f"    const int S = {sensors}, ROOM = {room};\n"
-        + ARGUMENTS_SOURCE
-        + JOB_SOURCE
-        + ALGEBRA
-        + CAMERAS
-        + TABLE
-        + MOTION
-        + READINGS
-        + CROSSED
-        + FIGURES
-        + TAKING
-    )
+from compute.native.headers import module_options
 
 
 @cache
@@ -45,9 +20,12 @@ def step_kernel(sensors: int, room: int) -> Any:
 
     def take_step(step_address: wp.uint64) -> None: ...
 
-    native = wp.func_native(step_source(sensors, room))(take_step)
+    native = wp.func_native(f"lumiline::pose::take_step<{sensors}, {room}>(step_address);")(
+        take_step
+    )
 
     def strobed_step(step_address: wp.uint64) -> None:
         native(step_address)
 
-    return wp.kernel(module="unique", module_options=OPTIONS)(strobed_step)
+    options = module_options("compute/pose/filtering/native/strobed_step.h")
+    return wp.kernel(module="unique", module_options=options)(strobed_step)

@@ -2,13 +2,12 @@
 
 from typing import Final
 
-import numpy as np
-
+from compute.native.records import Record
 from compute.pose.filtering.imm_model import IMM_STATES
-from compute.pose.filtering.second_order import CUBATURE_RADIUS, CURVATURE_SIGMA_FRACTION
+from compute.reconstruction.native.kernel_arguments import CAMERAS
 
 _OF_FRAMES: Final = {
-    # ImmState before, predicted and after, the results, and what is reported of the pose; then
+    # Modes before, predicted and after, the results, and what is reported of the pose; then
     # (S, P) of the frame's peaks.
     "before": "const double*",
     "predicted": "double*",
@@ -18,44 +17,45 @@ _OF_FRAMES: Final = {
     "position": "const double*",
     "variance": "const double*",
     "usable": "const unsigned char*",
+    # Peaks of each sensor, and the marker that is lit; -1: none, the tool is only predicted.
+    "peaks": "long long",
+    "lit": "long long",
 }
-_OF_TOOLS: Final = {
-    # The cameras (JOB of compute.reconstruction), (S, width, C) of the calibration's errors.
-    "cameras": "const void*",
+_NUMBERS_OF_FRAMES: Final = {
+    "time_s": "double",
+    "switch_probability": "double",
+    "manoeuvre_factor": "double",
+}
+_OF_TOOLS: Final[dict[str, str | Record]] = {
+    # (S, width, C) of the calibration's errors.
     "columns": "const double*",
     # Of the modes: (K, 18), (K, 18, 18), (K,), (5, K * 18 * 18).
-    "states": "const double*",
+    "persistence": "const double*",
     "initial_covariance": "const double*",
-    "constant_velocity": "const double*",
+    "renewal": "const double*",
     "terms": "const double*",
     # (M, 3) about the centroid; (S + 1,), by how many readings; memory to work in.
     "markers": "const double*",
-    "limits": "const double*",
+    "chi2_limits": "const double*",
     "scratch": "double*",
+    "modes": "long long",
+    "errors": "long long",
+    "own_errors": "long long",
+    "gate": "double",
+    "radius_mm": "double",
+    "principal_distance_px": "double",
+    # The centroid in the tool's coordinates and the tip less it.
+    "centroid": "double[3]",
+    "tip": "double[3]",
+    "cameras": CAMERAS,
 }
-_FRAME_COUNTS: Final = ("peaks", "lit")
-"""Peaks of each sensor, and the marker that is lit; -1: none, the tool is only predicted."""
-_TOOL_COUNTS: Final = ("modes", "errors", "own_errors")
-_FRAME_NUMBERS: Final = ("time_s", "change", "manoeuvre")
-_TOOL_NUMBERS: Final = ("gate", "radius", "focal")
-_TOOL_PLACES: Final = ("middle", "tip")
-"""The centroid in the tool's coordinates and the tip less it, (3,)."""
 
-STEP: Final = np.dtype(
-    [
-        *((name, "<u8") for name in _OF_FRAMES),
-        *((name, "<i8") for name in _FRAME_COUNTS),
-        *((name, "<f8") for name in _FRAME_NUMBERS),
-        *((name, "<u8") for name in _OF_TOOLS),
-        *((name, "<i8") for name in _TOOL_COUNTS),
-        *((name, "<f8") for name in _TOOL_NUMBERS),
-        *((name, "<f8", (3,)) for name in _TOOL_PLACES),
-    ]
-)
+STEP_RECORD: Final = Record("StepRecord", {**_OF_FRAMES, **_NUMBERS_OF_FRAMES, **_OF_TOOLS})
 """One step of one tool; 64-bit words only. What changes from frame to frame comes first."""
-FRAME_WORDS: Final = len(_OF_FRAMES) + len(_FRAME_COUNTS)
+STEP: Final = STEP_RECORD.dtype
+FRAME_WORDS: Final = len(_OF_FRAMES)
 """Addresses and counts of a frame; its numbers follow."""
-FRAME_NUMBERS: Final = len(_FRAME_NUMBERS)
+FRAME_NUMBERS: Final = len(_NUMBERS_OF_FRAMES)
 
 POSE: Final = 18
 """Rotation, centroid, velocity and turn rate; modes have their chances behind it, then how far
@@ -104,25 +104,3 @@ def scratch_size(sensors: int, imm: int, errors: int) -> int:
     mixing = imm * imm + IMM_STATES * IMM_STATES + IMM_STATES
     readings = sensors * (errors + wide) + imm * (sensors * (1 + wide) + 2)
     return mixing + readings + IMM_STATES * wide
-
-
-def _listed(kinds: dict[str, str]) -> str:
-    return "".join(f"\n        {kind} {name};" for name, kind in kinds.items())
-
-
-ARGUMENTS_SOURCE: Final = f"""
-    struct Step {{{_listed(_OF_FRAMES)}
-        long long {", ".join(_FRAME_COUNTS)};
-        double {", ".join(_FRAME_NUMBERS)};{_listed(_OF_TOOLS)}
-        long long {", ".join(_TOOL_COUNTS)};
-        double {", ".join(_TOOL_NUMBERS)};
-        double {", ".join(f"{name}[3]" for name in _TOOL_PLACES)};
-    }};
-    const Step& step = *(const Step*)step_address;
-    const unsigned long long job_address = (unsigned long long)step.cameras;
-    const int D = {IMM_STATES}, pose_size = {POSE}, head = {HEAD};
-    const int taken = {TAKEN}, curved = {CURVED}, contested = {CONTESTED}, misfit = {MISFIT};
-    const double bent_share = {CURVATURE_SIGMA_FRACTION!r}, reach = {CUBATURE_RADIUS!r};
-    const int K = (int)step.modes, E = (int)step.errors, W = D + E;
-"""
-"""Above it stand ``S``, the number of sensors, and ``ROOM``, as in compute.reconstruction."""

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.stack import CameraStack
-from compute.mapping.table import CorrectionTable
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.imm_model import ImmModel
 from compute.pose.filtering.imm_state import ImmState
@@ -27,7 +25,7 @@ from compute.pose.filtering.native.packed_states import PackedImmState, PackedPo
 from compute.pose.filtering.pose_filter import STATES, PoseState
 from compute.pose.measurement_model import MeasurementModel
 from compute.reconstruction.native.camera_arguments import fill_cameras
-from compute.reconstruction.native.kernel_arguments import JOB, MAX_POWER, row_length
+from compute.reconstruction.native.kernel_arguments import MAX_POWER, row_length
 from compute.reconstruction.native.launch import address
 from compute.reconstruction.solver import MAX_SENSORS, MIN_CAPACITY, term_capacity
 from compute.reconstruction.triangulation import chi2_limit
@@ -101,34 +99,32 @@ class StrobedStepKernel:
         self._inputs: dict[int, _Given] = {}
         self._steps: tuple[int, float] = (0, 0.0)
         step = np.zeros(1, dtype=STEP)
-        cameras = _cameras(model.cameras, model.corrections)
         columns = model.common * model.cameras.parameter_mask[..., None]
         limits = [chi2_limit(count, gate_probability) for count in range(sensors + 1)]
         # Kept: the records have their addresses.
-        self._kept: list[Any] = [step, *cameras]
+        self._kept: list[Any] = [step]
         for name, values in (
-            ("cameras", cameras[0]),
             ("columns", columns),
-            ("states", imm.state_mask),
+            ("persistence", imm.states),
             ("initial_covariance", imm.initial_covariance),
-            ("constant_velocity", imm.constant_velocity),
+            ("renewal", imm.constant_velocity),
             ("terms", imm.noise_terms),
             ("markers", centred.markers_mm),
-            ("limits", np.array(limits)),
+            ("chi2_limits", np.array(limits)),
             ("scratch", np.empty(scratch_size(sensors, len(imm), common_errors))),
         ):
-            there = np.ascontiguousarray(values)
-            step[name] = address(there)
-            self._kept.append(there)
+            step[name] = self._keep(values)
+        row = row_length(sensors, cuda=False)
+        fill_cameras(step["cameras"], self._keep, model.cameras, model.corrections, row)
         step["modes"], step["errors"], step["own_errors"] = (
             len(imm),
             common_errors,
             columns.shape[2],
         )
         step["gate"] = chi2_limit(1, gate_probability)
-        step["radius"] = centred.radius_mm
-        step["focal"] = model.cameras.principal_distance_px.min()
-        step["middle"], step["tip"] = centred.centroid_mm, centred.tip_mm
+        step["radius_mm"] = centred.radius_mm
+        step["principal_distance_px"] = model.cameras.principal_distance_px.min()
+        step["centroid"], step["tip"] = centred.centroid_mm, centred.tip_mm
         self._words = step.view(np.uint64)[:FRAME_WORDS]
         self._numbers = step.view(np.float64)[FRAME_WORDS : FRAME_WORDS + FRAME_NUMBERS]
         # Loads the kernel, before the first frame waits for it.
@@ -233,6 +229,11 @@ class StrobedStepKernel:
         self._numbers[:] = 1e-9 * between, self._change(between), manoeuvre_factor
         self._launch.launch()
 
+    def _keep(self, values: NDArray[Any]) -> int:
+        there = np.ascontiguousarray(values)
+        self._kept.append(there)
+        return address(there)
+
     def _given(self, peaks: int) -> _Given:
         """Return memory for so many peaks of each sensor, and its addresses."""
         if peaks not in self._inputs:
@@ -267,16 +268,3 @@ def load_kernels(sensors: int) -> None:
 
     for room in (0, MIN_CAPACITY):
         step_kernel(sensors, room).module.load("cpu", block_dim=1)
-
-
-def _cameras(stack: CameraStack, corrections: CorrectionTable | None) -> list[NDArray[Any]]:
-    """Return the cameras and the table as a JOB, and the arrays that it has the addresses of."""
-    job = np.zeros(1, dtype=JOB)
-    kept: list[NDArray[Any]] = [job]
-
-    def put(name: str, array: NDArray[Any]) -> None:
-        kept.append(np.ascontiguousarray(array))
-        job[name] = address(kept[-1])
-
-    fill_cameras(job, put, stack, corrections, row_length(len(stack), cuda=False))
-    return kept

@@ -97,7 +97,7 @@ def test_it_is_the_root_of_the_score(options):
 
         p = least_squares(residual, p, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14).x
     np.testing.assert_allclose(group.position_px, p[:2], atol=1e-3 * group.sigma_px.min())
-    np.testing.assert_allclose(group.dark_corrected_counts, p[2:4], rtol=1e-4)
+    np.testing.assert_allclose(group.light_counts, p[2:4], rtol=1e-4)
     assert group.background_counts == pytest.approx(p[5], abs=1e-3)
     assert group.width_px == pytest.approx(np.exp(p[4]), rel=1e-5)
 
@@ -295,7 +295,7 @@ def test_one_line_tells_what_the_batch_does_and_more():
                 assert len(group.model) == len(group.values) == len(group.residual_sigma)
                 np.testing.assert_allclose(
                     group.light_electrons,
-                    group.dark_corrected_counts * (noise.electrons_per_count[sensor]),
+                    group.light_counts * (noise.electrons_per_count[sensor]),
                 )
                 assert (group.width_sigma_px == 0.0) == (options.width_log_sigma == 0.0)
                 assert group.values[0] == lines[sensor, group.first_px]

@@ -82,7 +82,7 @@ def test_a_plan_is_of_the_file_as_it_is_now(sqlite_client: Any, sqlite_settings:
     before = sqlite_client.get(f"{PROFILES}/mine/plan").json()
     keep(sqlite_settings, "mine", text.replace('"200 mW/sr"', '"20 mW/sr"'))
     after = sqlite_client.get(f"{PROFILES}/mine/plan").json()
-    assert after["noise"]["middle"][2] > 1.5 * before["noise"]["middle"][2]
+    assert after["noise"]["centre"][2] > 1.5 * before["noise"]["centre"][2]
 
 
 def test_what_is_no_profile_is_not_listed_and_says_why(

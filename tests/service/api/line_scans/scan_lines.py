@@ -37,10 +37,10 @@ def scenes(seed: int = 1) -> NDArray[np.uint16]:
     return measured(counts, np.random.default_rng(seed), full=FULL)
 
 
-def noisy(dark_corrected_counts: NDArray[np.float64], seed: int) -> NDArray[np.uint16]:
+def noisy(light_counts: NDArray[np.float64], seed: int) -> NDArray[np.uint16]:
     """Counts of pixels that get this light [counts], with the noise that NOISE says."""
     rng = np.random.default_rng(seed)
-    electrons = rng.poisson(dark_corrected_counts * NOISE.electrons_per_count).astype(np.float64)
+    electrons = rng.poisson(light_counts * NOISE.electrons_per_count).astype(np.float64)
     electrons += rng.normal(0.0, NOISE.read_noise_electrons, electrons.shape)
     counts = electrons / NOISE.electrons_per_count + NOISE.offset_counts
     return np.clip(np.rint(counts), 0, 65535).astype(np.uint16)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from service.api.line_scans.estimate_background import MAX_VALUES, Shape
+from service.api.line_scans.line_spread import MAX_VALUES, Shape
 
 from compute.errors import InvalidParameter
 from compute.signal.fit.fit_reference import fit_lines

@@ -105,7 +105,7 @@ def test_all_that_was_found_is_drawn() -> None:
         scan.model_copy(update={"background_counts": 300.0}),
         scan.model_copy(update={"limit_counts": 300.0}),
         with_window(residual_sigma=[2.0] * len(window.values)),
-        with_window(dark_corrected_counts=[1000.0]),
+        with_window(light_counts=[1000.0]),
         with_peak(flags=("clipped",)),
         with_peak(position_px=peak.position_px + 5e-4),
     ]

@@ -38,7 +38,7 @@ def test_a_plan_is_the_library_s(sqlite_client: Any) -> None:
     found = sqlite_client.get(f"{PROFILES}/bar/plan?grid=3").json()
     ours = plan(load_profile("bar"), grid=3)
     assert found["grid"] == [3, 3, 3]
-    assert found["noise"]["middle"] == list(ours.noise.middle or ())
+    assert found["noise"]["centre"] == list(ours.noise.centre or ())
     assert len(found["points"]) == 27
     assert found["ghosts"][0]["markers"] == 2
     assert found["ghosts"][-1]["markers"] == load_profile("bar").markers.max_markers

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from hardware.recording.reader import RecordingReader, read_recording
-from hardware.recording.writer_process.client import LATE
+from hardware.recording.writer_process.client import WRITER_LATE
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
 from service.api.recordings.recorder import Recorder
@@ -111,7 +111,7 @@ def test_a_writer_that_does_not_stop_is_killed(
     wait_for(lambda: (recordings.get("r.h5").frames or 0) > 0)
     os.kill(recordings._active["r.h5"]._feed.pid, signal.SIGSTOP)
     done = recordings.stop("r.h5")
-    assert (done.state, done.reason) == ("failed", LATE.format(0.2))
+    assert (done.state, done.reason) == ("failed", WRITER_LATE.format(0.2))
     info = read_recording(recordings.finished_path("r.h5"))
     assert not info.complete
     assert info.frames > 0

@@ -157,7 +157,7 @@ def test_a_point_is_of_the_pointer_and_the_frame_that_it_was_begun_with(
         if frame == "ct":
             parent(tools, reference=None)
         with monkeypatch.context() as patch:
-            meanwhile(patch, digitise, "measured", lambda do=do: do(tools))
+            meanwhile(patch, digitise, "digitise_point", lambda do=do: do(tools))
             # The reference is 1.5 m from the tip: its turns are tenths of a millimetre there.
             answer = tools.post(POINTS, json={"frame": frame, "max_sigma_mm": 1.0})
         if frame == "ct":

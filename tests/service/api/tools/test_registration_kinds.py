@@ -341,7 +341,7 @@ def test_what_a_surface_does_not_hold_is_refused_with_the_motion(sqlite_client: 
     assert code(answer) == (422, "undetermined-parameters"), answer.text
     assert "does not hold a " in answer.json()["detail"]
     context = answer.json()["context"]
-    assert context["hold"] < 1e-9
+    assert context["stiffness_ratio"] < 1e-9
     assert context["motion"].startswith(("a turn about", "a shift along"))
 
 

@@ -112,7 +112,7 @@ def test_figures_are_those_of_the_live_side(busy: Any):
         "frames_received_total": 100,
         "exposures_lost_total": 7,
         "frames_dropped_total": 5,
-        "frames_not_followed_total": 8,
+        "frames_not_tracked_total": 8,
         "frames_processed_total": 90,
         "link_received_bytes_total": 12345,
         "link_frames_garbled_total": 2,

@@ -163,7 +163,7 @@ def test_who_reads_nothing_is_ended(monkeypatch: pytest.MonkeyPatch):
     play(scene)
 
 
-async def _connected(server: NdiServer) -> client_module.Client:
+async def _connected(server: NdiServer) -> client_module.ClientConnection:
     await until(lambda: bool(server._clients))
     return next(iter(server._clients.values()))
 

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from service.application.app import create_app
 from service.protocols.openigtlink.decoder import Decoder
 from service.protocols.openigtlink.message import Message, write_message
-from service.protocols.openigtlink.pose_bodies import simulate_readings
+from service.protocols.openigtlink.pose_bodies import read_points
 from service.protocols.openigtlink.text_bodies import (
     Command,
     read_command,
@@ -94,7 +94,7 @@ def test_tools_of_the_database_are_sent(service: tuple[TestClient, FakePipeline,
     live.poses.put(entry(2))
     assert {wire.of("TRANSFORM").device for _ in range(2)} == {"probeToRef", "refToTracker"}
     wire.send(Message("GET_POINT", "probe"))
-    points = simulate_readings(wire.of("POINT").content)
+    points = read_points(wire.of("POINT").content)
     assert [point.name for point in points][: len(MARKERS)] == [
         f"probe marker {number}" for number in range(len(MARKERS))
     ]
@@ -148,7 +148,7 @@ def test_landmarks_know_what_they_were_measured_with(
         while server._newest is None or server._newest.entry.sequence != number:
             time.sleep(0.01)
         wire.send(Message("GET_POINT", "Landmarks"))
-        assert len(simulate_readings(wire.of("POINT").content)) == count
+        assert len(read_points(wire.of("POINT").content)) == count
 
 
 def test_changes_are_refused_and_audited_once_a_minute(

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from service.protocols.openigtlink.connection import Client
+from service.protocols.openigtlink.connection import ClientConnection
 from service.protocols.openigtlink.message import Message, write_message
 from service.protocols.openigtlink.server import OpenIGTLinkServer
 from service.protocols.openigtlink.text_bodies import (
@@ -32,8 +32,8 @@ both_loops = pytest.mark.parametrize("loop", LOOPS)
 CHANCE = random.Random(7)
 
 
-def clients_of(server: OpenIGTLinkServer) -> set[Client]:
-    found: set[Client] = server._clients
+def clients_of(server: OpenIGTLinkServer) -> set[ClientConnection]:
+    found: set[ClientConnection] = server._clients
     return found
 
 

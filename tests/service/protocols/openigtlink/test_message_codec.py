@@ -24,7 +24,7 @@ from service.protocols.openigtlink.pose_bodies import (
     read_start,
     read_tdata,
     read_transform,
-    simulate_readings,
+    read_points,
     write_points,
     write_position,
     write_start,
@@ -235,7 +235,7 @@ def test_metadata_that_are_none(head, values):
 
 READERS = {
     "transform": read_transform, "position": read_position, "tdata": read_tdata,
-    "qtdata": read_qtdata, "points": simulate_readings, "status": read_status, "string": read_string,
+    "qtdata": read_qtdata, "points": read_points, "status": read_status, "string": read_string,
     "command": read_command, "capability": read_capability,
     "start": lambda content: read_start("STT_TDATA", content),
 }  # fmt: skip
@@ -336,7 +336,7 @@ def test_starts_and_points():
     assert read_start("STT_TDATA", b"") == StartStream()
     assert read_start("STT_TDATA", struct.pack(">I", 20)) == StartStream(20)
     long = Point("ü" * 40, "Landmark", (1.0, 2.0, 3.0), owner="x" * 30)
-    (found,) = simulate_readings(write_points([long]))
+    (found,) = read_points(write_points([long]))
     assert found.name == "ü" * 32
     assert found.owner == "x" * 20
 

@@ -16,7 +16,7 @@ from service.protocols.openigtlink.pose_bodies import (
     read_qtdata,
     read_tdata,
     read_transform,
-    simulate_readings,
+    read_points,
     write_start,
 )
 from service.protocols.openigtlink.text_bodies import (
@@ -253,7 +253,7 @@ def test_points_are_markers_tips_and_landmarks():
                 2, [pose("probe", 2, rotation=np.eye(3)), pose("ref", 2, PoseStatus.MISSING)]
             )
             await peer.of("TRANSFORM")
-            points = simulate_readings((await peer.ask(Message("GET_POINT"), "POINT")).content)
+            points = read_points((await peer.ask(Message("GET_POINT"), "POINT")).content)
             found = {point.name: (point.group, point.position_mm, point.owner) for point in points}
             assert found == {
                 "probe marker 0": ("Marker", (2.0, 5.0, -7.5), "Tracker"),
@@ -262,7 +262,7 @@ def test_points_are_markers_tips_and_landmarks():
                 "nose": ("Landmark", (1.0, 2.0, 3.0), "Ref"),
             }
             marks = await peer.ask(Message("GET_POINT", "Landmarks"), "POINT")
-            assert [point.name for point in simulate_readings(marks.content)] == ["nose"]
+            assert [point.name for point in read_points(marks.content)] == ["nose"]
 
     run(test)
 
@@ -284,7 +284,7 @@ def test_landmarks_do_not_outlive_what_they_were_measured_with():
 
             async def asked() -> list[str]:
                 marks = await peer.ask(Message("GET_POINT", "Landmarks"), "POINT")
-                return [point.name for point in simulate_readings(marks.content)]
+                return [point.name for point in read_points(marks.content)]
 
             async def told() -> str:
                 return read_status((await peer.of("STATUS", "Landmarks")).content).text

@@ -1,0 +1,1 @@
+"""C++ source of the ray tracing kernel, for the CPU and CUDA."""

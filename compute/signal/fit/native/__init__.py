@@ -1,0 +1,1 @@
+"""C++ source of the fit of peaks, for the CPU and CUDA."""

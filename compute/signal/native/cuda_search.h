@@ -1,0 +1,398 @@
+// The search on CUDA: a warp takes a few scans, then their bright chunks, then their peaks.
+//
+// Scans that a warp takes together are a batch; it may take several, one after another.
+#pragma once
+
+#include "compute/native/platform.h"
+#include "compute/signal/native/centroid.h"
+#include "compute/signal/native/cuda_memory.h"
+#include "compute/signal/native/definitions.gen.h"
+#include "compute/signal/native/search.h"
+
+#if defined(__CUDA_ARCH__)
+
+namespace lumiline::signal {
+
+template <int batch_lines, Length length>
+struct WarpSearch : WarpMemory<batch_lines, length> {
+    using Memory = WarpMemory<batch_lines, length>;
+    using Memory::await_lines;
+    using Memory::await_stage;
+    using Memory::before;
+    using Memory::chunks;
+    using Memory::end_of_stage;
+    using Memory::first_line;
+    using Memory::first_v;
+    using Memory::found;
+    using Memory::in_shared;
+    using Memory::lane;
+    using Memory::limits;
+    using Memory::line_blocks;
+    using Memory::load_chunk;
+    using Memory::lost;
+    using Memory::pixels_of;
+    using Memory::run_queue;
+    using Memory::scan_at;
+    using Memory::search;
+    using Memory::slots;
+    using Memory::stage;
+    using Memory::stage_batch;
+    using Memory::staged;
+    using Memory::step_lines;
+    using Memory::stride;
+    using Memory::top_queue;
+    using Memory::words;
+
+    const int groups, group_step, rank_of_quartile, rank_of_sixteenth, group_chunk;
+    int runs_waiting = 0, tops_waiting = 0;
+
+    LUMILINE_FN WarpSearch(const Search& from, int number, SharedMemory<batch_lines>& shared)
+        : Memory(from, number, shared),
+          groups(from.groups()),
+          group_step(from.group_step()),
+          rank_of_quartile(Search::rank_of_quartile(groups)),
+          rank_of_sixteenth(Search::rank_of_sixteenth(groups)),
+          group_chunk(lane * group_step / group_pixels) {
+        __syncwarp();
+        // As early as can be: the rest is worked out meanwhile.
+        stage_batch();
+    }
+
+    // The least of all lanes' keys.
+    LUMILINE_FN int min_of(int key) {
+#if __CUDA_ARCH__ >= 800
+        return __reduce_min_sync(every, key);
+#else
+        for (int step = 16; step > 0; step /= 2)
+            key = smaller(key, __shfl_xor_sync(every, key, step));
+        return key;
+#endif
+    }
+
+    // The sum of a chunk's pixels.
+    LUMILINE_FN int sum_of(uint4 words) {
+#if __CUDA_ARCH__ >= 610
+        const unsigned ones = 0x0101u;
+        return __dp2a_lo(
+            words.x, ones,
+            __dp2a_lo(words.y, ones, __dp2a_lo(words.z, ones, __dp2a_lo(words.w, ones, 0u))));
+#else
+        const unsigned low = 0xffffu;
+        return (words.x & low) + (words.x >> 16) + (words.y & low) + (words.y >> 16)
+               + (words.z & low) + (words.z >> 16) + (words.w & low) + (words.w >> 16);
+#endif
+    }
+
+    LUMILINE_FN Scan lane_scan() {
+        const int line = smaller(first_line + lane, search.lines - 1);
+        return search.scan_of(line, search.sensors == 1 ? 0 : line % search.sensors);
+    }
+
+    // The backgrounds of all scans. A group of the sample is a chunk; its lane keeps the key. One
+    // lane a scan works out what follows from it, and returns its background.
+    template <class Where>
+    LUMILINE_FN int estimate_backgrounds(Where where, Scan scan) {
+        int keys[batch_lines];
+#pragma unroll
+        for (int slot = 0; slot < batch_lines; ++slot) {
+            keys[slot] = no_key;
+            if (slot < slots && lane < groups)
+                keys[slot] =
+                    sum_of(load_chunk(where, pixels_of(where, slot), group_chunk)) * sample_groups
+                    + lane;
+        }
+        // By repeated minima; those of the lines in turn, since each waits for the one before.
+        int quartile = 0, sixteenth = 0;
+        auto take_least = [&](bool at_quartile, bool at_sixteenth) {
+#pragma unroll
+            for (int slot = 0; slot < batch_lines; ++slot) {
+                const int key = min_of(keys[slot]);
+                if (at_quartile && lane == slot) quartile = key;
+                if (at_sixteenth && lane == slot) sixteenth = key;
+                if (keys[slot] == key) keys[slot] = no_key;
+            }
+        };
+        if (groups == sample_groups) {
+            const int quarter = (sample_groups - 1) / 4, part = (sample_groups - 1) / 16;
+#pragma unroll
+            for (int rank = 0; rank <= quarter; ++rank) take_least(rank == quarter, rank == part);
+        } else {
+#pragma unroll 1
+            for (int rank = 0; rank <= rank_of_quartile; ++rank)
+                take_least(rank == rank_of_quartile, rank == rank_of_sixteenth);
+        }
+        if (lane < slots) {
+            const Level level = search.level_of(scan, quartile, sixteenth);
+            scan.background = level.background;
+            scan_at[lane] = scan;
+            limits[lane] = level.limit;
+            found[lane] = 0;
+            lost[lane] = 0;
+        }
+        __syncwarp();
+        return scan.background;
+    }
+
+    // A bit for each of up to 256 chunks, to words[at ..]. A pair of pixels is bright when the
+    // greater of it and the limit less one is not that.
+    LUMILINE_FN void find_bright_chunks(const uint4* block, int there, int limit, int at) {
+        const unsigned below = (unsigned)(limit - 1) * 0x10001u;
+        unsigned bits[8];
+        auto look = [&](int i, bool inside) {
+            uint4 pairs = make_uint4(0u, 0u, 0u, 0u);
+            if (inside) pairs = block[i * 32 + lane];
+            const unsigned most =
+                __vmaxu2(__vmaxu2(pairs.x, pairs.y), __vmaxu2(__vmaxu2(pairs.z, pairs.w), below));
+            bits[i] = __ballot_sync(every, most != below);
+        };
+        if (there >= block_chunks) {
+#pragma unroll
+            for (int i = 0; i < 8; ++i) look(i, true);
+        } else {
+#pragma unroll
+            for (int i = 0; i < 8; ++i) look(i, i * 32 + lane < there);
+        }
+        if (lane == 0) {
+            words[at] = make_uint4(bits[0], bits[1], bits[2], bits[3]);
+            words[at + 1] = make_uint4(bits[4], bits[5], bits[6], bits[7]);
+        }
+    }
+
+    LUMILINE_FN unsigned pair_of(unsigned left, unsigned right) {
+        return __funnelshift_l(left, right, 16);
+    }
+
+    // Each lane up to four neighbouring chunks: which of their pixels are bright and a maximum
+    // among their neighbours, as bits. Two pixels at a time: a pixel is one when it is greater than
+    // the left one, the limit less one, and the right one less one.
+    template <class Where>
+    LUMILINE_FN unsigned find_tops(Where where, unsigned entry) {
+        const int slot = entry >> 16, start = (entry & 0x1fffu) * 8;
+        const int stop = start + (entry >> 13 & 3u) * 8;
+        const unsigned below = (unsigned)(limits[slot] - 1) * 0x10001u, ones = 0x10001u;
+        const unsigned short* v = pixels_of(where, slot);
+        unsigned left = where || start > 0 ? (unsigned)v[start - 1] << 16 : 0u, tops = 0u;
+#pragma unroll 1
+        for (int p = start, shift = 0; p <= stop; p += 8, shift += 8) {
+            const uint4 pairs = load_chunk(where, v, p / 8);
+            const unsigned right = where || p + 8 < search.pixels ? v[p + 8] : 0u;
+            const unsigned own[4] = {pairs.x, pairs.y, pairs.z, pairs.w};
+            unsigned bits = 0u, to_left = pair_of(left, own[0]);
+#pragma unroll
+            for (int i = 0; i < 4; ++i) {
+                const unsigned to_right = pair_of(own[i], i < 3 ? own[i < 3 ? i + 1 : 0] : right);
+                const unsigned most =
+                    __vmaxu2(__vmaxu2(to_left, below), __vmaxu2(to_right, ones) - ones);
+                bits |= __vminu2(__vmaxu2(own[i], most) ^ most, ones) << 2 * i;
+                to_left = to_right;
+            }
+            tops |= ((bits | bits >> 15) & 0xffu) << shift;
+            left = own[3];
+        }
+        return tops;
+    }
+
+    // Each lane one maximum: whether it is a peak's, the peak's centre of gravity, and its position
+    // among its scan's records.
+    template <class Where>
+    LUMILINE_FN void measure_tops(Where where, int count) {
+        bool good = lane < count;
+        int slot = 0;
+        PeakRecord record;
+        record.amplitude = 0.0f;
+        if (good) {
+            const unsigned entry = top_queue[lane];
+            slot = entry >> 16;
+            Scan scan = scan_at[slot];
+            scan.v = pixels_of(where, slot);
+            Run run;
+            good = is_peak(search, where, scan.v, scan.background, entry & 0xffffu, run);
+            if (good) record = measure(search, scan, run);
+        }
+        // Lanes of the same line; those without a peak are of none.
+        const unsigned same = __match_any_sync(every, good ? slot : -1);
+        const int at = found[slot], rank = __popc(same & before);
+        PeakRecord* records = (PeakRecord*)(search.record_of(first_line + slot) + 8);
+        const bool room = !good || at + __popc(same) <= search.max_peaks;
+        __syncwarp();
+        if (__all_sync(every, room)) {
+            if (good) {
+                records[at + rank] = record;
+                if (rank == 0) found[slot] = at + __popc(same);
+            }
+        } else {
+// One after another, in order.
+#pragma unroll 1
+            for (int owner = 0; owner < 32; ++owner) {
+                if (good && owner == lane) {
+                    int place = found[slot];
+                    if (place < search.max_peaks) {
+                        ++found[slot];
+                    } else {
+                        lost[slot] = flag_truncated;
+                        place = make_room(search, records, record.amplitude);
+                    }
+                    if (place >= 0) records[place] = record;
+                }
+                __syncwarp();
+            }
+        }
+        __syncwarp();
+    }
+
+    // Where a lane's entries go: behind those of the lanes before. Adds the number of all.
+    LUMILINE_FN int queue_position(int own, int& waiting) {
+        int place = own;
+#pragma unroll
+        for (int step = 1; step < 32; step *= 2) {
+            const int other = __shfl_up_sync(every, place, step);
+            if (lane >= step) place += other;
+        }
+        const int start = waiting + place - own;
+        waiting += __shfl_sync(every, place, 31);
+        return start;
+    }
+
+    // Entries wait in a queue until every lane has one, or all are to be taken; those for which it
+    // has no room wait as bits of their lanes. A lane's word has a bit for each of 32 chunks, from
+    // chunk `first` of scan `slot` on.
+    template <class Where>
+    LUMILINE_FN void take_chunks(Where where, unsigned word, int slot, int first, bool all) {
+        // A run of bright chunks begins an entry, and every fourth chunk in it a further one.
+        const unsigned fifth = word & word << 1 & word << 2 & word << 3 & word << 4;
+        unsigned starts = word & ~(word << 1);
+        for (unsigned more = starts << 4 & fifth; more != 0u; more = more << 4 & fifth)
+            starts |= more;
+        int run_place = queue_position(__popc(starts), runs_waiting);
+        auto queue_runs = [&]() {
+#pragma unroll 1
+            for (; starts != 0u && run_place < 32; ++run_place, starts &= starts - 1u) {
+                const int at = __ffs(starts) - 1;
+                // The chunks that follow in it: at most three, and none that begins another.
+                const unsigned next = word >> at >> 1 & ~(starts >> at >> 1) & 7u;
+                const int follow = next == 7u ? 3 : next % 4u == 3u ? 2 : next & 1;
+                run_queue[run_place] = slot << 16 | follow << 13 | (first + at);
+            }
+            __syncwarp();
+        };
+        unsigned tops = 0u, top_entry = 0u;
+        int top_place = 0;
+#pragma unroll 1
+        for (;;) {
+            const bool last_tops = all && runs_waiting == 0;
+            if (tops_waiting >= 32 || (last_tops && tops_waiting > 0)) {
+                measure_tops(where, smaller(32, tops_waiting));
+                tops_waiting = tops_waiting > 32 ? tops_waiting - 32 : 0;
+                top_place -= 32;
+            } else if (runs_waiting >= 32 || (all && runs_waiting > 0)) {
+                queue_runs();
+                tops = 0u;
+                if (lane < runs_waiting) {
+                    top_entry = run_queue[lane];
+                    tops = find_tops(where, top_entry);
+                    top_entry = top_entry & 0x30000u | (top_entry & 0x1fffu) * 8;
+                }
+                runs_waiting = runs_waiting > 32 ? runs_waiting - 32 : 0;
+                run_place -= 32;
+                top_place = queue_position(__popc(tops), tops_waiting);
+            } else {
+                break;
+            }
+#pragma unroll 1
+            for (; tops != 0u && top_place < 32; ++top_place, tops &= tops - 1u)
+                top_queue[top_place] = top_entry + __ffs(tops) - 1;
+            __syncwarp();
+        }
+        if (!all) queue_runs();
+    }
+
+    LUMILINE_FN void finish(int background) {
+        const int count = lane < slots ? found[lane] : search.max_peaks;
+        const int lacks = lane < slots ? lost[lane] : 0;
+        if (lane < slots)
+            *(int2*)search.record_of(first_line + lane) = make_int2(count, background);
+        if (!__all_sync(every, count == search.max_peaks && lacks == 0)) {
+            // Eight lanes a line.
+            const int slot = lane / 8;
+            const int filled = slot < slots ? found[slot] : search.max_peaks;
+            const int flags = slot < slots ? lost[slot] : 0;
+            PeakRecord* records = (PeakRecord*)(search.record_of(first_line + slot) + 8);
+#pragma unroll 1
+            for (int k = filled + lane % 8; k < search.max_peaks; k += 8)
+                records[k] = empty_record();
+            if (flags != 0)
+                for (int k = lane % 8; k < filled; k += 8) records[k].flags |= flags;
+        }
+        __syncwarp();
+    }
+
+    LUMILINE_FN int take_short_lines() {
+        const Padded where;
+        const Scan scan = lane_scan();
+        await_lines();
+        const int background = estimate_backgrounds(where, scan);
+#pragma unroll 1
+        for (int slot = 0, block = 0, at = 0; slot < slots; at += 2) {
+            const int first = block * block_chunks;
+            find_bright_chunks(staged + slot * stride + first, chunks - first, limits[slot], at);
+            if (++block == line_blocks) {
+                block = 0;
+                ++slot;
+            }
+        }
+        __syncwarp();
+        const int own_block = lane / 8;
+        const int slot = line_blocks == 1 ? own_block : line_blocks == 2 ? own_block / 2 : 0;
+        const int first = (lane - slot * line_blocks * 8) * 32;
+        const bool there = slot < slots && first < chunks;
+        take_chunks(where, there ? ((const unsigned*)words)[lane] : 0u, slot, first, true);
+        return background;
+    }
+
+    LUMILINE_FN int take_long_lines() {
+        const Bare where;
+        // All blocks but one that there is room for are on their way while one is looked at.
+        int coming_slot = 0, coming_chunk = 0, coming = 0, at = 0;
+        auto stage_next = [&]() {
+            if (coming_slot < slots)
+                stage(staged + coming * block_chunks,
+                      first_v + (long long)coming_slot * search.pixels, coming_chunk * 8,
+                      smaller(block_chunks, chunks - coming_chunk));
+            end_of_stage();
+            coming = coming == batch_lines - 1 ? 0 : coming + 1;
+            coming_chunk += block_chunks;
+            if (coming_chunk >= chunks) {
+                coming_chunk = 0;
+                ++coming_slot;
+            }
+        };
+        for (int k = 1; k < batch_lines; ++k) stage_next();
+        const int background = estimate_backgrounds(where, lane_scan());
+        for (int slot = 0; slot < slots; ++slot)
+            for (int first = 0; first < chunks; first += block_chunks) {
+                stage_next();
+                await_stage(true);
+                find_bright_chunks(staged + at * block_chunks, chunks - first, limits[slot], 0);
+                __syncwarp();
+                at = at == batch_lines - 1 ? 0 : at + 1;
+                const bool last = slot + 1 == slots && first + block_chunks >= chunks;
+                const unsigned word = lane < 8 ? ((const unsigned*)words)[lane] : 0u;
+                if (last || __any_sync(every, word != 0u))
+                    take_chunks(where, word, slot, first + lane * 32, last);
+            }
+        return background;
+    }
+
+    LUMILINE_FN void solve() {
+        while (slots > 0) {
+            finish(in_shared ? take_short_lines() : take_long_lines());
+            first_line += step_lines;
+            first_v += (long long)step_lines * search.pixels;
+            stage_batch();
+        }
+    }
+};
+
+}  // namespace lumiline::signal
+
+#endif

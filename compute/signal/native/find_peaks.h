@@ -1,0 +1,23 @@
+// Threshold and centre of gravity: from scans to peaks, on the CPU and on CUDA.
+#pragma once
+
+#include "compute/native/platform.h"
+#include "compute/signal/native/cpu_search.h"
+#include "compute/signal/native/cuda_search.h"
+#include "compute/signal/native/search.h"
+
+namespace lumiline::signal {
+
+// Finds the peaks of scan `number` on the CPU; on CUDA warp `number` finds those of its scans.
+template <int batch_lines, Length length>
+LUMILINE_FN void find_peaks(const Search& search, int number) {
+#if defined(__CUDA_ARCH__)
+    __shared__ SharedMemory<batch_lines> shared;
+    WarpSearch<batch_lines, length> warp(search, number, shared);
+    warp.solve();
+#else
+    find_peaks_on_cpu(search, number);
+#endif
+}
+
+}  // namespace lumiline::signal

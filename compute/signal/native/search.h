@@ -1,0 +1,107 @@
+// Scans, their background, and the thresholds of peaks. Every decision is taken in integers, so
+// that all devices take the same.
+#pragma once
+
+#include "compute/native/platform.h"
+#include "compute/signal/native/definitions.gen.h"
+
+namespace lumiline::signal {
+
+// One row of pixels with the noise of its sensor, and its background in 1 / level_unit counts.
+struct Scan {
+    const unsigned short* v;
+    double dark, photon, offset;
+    int full_scale, background;
+};
+
+// A background in 1 / level_unit counts, and the lowest count of a pixel that may be a peak's.
+struct Level {
+    int background, limit;
+};
+
+// Whether memory before and behind a scan's pixels holds dark ones.
+struct Padded {
+    constexpr LUMILINE_FN operator bool() const { return true; }
+};
+
+struct Bare {
+    constexpr LUMILINE_FN operator bool() const { return false; }
+};
+
+// Scans of at most BLOCK_PIXELS, of at most SHORT_PIXELS, longer ones, or all: on CUDA, with less
+// to choose from the code is shorter, which leaves the compiler more registers.
+enum class Length { block, at_most_short, longer, any };
+
+// What a search is given: a batch of scans of `pixels` pixels, of sensor `line % sensors`.
+struct Search {
+    unsigned long long lines_address;
+    int lines, pixels, lines_per_warp;
+    unsigned long long dark_variance_address, photon_variance_address, offset_address,
+        full_scale_address;
+    int sensors;
+    double detection_sigma;
+    int fraction_units, weigh_above_threshold, correct_edges, min_width_px, max_peaks;
+    unsigned long long records_address;
+    int record_bytes;
+
+    LUMILINE_FN char* record_of(int line) const {
+        return (char*)records_address + (long long)line * record_bytes;
+    }
+
+    LUMILINE_FN Scan scan_of(int line, int sensor) const {
+        return Scan{(const unsigned short*)lines_address + (long long)line * pixels,
+                    ((const double*)dark_variance_address)[sensor],
+                    ((const double*)photon_variance_address)[sensor],
+                    ((const double*)offset_address)[sensor],
+                    ((const int*)full_scale_address)[sensor],
+                    0};
+    }
+
+    // A peak's own threshold, in 1/level_unit counts, and the least count above it.
+    LUMILINE_FN int threshold_of(int background, int value) const {
+        const int excess = value * level_unit - background;
+        return background + (int)((long long)excess * fraction_units / fraction_unit);
+    }
+
+    LUMILINE_FN int cut_of(int background, int value) const {
+        return threshold_of(background, value) / level_unit + 1;
+    }
+
+    // The groups of pixels that the background is estimated from.
+    LUMILINE_FN int groups() const { return smaller(pixels / group_pixels, sample_groups); }
+
+    // Nearly always by a constant, which is quicker.
+    LUMILINE_FN int group_step() const {
+        return groups() == sample_groups ? (pixels - group_pixels) / (sample_groups - 1)
+                                         : (pixels - group_pixels) / (groups() - 1);
+    }
+
+    static LUMILINE_FN int rank_of_quartile(int groups) { return (groups - 1) / 4; }
+
+    static LUMILINE_FN int rank_of_sixteenth(int groups) { return (groups - 1) / 16; }
+
+    // A group's sum as a key to rank it by; keys are unique, since its number is in the low bits.
+    LUMILINE_FN int group_key(const unsigned short* v, int group, int group_step) const {
+        const unsigned short* first = v + group * group_step / group_pixels * group_pixels;
+        int sum = 0;
+        for (int i = 0; i < group_pixels; ++i) sum += first[i];
+        return sum * sample_groups + group;
+    }
+
+    // Background and limit from the first quartile and the first sixteenth of the keys.
+    LUMILINE_FN Level level_of(const Scan& scan, int quartile_key, int sixteenth_key) const {
+        const int quartile = quartile_key / sample_groups;
+        const int sixteenth = sixteenth_key / sample_groups;
+        const int background = quartile * (level_unit / group_pixels);
+        const double noise_level =
+            double((quartile - sixteenth) * (level_unit / group_pixels)) / level_unit;
+        double light = double(background) / level_unit - scan.offset;
+        if (light < 0.0) light = 0.0;
+        double sigma = sqrt(scan.dark + scan.photon * light);
+        if (sigma < noise_level) sigma = noise_level;
+        const double level = ceil(double(background) / level_unit + detection_sigma * sigma);
+        return Level{background, level > 65536.0 ? 65536 : (int)level};
+    }
+};
+
+}  // namespace lumiline::signal

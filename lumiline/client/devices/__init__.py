@@ -1,1 +1,0 @@
-"""Devices, their calibrations, and points from readings."""

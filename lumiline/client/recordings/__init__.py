@@ -1,1 +1,0 @@
-"""Recordings, their exports, and runs."""

@@ -1,1 +1,0 @@
-"""Registrations, and the transforms between frames."""

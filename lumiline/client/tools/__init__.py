@@ -1,1 +1,0 @@
-"""Tools, their calibration, and points measured with them."""

@@ -1,0 +1,120 @@
+"""Client methods without a server: requests, answers, and what both clients share."""
+
+import inspect
+from typing import Any
+
+import pytest
+
+from lumiline.client import AsyncClient, Client, UnreadableMessage, models
+from lumiline.client.devices import DeviceMethods
+from lumiline.client.exchange import BlockingRunner, ClientMethod, HttpRequest
+from lumiline.client.recordings import RecordingMethods
+
+
+class Answers(DeviceMethods, RecordingMethods, BlockingRunner):
+    """A client whose server gives these answers, one after another."""
+
+    def __init__(self, *answers: Any) -> None:
+        self.answers = list(answers)
+        self.requests: list[HttpRequest] = []
+
+    def _perform(self, step: HttpRequest) -> Any:
+        self.requests.append(step)
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+@pytest.mark.parametrize(
+    "page", [None, [], {}, {"items": {}, "total": 0}, {"items": []}, {"items": [], "total": "2"}]
+)
+def test_list_answer_is_no_page_raises(page: Any) -> None:
+    with pytest.raises(UnreadableMessage, match="/api/v1/devices did not answer a list"):
+        Answers(page).devices()
+
+
+@pytest.mark.parametrize("answer", [None, [], "status", {}, {"state": "running"}])
+def test_answer_without_the_wanted_member_raises(answer: Any) -> None:
+    with pytest.raises(UnreadableMessage, match='answered without "status"'):
+        Answers(answer).device_status("sim")
+
+
+def test_answer_of_another_model_raises() -> None:
+    with pytest.raises(
+        UnreadableMessage, match="no DeviceStatus: Field required at \\('state',\\)"
+    ):
+        Answers({"status": {}}).device_status("sim")
+
+
+def test_list_of_two_pages_is_requested_from_the_next_item_on() -> None:
+    pages = [{"items": [{"id": str(n)} for n in part], "total": 3} for part in ((0, 1), (2,))]
+    client = Answers(*pages)
+    assert [found.model_dump()["id"] for found in client.reconstructions("sim")] == ["0", "1", "2"]
+    assert [dict(request.query or {}) for request in client.requests] == [
+        {"device": "sim", "limit": 200, "offset": 0},
+        {"device": "sim", "limit": 200, "offset": 2},
+    ]
+
+
+def test_error_of_the_transport_reaches_the_caller() -> None:
+    with pytest.raises(OSError, match="cable"):
+        Answers(OSError("cable")).devices()
+
+
+def test_recording_name_with_a_slash_is_part_of_the_path() -> None:
+    client = Answers({})
+    with pytest.raises(UnreadableMessage):
+        client.recording("day 1/a.h5")
+    assert client.requests[0].path == "/api/v1/recordings/day%201/a.h5"
+
+
+def public(kind: type[Any]) -> dict[str, Any]:
+    return {
+        name: member
+        for name, member in inspect.getmembers(kind, inspect.isfunction)
+        if not name.startswith("_")
+    }
+
+
+def test_both_clients_have_the_same_methods() -> None:
+    blocking, awaitable = public(Client), public(AsyncClient)
+    assert blocking.keys() == awaitable.keys()
+    assert len(blocking) > 40
+    for name, method in blocking.items():
+        other = awaitable[name]
+        if name != "stream":  # returns a stream of either kind at once
+            assert not inspect.iscoroutinefunction(method), name
+            assert inspect.iscoroutinefunction(other), name
+            assert inspect.signature(method) == inspect.signature(other), name
+        if name != "close":
+            assert inspect.getdoc(method) == inspect.getdoc(other), name
+
+
+def test_every_method_is_written_once() -> None:
+    own = {"close", "_perform", "_http_type", "_stream_type"}
+    for kind in (Client, AsyncClient):
+        assert {name for name in vars(kind) if not name.startswith("__")} == own
+        methods = {
+            name: next(vars(base)[name] for base in kind.__mro__ if name in vars(base))
+            for name in public(kind)
+        }
+        shared = {name for name, one in methods.items() if isinstance(one, ClientMethod)}
+        assert methods.keys() - shared == {"close", "stream"}
+
+
+def test_signature_of_a_method_names_its_result() -> None:
+    signature = inspect.signature(Client.device_status)
+    assert list(signature.parameters) == ["self", "device_id"]
+    assert signature.return_annotation is models.DeviceStatus
+    assert Client.device_status.__doc__ == "State of a device and its counts of frames."
+
+
+def test_models_of_answers_are_in_one_module() -> None:
+    kinds = {
+        kind
+        for kind in models.ResponseModel.__subclasses__()
+        if kind.__module__.startswith("lumiline.")
+    }
+    assert len(kinds) > 20
+    assert {kind.__module__ for kind in kinds} == {"lumiline.client.models"}

@@ -3,7 +3,6 @@
 from importlib.metadata import PackageNotFoundError, version
 from typing import Final
 
-
 DISCLAIMER: Final = "For research use only. Not a medical device: see DISCLAIMER.md."
 
 

@@ -16,7 +16,7 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
-from service.protocols.allow_list import AllowList
+from service.allow_list import AllowList
 
 _OF_CLIENTS: Final = frozenset({"LUMILINE_URL", "LUMILINE_KEY"})
 

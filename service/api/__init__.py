@@ -1,1 +1,1 @@
-"""Api."""
+"""The REST resources: one folder each, with router, schema and store."""

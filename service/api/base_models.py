@@ -1,4 +1,4 @@
-"""Building blocks of the edge's models: strict base model, ids, texts, times, pages."""
+"""Base classes and field types of REST schemas: strict models, ids, texts, times, pages."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Request bodies read strictly as JSON: right media type, no key twice, no silent conversion."""
+"""Strict JSON bodies: media type checked, duplicate keys refused, no silent conversion."""
 
 import email.message
 import json

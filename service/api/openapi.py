@@ -9,6 +9,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
 from compute.errors import LumilineError, NonFiniteValue
+from service.principal import SCOPE_MEANINGS
 from service.problems.catalogue import (
     MEDIA_TYPE,
     PROBLEM_TYPES,
@@ -31,7 +32,6 @@ from service.problems.errors import (
     UnsupportedMediaType,
 )
 from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC
-from service.security.scopes import SCOPE_MEANINGS
 
 Responses = dict[int | str, dict[str, Any]]
 
@@ -178,7 +178,7 @@ def _document(app: FastAPI) -> dict[str, Any]:
 
 
 def _secure(operation: dict[str, Any]) -> tuple[ProblemType, ...]:
-    """Say which scope an operation needs; return the problems that follow."""
+    """Document the scope that an operation needs; return the problems that follow."""
     scope = OPERATION_SCOPES[operation["operationId"]]
     if scope == PUBLIC:
         operation["security"] = []
@@ -191,7 +191,7 @@ def _secure(operation: dict[str, Any]) -> tuple[ProblemType, ...]:
 
 
 def _require_discriminators(node: Any, schemas: dict[str, Any]) -> None:
-    """Require the property that tells the members of a union apart, also where it has a default.
+    """Make the discriminator of each union a required property, also where it has a default.
 
     A default serves Python; a document without the property cannot be told apart and is refused.
     """

@@ -1,4 +1,4 @@
-"""A page of a list from the database: counted, cut, and as clients see it."""
+"""Pagination of database queries: total count, limit and offset."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,1 +1,1 @@
-"""Application."""
+"""The application: middleware, routers and everything that runs beside them."""

@@ -30,19 +30,20 @@ from service.api.tools.frames_router import router as frames
 from service.api.tools.points_router import router as points
 from service.api.tools.registrations_router import router as registrations
 from service.api.tools.router import router as tools
-from service.application.body_limit import BodyLimitMiddleware
-from service.application.cross_origin import CrossOriginMiddleware
-from service.application.head_middleware import HeadMiddleware
 from service.application.lifespan import running
+from service.application.middleware import (
+    BodyLimitMiddleware,
+    CrossOriginMiddleware,
+    HeadMiddleware,
+)
+from service.application.request_log import RequestLog
 from service.application.server import router as server
-from service.logs.request_middleware import RequestLog
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.handlers import install_problem_handlers, unknown_websocket
 from service.protocols.metrics.registry import Metrics
 from service.protocols.metrics.router import router as metrics
 from service.protocols.stream.router import router as stream
-from service.security.guard import Guard, confirm
-from service.security.operation_scopes import check_complete
+from service.security.guard import Guard, check_complete, confirm
 from service.security.stream_limit import StreamLimit
 from service.settings import Settings
 from service.version import package_version
@@ -101,7 +102,7 @@ def create_app(
     app.add_middleware(
         RequestLog,
         ended=app.state.metrics.request_ended,
-        stopping=lambda: bool(app.state.stopping),
+        stopping=partial(getattr, app.state, "stopping"),
     )
     install_problem_handlers(app)
     check_complete(app.routes)

@@ -1,4 +1,4 @@
-"""Makes ready what the service needs before it serves: data directory, database, first content."""
+"""Prepares data directory, database and first content before serving."""
 
 import logging
 from pathlib import Path
@@ -56,8 +56,8 @@ def trace_optics(settings: Settings, database: Database, named: tuple[str, ...])
 def _stored_device(name_or_path: str, folder: Path, database: Database) -> str:
     """Store the device of a profile unless it is there; return its id."""
     # Only here: profiles bring the whole of the optics with them.
-    from service.api.devices import profile_device as devices
     from service.api.devices import profiles
+    from service.application import profile_device as devices
 
     profile = profiles.resolve_profile(name_or_path, folder)
     identity = devices.device_id(profile.name)

@@ -1,4 +1,4 @@
-"""HTTP/1.1 connections whose requests have heads in time and in bounds, or which make room."""
+"""Header size and arrival limits of HTTP/1.1; the longest-waiting connection is evicted."""
 
 import asyncio
 from typing import Any, Final
@@ -18,7 +18,7 @@ HEAD_BYTES: Final = 64 * 1024
 class LimitedHttpProtocol(HttpToolsProtocol):
     """Uvicorn's protocol, which would wait for ever for a head of any size.
 
-    Bodies have limits of their own (service/application/body_limit.py).
+    Bodies have limits of their own (service/application/middleware.py).
     """
 
     def __init__(self, *given: Any, **named: Any) -> None:
@@ -30,7 +30,7 @@ class LimitedHttpProtocol(HttpToolsProtocol):
         self._upgraded = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Wait for the first head; when there are too many, who waited longest makes room."""
+        """Wait for the first head; with too many connections, evict the longest waiting."""
         super().connection_made(transport)
         self._wait()
         if self.limit_concurrency is not None and len(self.connections) >= self.limit_concurrency:

@@ -1,4 +1,4 @@
-"""What runs as long as the application: opened in order, closed in reverse."""
+"""Lifespan of the application: parts are opened in order and closed in reverse."""
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -8,7 +8,9 @@ from typing import Protocol
 from anyio.to_thread import run_sync
 from fastapi import FastAPI
 
-from service.api.devices.device_service import DeviceService
+from service.api.beam_holds.monitor_config import tracking_config_of
+from service.api.correction_tables.store import active_calibration
+from service.api.devices.device_service import DeviceService, StoredContent
 from service.api.devices.profiles import find_profile
 from service.api.exports.repository import ExportRepository
 from service.api.quality.drift_monitor import DriftMonitor
@@ -64,8 +66,14 @@ async def running(
         manager = _live_manager(settings) if live is None else live
         closed_at_the_end(manager)
         app.state.live = manager
+        app.state.streams = manager.streams
         stack.callback(setattr, app.state, "live", None)
-        app.state.operation = DeviceService(database, manager, settings.folders)
+        app.state.device_service = DeviceService(
+            database,
+            manager,
+            settings.folders,
+            StoredContent(active_calibration, tracking_config_of),
+        )
         recordings = RecordingManager(
             manager,
             settings.folders.recordings,
@@ -74,7 +82,7 @@ async def running(
         )
         closed_at_the_end(recordings)
         app.state.recordings = recordings
-        await run_sync(app.state.operation.autostart, *named)
+        await run_sync(app.state.device_service.autostart, *named)
         exports = ExportRepository(settings.folders.exports, settings.recording_free_bytes)
         app.state.exports = exports
         kinds = kinds_with(exports, settings.folders.recordings)
@@ -87,7 +95,7 @@ async def running(
         closed_at_the_end(watch)
         watch.start()
         app.state.metrics.add(
-            LiveCollector(manager),
+            LiveCollector(manager, app.state.streams),
             DatabaseCollector(database, runs.durations),
             RecordingsCollector(recordings),
         )
@@ -101,4 +109,4 @@ async def running(
 def _live_manager(settings: Settings) -> PipelineManager:
     own = partial(find_profile, profiles_dir=settings.folders.profiles)
     hub = Hub(settings.stream_kept_messages, settings.stream_lag_s)
-    return PipelineManager(settings.compute_device, own, hub)
+    return PipelineManager(hub, settings.compute_device, own)

@@ -1,17 +1,14 @@
-"""Readiness: whether requests can be served, and of what cannot the reason."""
+"""Readiness check: whether requests can be served, and what prevents it."""
 
 import shutil
 from collections.abc import Iterator
-from functools import cache
 from typing import Final
 
-from alembic.script import ScriptDirectory
 from sqlalchemy.exc import SQLAlchemyError
 
-import migrations
 from service.api.recordings.recording_manager import RecordingManager
-from service.database.consistency import revision_of
 from service.database.engine import Database
+from service.database.migration import newest_revision, revision_of
 from service.jobs.run_manager import RunManager
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.errors import NotReady
@@ -69,7 +66,7 @@ def _database(database: Database) -> Iterator[_Complaint]:
         text = f"the database does not answer ({kind}); it must accept connections"
         yield "database", text
         return
-    newest = _newest()
+    newest = newest_revision()
     if revision != newest:
         text = (
             f"the database is of revision {revision}, this version of the service is of {newest}; "
@@ -110,9 +107,3 @@ def _free(recordings: RecordingManager) -> int | None:
         return shutil.disk_usage(recordings.library.folder).free
     except OSError:
         return None
-
-
-@cache
-def _newest() -> str | None:
-    # Kept: reading all revisions takes longer than the rest together.
-    return ScriptDirectory(migrations.__path__[0]).get_current_head()

@@ -1,4 +1,4 @@
-"""Health, the landing page, and what problem types mean."""
+"""Endpoints of the server itself: landing page, health, problem types."""
 
 import html
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -8,12 +8,13 @@ from pydantic import Field
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from service.api.base_models import ResponseModel
-from service.api.dependencies import DatabaseDep, RecordingsDep, RunsDep, SettingsDep
+from service.api.dependencies import DatabaseDep, RunsDep, SettingsDep
 from service.api.openapi import problems
+from service.api.recordings.recording_manager import RecordingsDep
 from service.application.readiness import check_ready, failed_devices, limits
 from service.problems.catalogue import PROBLEM_TYPES, ProblemType
 from service.problems.errors import NotReady, UnknownProblem
-from service.security.local_access import why_not_local
+from service.security.credential import why_not_local
 
 if TYPE_CHECKING:
     from service.pipeline.pipeline_manager import PipelineManager

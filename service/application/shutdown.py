@@ -1,4 +1,4 @@
-"""The server's end: streams are closed with a reason, work is put down, and all of it in time."""
+"""Graceful shutdown within a time limit: streams are closed with a reason, work is stopped."""
 
 import asyncio
 import logging
@@ -50,7 +50,7 @@ class ShutdownServer(uvicorn.Server):
                 signal.signal(sig, handler)
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        """Begin to stop; told a second time, end at once by the same signal."""
+        """Begin to stop; at a second signal end at once."""
         if self.should_exit:
             signal.signal(sig, signal.SIG_DFL)
             signal.raise_signal(sig)
@@ -67,7 +67,7 @@ class ShutdownServer(uvicorn.Server):
         self._app.state.stopping = True
         for server in self.servers:
             server.close()
-        hub = self._app.state.live.hub
+        hub = self._app.state.streams
         hub.close(REASON)
         end = asyncio.get_running_loop().time() + STREAMS_S
         while hub.clients and asyncio.get_running_loop().time() < end:

@@ -1,4 +1,4 @@
-"""What is to be reconstructed with, from files: a calibration, and its correction table."""
+"""Calibration and correction table from files, as the active calibration of an offline command."""
 
 from pathlib import Path
 

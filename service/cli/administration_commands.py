@@ -1,4 +1,4 @@
-"""The commands of an administrator: keys, backup, restore, check-database. Their options only."""
+"""Options of the administration commands: keys, backup, restore, check-database."""
 
 from pathlib import Path
 from typing import Annotated

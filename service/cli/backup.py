@@ -5,13 +5,12 @@ from pathlib import Path
 
 import typer
 
+from service.backup.backup import back_up
+from service.backup.consistency import find_inconsistencies
+from service.backup.copy_rows import count_rows
+from service.backup.restore import KeyChanges, restore
 from service.cli.local_database import local_database
 from service.cli.output import console, progress
-from service.database.backup import back_up
-from service.database.consistency import find_inconsistencies
-from service.database.copy_rows import count_rows
-from service.database.restore import restore
-from service.database.restored_api_keys import KeyChanges
 
 
 def run_backup(data_dir: Path | None, file: Path) -> None:

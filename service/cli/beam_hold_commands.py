@@ -1,4 +1,4 @@
-"""The commands of beam holds: list, show, watch, acknowledge. Their options only."""
+"""Options of the beam-hold commands: list, show, watch, acknowledge."""
 
 from typing import Annotated
 

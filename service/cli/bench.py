@@ -1,4 +1,4 @@
-"""`lumiline bench`: figures of speed, each beside what a user would pick instead."""
+"""`lumiline bench`: speed measurements, each beside an alternative."""
 
 import tempfile
 from contextlib import ExitStack

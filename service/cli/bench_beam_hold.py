@@ -1,4 +1,4 @@
-"""`lumiline bench hold`: a patient who moves, to the signal that holds the beam, at a client."""
+"""`lumiline bench hold`: latency from patient motion to the beam-hold signal at a client."""
 
 from contextlib import ExitStack
 from dataclasses import asdict

@@ -1,4 +1,4 @@
-"""`lumiline bench clock`: how well a device's clock is known on the host's, by simulation."""
+"""`lumiline bench clock`: simulated accuracy of clock synchronisation with a device."""
 
 from dataclasses import asdict
 

@@ -1,4 +1,4 @@
-"""`lumiline bench decoder`: what the decoder of the line-scan protocol stands, how fast it is."""
+"""`lumiline bench decoder`: robustness and speed of the decoder of the line-scan protocol."""
 
 from dataclasses import asdict
 from typing import Final

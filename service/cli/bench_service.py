@@ -1,4 +1,4 @@
-"""What benchmarks of a running service share: their frame, and the questions that they ask it."""
+"""Common parts of the benchmarks that run a service: calibration target and requests."""
 
 import tempfile
 import time
@@ -50,7 +50,7 @@ def read_device(client: httpx.Client, source: dict[str, Any]) -> None:
 
 
 def wait_for_frames(client: httpx.Client, frames: int, timeout_s: float = 120.0) -> None:
-    """Wait until so many frames have come and been processed; raises RuntimeError."""
+    """Wait until this many frames are processed; raises RuntimeError."""
     end = time.monotonic() + timeout_s
     while device_status(client)["frames_processed"] < frames:
         if time.monotonic() > end:

@@ -1,4 +1,4 @@
-"""`lumiline blink-codes`: words for markers that blink, far enough from each other."""
+"""`lumiline blink-codes`: code words for blinking markers with a minimum distance."""
 
 from rich.table import Table
 
@@ -8,7 +8,7 @@ from service.cli.output import console, fail, print_json
 
 
 def run(markers: int, bits: int, distance: int, *, as_json: bool) -> None:
-    """Print words of so many bits, one of each marker."""
+    """Print the code word of each marker."""
     try:
         codes = blink_codes(markers, bits, distance)
     except LumilineError as error:

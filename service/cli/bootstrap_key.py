@@ -1,4 +1,4 @@
-"""The first key of a server that takes requests with a key only: shown once, on the terminal."""
+"""Makes the first key of a server that requires keys, shown once on the terminal."""
 
 import logging
 import sys
@@ -6,10 +6,9 @@ from typing import Final
 
 from service.api.security.schema import NewApiKey
 from service.cli.preflight import open_database
+from service.principal import SCOPES, Act, Principal, current_act
 from service.security import store
-from service.security.local_access import keys_required
-from service.security.principal import Act, Principal, current_act
-from service.security.scopes import SCOPES
+from service.security.credential import keys_required
 from service.settings import Settings
 
 _log = logging.getLogger(__name__)

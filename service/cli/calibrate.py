@@ -145,7 +145,7 @@ def _report(
     source: Path, table: ObservationTable, found: Calibration, page: Path, figures: Path | None
 ) -> None:
     from service.api.reports.content import ReportContent
-    from service.api.reports.export import write_report
+    from service.api.reports.page import write_report
 
     names = [str(number) for number in range(1, len(table.points_mm) + 1)]
     content = ReportContent(

@@ -1,4 +1,4 @@
-"""The commands that calibrate without a server: calibrate, wand, map, drift. Options only."""
+"""Options of the offline calibration commands: calibrate, wand, map, drift."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""A calibration in a JSON file: as `lumiline calibrate` writes it, or as the service sends it."""
+"""Reads a calibration from a JSON file of `lumiline calibrate` or of the service."""
 
 import json
 from dataclasses import dataclass

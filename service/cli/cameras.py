@@ -1,4 +1,4 @@
-"""`lumiline cameras`: the GenICam cameras that can be seen from here, and how to open them."""
+"""`lumiline cameras`: lists the GenICam cameras that can be opened from here."""
 
 import typer
 from rich.table import Table

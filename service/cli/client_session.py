@@ -1,4 +1,4 @@
-"""A client of the server that a command names; what the server refuses ends the command."""
+"""Session with the server that a command names; a refusal ends the command."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

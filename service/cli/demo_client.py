@@ -1,4 +1,4 @@
-"""The demo's client: what it asks the service for, over REST and websocket only."""
+"""Client of the demo: REST and websocket only."""
 
 from collections import defaultdict
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The demo's picture: the bar's trajectory and what is left over."""
+"""Plot of the demo: the bar's trajectory and the residuals."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""`lumiline drift`: is a calibration still good? Still markers read again, without a server."""
+"""`lumiline drift`: checks a calibration by stationary markers, without a server."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -92,7 +92,7 @@ def _still_set(
 def _in_order(
     path: Path, table: ObservationTable, calibration: Calibration
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return readings and deviations in the order of the calibration's sensors, (N, S) [px].
+    """Return readings and sigma in the order of the calibration's sensors, (N, S) [px].
 
     Readings without a deviation take the calibration's.
     """

@@ -7,8 +7,7 @@ from compute.errors import InvalidParameter, LumilineError
 from service.api.exports.formats import suffix_of, write_export
 from service.api.exports.from_stream import SUFFIXES, table_from_stream
 from service.api.exports.motion_table import MotionTable
-from service.api.exports.tool_file import read_tools
-from service.api.exports.tracking_file import read_device
+from service.api.exports.tool_file import read_device, read_tools
 from service.cli.active_calibration_files import read_active_calibration
 from service.cli.output import console, fail, progress
 

@@ -8,14 +8,14 @@ import typer
 from pydantic import TypeAdapter, ValidationError
 from rich.table import Table
 
-from service.api.security.schema import ApiKey, NewApiKey
+from service.api.security.schema import ApiKey, NewApiKey, document
 from service.application.initial_content import seed
 from service.cli.local_database import local_database
 from service.cli.output import console, fail, progress_console
 from service.database.engine import Database
 from service.database.migration import migrate
+from service.principal import SCOPES
 from service.security import store
-from service.security.scopes import SCOPES
 
 _MOST_SHOWN: Final = 10_000
 
@@ -70,7 +70,7 @@ def revoke(data_dir: Path | None, key_id: str) -> None:
 def _all(database: Database) -> list[ApiKey]:
     with database.read() as session:
         rows, _ = store.list_keys(session, _MOST_SHOWN, 0)
-        return [store.document(row) for row in rows]
+        return [document(row) for row in rows]
 
 
 def _day(moment: datetime | None) -> str:

@@ -1,4 +1,4 @@
-"""The commands of the laboratory: cameras, plan, peaks, blink-codes. Options only."""
+"""Options of the laboratory commands: cameras, plan, peaks, blink-codes."""
 
 from pathlib import Path
 from typing import Annotated

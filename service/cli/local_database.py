@@ -1,4 +1,4 @@
-"""The service's database, for commands that work on it without a server."""
+"""Opens the service's database for commands that work without a server."""
 
 import getpass
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from service.cli.output import fail
 from service.cli.preflight import database_fault, open_database, redact_password
 from service.cli.serve import load_settings, set_private_umask
 from service.database.engine import Database
-from service.security.principal import Act, Principal, current_act
+from service.principal import Act, Principal, current_act
 from service.settings import Settings
 
 

@@ -1,4 +1,4 @@
-"""Readings in a CSV file, one column a sensor: of control points, or of a moved wand."""
+"""Reads a CSV file of readings, one column a sensor: control points or a moved wand."""
 
 import csv
 from dataclasses import dataclass
@@ -123,7 +123,7 @@ class _File:
             )
 
     def readings(self) -> tuple[Array, Array | None]:
-        """Return readings (N, S), NaN where empty, and their deviations if there are any."""
+        """Return readings (N, S) [px], NaN where empty, and sigma [px] where there is any."""
         deviations = [name + DEVIATION for name in self.sensors]
         given = [name for name in deviations if name in self._columns]
         if given and len(given) != len(self.sensors):

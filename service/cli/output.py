@@ -1,4 +1,4 @@
-"""How commands print: tables for people on the terminal, JSON for machines."""
+"""Output of commands: tables on the terminal, JSON for programs."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,4 +1,4 @@
-"""`lumiline peaks`: the peaks of lines from a file, as a table, JSON or a picture."""
+"""`lumiline peaks`: peaks of scans in a file, as a table, JSON or a plot."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -166,7 +166,7 @@ def _valid(values: dict[str, Any], name: str) -> Method:
 def _noise(
     given: dict[str, float | None], recorded: PixelNoise | None
 ) -> PixelNoise | NoiseConstants | None:
-    """Return the noise that options tell, before what the recording does; None: neither does."""
+    """Return the noise of the options, else of the recording; None: neither has it."""
     values = {name: value for name, value in given.items() if value is not None}
     if not values:
         return recorded

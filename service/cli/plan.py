@@ -1,4 +1,4 @@
-"""`lumiline plan`: what a device will reach, worked out from its profile."""
+"""`lumiline plan`: predicts the accuracy of a device from its profile."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Looks, before the service starts, whether the ports that it is to listen on can be had."""
+"""Checks before the start that the ports of the service are free."""
 
 import errno
 import socket

@@ -1,4 +1,4 @@
-"""Prepares what `lumiline serve` needs; what cannot be had ends the command with one line."""
+"""Prepares `lumiline serve`; what is missing ends the command with one line."""
 
 import typer
 from alembic.util import CommandError

@@ -1,4 +1,4 @@
-"""Line scans recorded to a file without a server."""
+"""Records line scans of a device to a file without a server."""
 
 import signal
 from dataclasses import replace

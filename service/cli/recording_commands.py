@@ -1,4 +1,4 @@
-"""The commands of recordings, and of a device to record: record, replay, export, simulate-serial.
+"""Options of the recording commands: record, replay, export, simulate-serial.
 
 Their options only."""
 

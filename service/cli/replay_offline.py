@@ -1,4 +1,4 @@
-"""Recordings without a server: replayed through a calibration, and compared with what was live."""
+"""Replays a recording through a calibration, offline, and compares it with the live results."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""`lumiline reproduce`: published tests, the reference figures and ours side by side."""
+"""`lumiline reproduce`: published tests, with the published and our figures side by side."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Lines from a file: CSV with one line of counts a row, a NumPy array, or a recording."""
+"""Reads line scans from a file: CSV with one scan a row, a NumPy array, or a recording."""
 
 import csv
 from collections.abc import Sequence

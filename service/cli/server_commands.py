@@ -1,4 +1,4 @@
-"""The commands of the service and its claims: serve, openapi, demo, reproduce, bench."""
+"""Options of the server commands: serve, openapi, demo, reproduce, bench."""
 
 from pathlib import Path
 from typing import Annotated

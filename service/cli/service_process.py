@@ -1,4 +1,4 @@
-"""A real service in a process of its own, for the commands that act as its client."""
+"""Runs the service in a separate process for commands that act as its client."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""`lumiline tools create` and `capture`: tools of a server, from a file or by showing one."""
+"""`lumiline tools create` and `capture`: adds tools to a server, from a file or by capture."""
 
 import json
 from collections.abc import Iterable

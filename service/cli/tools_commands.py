@@ -1,4 +1,4 @@
-"""The commands of tools: list, show, watch, create, capture, point. Their options only."""
+"""Options of the tool commands: list, show, watch, create, capture, point."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`lumiline wand`: cameras from a bar of known length at unknown places, without a server."""
+"""`lumiline wand`: calibrates from a wand of known length at unknown positions, offline."""
 
 from pathlib import Path
 
@@ -69,7 +69,7 @@ def _rejected(found: SelfCalibration) -> Table:
 
 
 def _positions(text: str) -> tuple[float, ...]:
-    """Return the markers' places.
+    """Return the markers' positions.
 
     Raises:
         InvalidParameter: something that is not a number.

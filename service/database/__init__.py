@@ -1,1 +1,1 @@
-"""The service's database: typed models, engine and transactions, migrations, first content."""
+"""The service's database: models, engine, transactions with their audit log, migrations."""

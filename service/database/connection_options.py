@@ -1,7 +1,10 @@
-"""How long PostgreSQL is waited for: one that is not there, does not answer, or takes too long."""
+"""Timeouts of PostgreSQL: connecting, an unresponsive server, long statements."""
 
-from typing import Any, Final
+import time
+from typing import Any, Final, TypeVar
 
+from psycopg import Connection, OperationalError
+from psycopg.abc import PQGen
 from sqlalchemy import URL, Engine, event
 
 _DRIVER: Final = {
@@ -35,6 +38,38 @@ def connect_with_timeout(engine: Engine) -> None:
 
     @event.listens_for(engine, "do_connect")
     def connect(_dialect: object, _record: object, given: Any, named: Any) -> object:
-        from service.database.query_timeout import TimeoutConnection  # only with PostgreSQL
+        from service.database.connection_options import TimeoutConnection  # only with PostgreSQL
 
         return TimeoutConnection.connect(*given, **named)
+
+
+ANSWER_S: Final = 15.0
+"""A server that hangs keeps no time limit of its own, and its host answers for it."""
+
+_T = TypeVar("_T")
+
+
+class TimeoutConnection(Connection[Any]):
+    """Raises OperationalError after ANSWER_S without an answer, and is closed then."""
+
+    def wait(self, gen: PQGen[_T], *given: Any, **named: Any) -> _T:
+        """Wait for what the server answers."""
+        return super().wait(self._in_time(gen), *given, **named)
+
+    def _in_time(self, gen: PQGen[_T]) -> PQGen[_T]:
+        """Wrap psycopg's wait so that it wakes several times a second and can time out."""
+        end = time.monotonic() + ANSWER_S
+        try:
+            wanted = next(gen)
+            while True:
+                ready = yield wanted
+                if not ready and time.monotonic() > end:
+                    # What it would answer later belongs to nobody.
+                    self.pgconn.finish()
+                    raise OperationalError(
+                        f"no answer for {ANSWER_S:g} s; the connection was closed"
+                    )
+                wanted = gen.send(ready)
+        except StopIteration as done:
+            result: _T = done.value
+            return result

@@ -13,7 +13,7 @@ from sqlalchemy.exc import DBAPIError, IntegrityError, InterfaceError, Operation
 from sqlalchemy.exc import TimeoutError as NoFreeConnection
 from sqlalchemy.orm import Session
 
-from service.api.audit.audited_session import AuditedSession
+from service.database.audited_session import AuditedSession
 from service.database.connection_options import connect_with_timeout, timeouts
 from service.problems.errors import NotReady
 

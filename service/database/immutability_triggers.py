@@ -1,4 +1,4 @@
-"""Whether a database still has what refuses changes: triggers and functions, unaltered, at work."""
+"""Check that the triggers that keep rows immutable are present and unaltered."""
 
 import re
 from collections.abc import Iterator

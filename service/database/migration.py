@@ -1,11 +1,13 @@
-"""Brings a database to the newest revision of migrations/."""
+"""Revisions of a database's schema, and its migration to the newest."""
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import Connection
 from sqlalchemy.orm import Session
 
@@ -20,6 +22,19 @@ def alembic_config(connection: Connection) -> Config:
     config.set_main_option("path_separator", "os")
     config.attributes["connection"] = connection
     return config
+
+
+@cache
+def newest_revision() -> str:
+    """Return the newest revision that this version knows; cached, as reading all takes long."""
+    found = ScriptDirectory(migrations.__path__[0]).get_current_head()
+    assert found is not None
+    return found
+
+
+def revision_of(connection: Connection) -> str | None:
+    """Return the revision of a database, None of one that holds nothing of ours."""
+    return MigrationContext.configure(connection).get_current_revision()
 
 
 def lock_schema(connection: Connection) -> None:
@@ -47,7 +62,7 @@ def migrate(
     """
     with database.engine.execution_options(lumiline_write=True).begin() as connection:
         lock_schema(connection)
-        new = MigrationContext.configure(connection).get_current_revision() is None
+        new = revision_of(connection) is None
         command.upgrade(alembic_config(connection), revision)
         if new and fill is not None:
             with Session(connection) as session:

@@ -1,4 +1,4 @@
-"""Whether a server uses a database: what would pull it away from under one asks first."""
+"""Lock that tells other processes that a server uses the database."""
 
 import fcntl
 import os

@@ -1,1 +1,1 @@
-"""Runs: what takes longer than a request, computed in processes beside the server."""
+"""Jobs: long computations (runs), each in a process beside the server."""

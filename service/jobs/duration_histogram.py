@@ -1,4 +1,4 @@
-"""DurationHistogram: how long the runs of this server took, counted in classes."""
+"""DurationHistogram: durations of the runs of this server, by kind and outcome."""
 
 from bisect import bisect_left
 from threading import Lock

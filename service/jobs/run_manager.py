@@ -1,4 +1,4 @@
-"""RunManager: takes runs that wait, has each computed in a process, stores what comes of it."""
+"""RunManager: takes queued runs, computes each in a process and stores its result."""
 
 import logging
 import secrets
@@ -9,17 +9,17 @@ from threading import Event, Lock, Thread
 from typing import Any, Final, TypeVar
 
 from compute.errors import LumilineError
-from service.api.runs.kind_registry import KINDS, RunKind
 from service.database.engine import Database
 from service.database.models import RunRow
 from service.jobs import store
 from service.jobs.duration_histogram import DurationHistogram
+from service.jobs.run_kind import RunKind
 from service.jobs.worker import Done, Failed, Progress
 from service.jobs.worker_process import WorkerProcess
+from service.principal import Act, current_act
 from service.problems.catalogue import PROBLEM_TYPES
 from service.problems.errors import NotReady
 from service.problems.handlers import json_safe
-from service.security.principal import Act, current_act
 
 _log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ class RunManager:
     """Runs at most ``at_once`` computations, each in a process of its own."""
 
     def __init__(
-        self, database: Database, max_concurrent: int, kinds: Mapping[str, RunKind] = KINDS
+        self, database: Database, max_concurrent: int, kinds: Mapping[str, RunKind]
     ) -> None:
         self._database = database
         self._max_concurrent = max_concurrent
@@ -131,7 +131,7 @@ class RunManager:
             self._wake.set()
 
     def _follow(self, run_id: str) -> None:
-        """Start the process, write down what it tells, store its result."""
+        """Start the process, store its progress and its result."""
         with self._database.read() as session:
             row = store.get_run(session, run_id)
             kind = self._kinds[row.kind]
@@ -190,7 +190,7 @@ class RunManager:
             row = store.is_still_owner(session, run_id)
             if row is None:
                 return False
-            with _cancelled_by_submitter(row):
+            with _acting_as_submitter(row):
                 row.result_id = keep(session, row, result)
                 session.flush()
             store.finish(row, "succeeded", "done")
@@ -243,8 +243,8 @@ class RunManager:
 
 
 @contextmanager
-def _cancelled_by_submitter(row: RunRow) -> Iterator[None]:
-    """Have what is stored told as the doing of whoever posted the run."""
+def _acting_as_submitter(row: RunRow) -> Iterator[None]:
+    """Attribute what is stored to the principal who posted the run."""
     act = None if row.poster is None else Act.of_stored(row.poster)
     token = current_act.set(act)
     try:

@@ -1,4 +1,4 @@
-"""Runs in the database: the one place that says which state a run is in."""
+"""Runs in the database: the states of a run and their transitions."""
 
 import os
 import secrets
@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 from compute.errors import LumilineError
 from service.database.engine import Database, insert
 from service.database.models import RunRow
+from service.principal import current_act
 from service.problems.errors import (
     Busy,
     CalibrationExists,
@@ -21,7 +22,6 @@ from service.problems.errors import (
     RunNotEnded,
     UnknownRun,
 )
-from service.security.principal import current_act
 
 Kind = Literal["calibration", "self-calibration", "update", "mapping", "export"]
 State = Literal["queued", "running", "succeeded", "failed", "cancelled", "interrupted"]

@@ -1,4 +1,4 @@
-"""What a worker's process does: calls one function and tells of it through a pipe.
+"""Main function of a worker process: calls one function and reports through a pipe.
 
 Imports nothing heavy itself: what it sets for the numerical libraries must be set before they
 are loaded, with the task.
@@ -26,7 +26,7 @@ _NICENESS: Final = 10
 
 @dataclass(frozen=True)
 class Progress:
-    """How far the task is: share done, 0 .. 1, and what is being done."""
+    """Progress of the task: share done, 0 .. 1, and the stage."""
 
     share: float
     stage: str

@@ -1,4 +1,4 @@
-"""WorkerProcess: a function that runs in a spawned process, seen from the parent."""
+"""WorkerProcess: handle of a spawned process that runs one function."""
 
 import multiprocessing
 import pickle
@@ -50,7 +50,7 @@ class WorkerProcess:
         return self._process.pid
 
     def next(self, wait_s: float) -> Message | None:
-        """Return what it tells next, None when it told nothing for so long.
+        """Return the next message; None: none came within this time.
 
         Raises:
             WorkerEnded: it ended without a result.

@@ -1,1 +1,1 @@
-"""Log lines: their form, and which request or device they are of."""
+"""Logging: format, redaction, and the request or device of a line."""

@@ -1,4 +1,4 @@
-"""The two forms of a log line: readable text, and one JSON object."""
+"""Formatters of log lines: text and JSON."""
 
 import json
 import logging
@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from typing import Any, Final
 
 from service.logs.context import DEVICE, REQUEST
-from service.security.redaction import redact
+from service.logs.redaction import redact
 
 _STANDARD: Final = frozenset(vars(logging.makeLogRecord({}))) | {
     "message",

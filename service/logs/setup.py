@@ -1,4 +1,4 @@
-"""Sets logging up: every logger, the server's own and libraries' too, in one form."""
+"""Configures logging: every logger, also of the server and libraries, in one format."""
 
 import logging
 import sys
@@ -43,7 +43,7 @@ def configured_logging(settings: Settings) -> Iterator[None]:
 
 
 def is_server_record(record: logging.LogRecord) -> bool:
-    """Whether uvicorn tells something of the server; of each websocket our own lines do.
+    """Whether a line of uvicorn is about the server; websockets are logged by the service.
 
     It also takes a handshake that was answered with a problem document for one that was not.
     """

@@ -1,1 +1,1 @@
-"""The live pipeline: driver -> ring -> peaks -> points -> hub -> streams."""
+"""The live pipeline: driver -> ring -> FrameProcessor (its stages) -> beam holds -> streams."""

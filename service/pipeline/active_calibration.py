@@ -1,16 +1,25 @@
-"""ActiveCalibration: the calibration that a device reconstructs with, and its correction table."""
+"""ActiveCalibration: what a device reconstructs with; PreparedCalibration: the same, for frames."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from functools import cached_property
+from typing import Any, Final, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.measurement_noise import MeasurementNoise
 from compute.calibration.result import Calibration
 from compute.mapping.table import CorrectionTable
+from compute.reconstruction.correspondence import Predictor
+from compute.reconstruction.solver import PointSolver
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class ActiveCalibration:
-    """What a device uses.
+    """The calibration and the correction table that the pointer of a device names.
 
     Args:
         calibration_id: the calibration's id; None: none, there are peaks only.
@@ -33,3 +42,55 @@ class ActiveCalibration:
 
 
 NO_ACTIVE_CALIBRATION: Final = ActiveCalibration()
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedCalibration:
+    """A calibration with its correction table, if any, and the solvers that frames need."""
+
+    calibration_id: str
+    calibration: Calibration
+    table_id: str | None
+    solver: PointSolver
+    table: CorrectionTable | None = None
+    predictor: Predictor | None = None
+    """The cameras forward, for frames with many markers; None: only small ones are grouped."""
+
+    @classmethod
+    def of(
+        cls,
+        calibration_id: str,
+        calibration: Calibration,
+        table_id: str | None,
+        table: CorrectionTable | None,
+        compute_device: str | None,
+    ) -> Self:
+        """Prepare a calibration in milliseconds, in the thread that owns Warp.
+
+        It takes longer when the calibration has more terms of distortion than any before.
+        """
+        covariance = _covariance(calibration, table)
+        models = calibration.models
+        return cls(
+            calibration_id,
+            calibration,
+            None if table is None else table_id,
+            PointSolver(models, covariance, table, compute_device, threads=1),
+            table,
+            Predictor.of(models, covariance, table),
+        )
+
+    @cached_property
+    def trust(self) -> MeasurementNoise:
+        """How far the calibration trusts each sensor's readings."""
+        return MeasurementNoise.of(self.calibration)
+
+    @property
+    def covariance(self) -> Array | None:
+        """Covariance of the cameras' parameters; None with a correction table."""
+        return _covariance(self.calibration, self.table)
+
+
+def _covariance(calibration: Calibration, table: CorrectionTable | None) -> Array | None:
+    # A table's variance is that of the whole reading, the calibration's share included.
+    return np.array(calibration.covariance) if table is None else None

@@ -1,4 +1,4 @@
-"""BeamHoldMonitor: one beam hold of a running device, frame by frame, held whenever in doubt."""
+"""BeamHoldMonitor: state of one beam hold, frame by frame; any fault or gap holds the beam."""
 
 import time
 from collections.abc import Callable
@@ -14,16 +14,16 @@ from compute.pose.beam_hold.beam_hold_monitor import (
 )
 from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
 from compute.pose.tool_tracking.stale_data import StaleDataDetector
-from service.pipeline.beam_hold_spec import BeamHoldConfig, WatchedStrobedMarkers, WatchedTool
-from service.pipeline.beam_hold_state import BeamEnableToken, BeamHoldState
-from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.hold_observer import (
+from service.pipeline.beam_hold_observer import (
     HoldObservation,
     HoldObserver,
     LitMarkerObserver,
     StrobedMarkerObserver,
     ToolObserver,
 )
+from service.pipeline.beam_hold_spec import BeamHoldConfig, WatchedStrobedMarkers, WatchedTool
+from service.pipeline.beam_hold_state import BeamEnableToken, BeamHoldState
+from service.pipeline.frame_batch import FrameBatch
 
 NO_REFERENCE: Final = (
     "it has no reference: POST /api/v1/beam-holds/{id}/reference while all is where it is to be"
@@ -31,16 +31,16 @@ NO_REFERENCE: Final = (
 
 
 class BeamHoldMonitor:
-    """Steps a monitor with what frames show, and says since when it is held, on the host's clock.
+    """Feeds a deviation monitor with observations, and keeps the state of its hold.
 
-    Not thread-safe: the board has the lock.
+    Not thread-safe: the registry has the lock.
 
     Args:
         hold: what is watched.
-        latched: whether the first hold is to be acknowledged: it goes on from another's.
+        latched: whether the first hold must be acknowledged: it continues a predecessor's.
         time_ns: now, on the host's clock [ns].
         since_ns: since when the beam is held already; None: since now.
-        why: what took its place, for a person; None: nothing did.
+        why: why it replaces a predecessor, for a person; None: it replaces none.
         monotonic_s: a clock that does not go back [s].
     """
 
@@ -76,12 +76,12 @@ class BeamHoldMonitor:
 
     @property
     def now(self) -> BeamHoldState:
-        """The hold after the newest frame, or what came after it."""
+        """State after the newest frame, or after a later event."""
         return self._now
 
     @property
     def release(self) -> BeamEnableToken | None:
-        """What says that the beam is not held; None: it is."""
+        """Token of the time in which the beam is enabled; None: it is held."""
         return self._release
 
     def _set(self, now: BeamHoldState) -> BeamHoldState:
@@ -99,12 +99,12 @@ class BeamHoldMonitor:
 
     @property
     def keeps_latch(self) -> bool:
-        """Whether what takes its place has to be acknowledged before it releases."""
+        """Whether its successor must be acknowledged before it enables the beam."""
         return self._latched if self._monitor is None else self._monitor.must_acknowledge
 
     @property
     def measured_ns(self) -> int | None:
-        """When the oldest of what is needed was measured [host's ns]; None: not since a hold."""
+        """Time of the oldest measurement that counts, host clock [ns]; None: none since a hold."""
         return self._measured_ns
 
     @property
@@ -148,7 +148,7 @@ class BeamHoldMonitor:
         return self._set(BeamHoldState.of(self.hold.id, state, reason, since, *self._last))
 
     def fail(self, why: str, time_ns: int) -> BeamHoldState:
-        """Hold now.
+        """Hold the beam now.
 
         Args:
             why: for a person.
@@ -162,12 +162,12 @@ class BeamHoldMonitor:
         return self.now
 
     def end(self, why: str, time_ns: int) -> BeamHoldState:
-        """Hold for good; arguments as of ``fail``."""
+        """Hold the beam for good; arguments as of ``fail``."""
         since = self.now.since_ns if self.now.held else time_ns
         return self._set(self._held(BeamHoldCause.NO_DATA, why, since))
 
     def acknowledge(self) -> None:
-        """End a latch; a hold ends with the next frames, if all is back."""
+        """End a latch; the hold ends with the next frames, if all is within its limits."""
         self._latched = False
         if self._monitor is not None:
             self._monitor.acknowledge()
@@ -191,7 +191,7 @@ class BeamHoldMonitor:
                 if reference.calibration_id is None
                 else f'with calibration "{reference.calibration_id}"'
             )
-            now = f'"{batch.calibration_id}" is in force'
+            now = f'"{batch.calibration_id}" is active'
         else:
             then = _with_table(reference.table_id)
             now = f"readings are corrected {_with_table(batch.table_id)} now"

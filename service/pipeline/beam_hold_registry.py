@@ -1,19 +1,19 @@
-"""BeamHoldRegistry: all beam holds of all devices, stepped with frames and watched where none come."""
+"""BeamHoldRegistry: the beam holds of all devices; BeamHoldWatchdog holds when no frames come."""
 
 import logging
 import time
 from collections.abc import Callable, Sequence
-from threading import Condition
-from typing import Any
+from threading import Condition, Thread
+from typing import Final
 
 from service.pipeline.beam_hold_monitor import BeamHoldMonitor
 from service.pipeline.beam_hold_spec import BeamHoldConfig
-from service.pipeline.beam_hold_state import BeamHoldMessage, BeamHoldState
+from service.pipeline.beam_hold_state import BeamHoldState
 from service.pipeline.frame_batch import FrameBatch
 
 _log = logging.getLogger(__name__)
 
-Publish = Callable[[str, dict[str, Any]], None]
+Publish = Callable[[str, BeamHoldState], None]
 """Tells the clients of a device."""
 Told = Callable[[str, BeamHoldState, bool], None]
 """Takes a device, one of its holds, and whether it is the last of that hold."""
@@ -22,7 +22,9 @@ DELETED = "the hold was deleted"
 
 
 class BeamHoldRegistry:
-    """Stepped by the compute thread, checked by the watchdog, read by everybody.
+    """Steps the beam holds with frames, and holds those whose deadline passes.
+
+    The compute thread steps it, the watchdog checks it, any thread reads it.
 
     A hold that is not held has a deadline: when its newest measurement will be older than it may
     be. Whoever comes first after it holds: the watchdog, the next frame, or who reads.
@@ -50,14 +52,14 @@ class BeamHoldRegistry:
         self._due_s: dict[str, float] = {}
         self._listeners: tuple[Told, ...] = ()
         self.changed = Condition()
-        """Its lock is the board's; notified when there is another deadline to watch."""
+        """Its lock is the registry's; notified when there is another deadline to watch."""
 
     def set(self, device_id: str, holds: Sequence[BeamHoldConfig]) -> None:
-        """Watch these holds of a device, and no others; what is the same goes on as it was.
+        """Replace the holds of a device; unchanged ones go on as they were.
 
-        A hold of which anything but the reference changed keeps its latch. With a latched one
-        whose reference is not known to be taken since this board was made nobody knows what
-        happened meanwhile: it is to be acknowledged.
+        A hold of which anything but the reference changed keeps its latch. A latched hold whose
+        reference was not taken since this registry was made must be acknowledged: nobody knows
+        what happened before.
         """
         with self.changed:
             distrusted = self._distrusted.pop(device_id, None)
@@ -82,20 +84,20 @@ class BeamHoldRegistry:
                 self._tell(watch, watch.now, anew=True)
 
     def set_up(self, reference_id: str) -> None:
-        """Say that a reference is taken now, and not before this board was made."""
+        """Note that a reference is taken now, in this process."""
         with self.changed:
             self._set_up_here.add(reference_id)
 
     def distrust(self, device_id: str, why: str) -> None:
-        """Hold all of a device until it is ``set`` again: what is watched may be another thing."""
+        """Hold all beams of a device until ``set`` is called: its holds could not be taken over."""
         with self.changed:
             self._distrusted[device_id] = why
             self._fail(device_id, why)
 
     def listen(self, told: Told) -> Callable[[], None]:
-        """Have ``told`` called with every hold now, and from now on with every change, in order.
+        """Call ``told`` with every hold now, and from now on with every change, in order.
 
-        It is called in the thread that notices, with the board's lock held: it returns at once.
+        It is called with the registry's lock held, so it must return at once.
 
         Returns:
             What ends it; may be called again.
@@ -114,7 +116,7 @@ class BeamHoldRegistry:
         return end
 
     def take(self, batch: FrameBatch) -> tuple[tuple[BeamHoldState, ...], ...]:
-        """Step a device's holds with all frames of a batch, and tell of changes.
+        """Step a device's holds with all frames of a batch, and publish changes.
 
         Returns:
             The holds after each frame, by id; empty where the device has none.
@@ -139,7 +141,7 @@ class BeamHoldRegistry:
             return tuple(found)
 
     def fail(self, device_id: str, why: str) -> None:
-        """Hold all of a device: it was stopped, is not there, or was started anew."""
+        """Hold all beams of a device: it was stopped, is disconnected, or was restarted."""
         with self.changed:
             self._fail(device_id, why)
 
@@ -148,13 +150,13 @@ class BeamHoldRegistry:
             self._tell(watch, watch.fail(why, self._wall_ns()), anew=True)
 
     def forget(self, device_id: str) -> None:
-        """Hold and forget all of a device: it was deleted."""
+        """Hold all beams of a device and forget its holds: it was deleted."""
         self.set(device_id, ())
         with self.changed:
             self._devices.pop(device_id, None)
 
     def acknowledge(self, hold_id: str) -> BeamHoldState | None:
-        """End the latch of a hold; None: it is not watched."""
+        """End the latch of a hold and return it; None: there is no such hold."""
         with self.changed:
             watch = self._watches.get(hold_id)
             if watch is not None:
@@ -162,7 +164,7 @@ class BeamHoldRegistry:
         return self.now(hold_id)
 
     def now(self, hold_id: str) -> BeamHoldState | None:
-        """Return a hold; None: it is not watched. One past its deadline is held."""
+        """Return the state of a hold; None: there is no such hold."""
         with self.changed:
             self._check(self._monotonic_s())
             watch = self._watches.get(hold_id)
@@ -179,7 +181,7 @@ class BeamHoldRegistry:
         return {device: self.of_device(device) for device in tuple(self._devices)}
 
     def check(self) -> float | None:
-        """Hold what is past its deadline; return how long until the next one [s]; None: none."""
+        """Hold beams past their deadline; return the time to the next deadline [s]; None: none."""
         with self.changed:
             now_s = self._monotonic_s()
             self._check(now_s)
@@ -266,10 +268,50 @@ class BeamHoldRegistry:
             self._told[hold_id] = now
             for listener in self._listeners:
                 listener(device_id, now, last)
-            self._publish(device_id, BeamHoldMessage(device_id, now))
+            self._publish(device_id, now)
         if last:
             del self._watches[hold_id], self._told[hold_id]
 
 
 def _failed(error: Exception) -> str:
     return f"it cannot be watched: {type(error).__name__}: {error}"
+
+
+_AGAIN_S: Final = 0.05
+"""Until a check that failed is tried again."""
+
+
+class BeamHoldWatchdog:
+    """Thread that checks a registry at each deadline, from ``start`` to ``close``.
+
+    The compute thread runs on frames, and the event loop may be busy with requests; this thread
+    has nothing else to do, and sleeps while all beams are held.
+    """
+
+    def __init__(self, registry: BeamHoldRegistry) -> None:
+        self._registry = registry
+        self._closing = False
+        self._thread = Thread(target=self._run, name="hold-watchdog", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._registry.changed:
+            self._closing = True
+            self._registry.changed.notify_all()
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        while not self._closing:
+            # One hold of the lock for both: what is released in between would be waited for.
+            with self._registry.changed:
+                try:
+                    wait_s = self._registry.check()
+                except Exception:  # noqa: BLE001 - it must go on
+                    _log.exception("beam holds could not be checked")
+                    wait_s = _AGAIN_S
+                if not self._closing:
+                    self._registry.changed.wait(wait_s)

@@ -1,4 +1,4 @@
-"""What a beam hold watches, as the live side needs it: made of what is stored."""
+"""BeamHoldConfig: what a beam hold watches, its limits and its reference at set-up."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -29,7 +29,7 @@ class WatchedTool:
 
     @property
     def count(self) -> int:
-        """How many things are watched."""
+        """Number of targets that are watched."""
         return 1
 
 
@@ -47,13 +47,13 @@ class WatchedStrobedMarkers:
 
     @property
     def count(self) -> int:
-        """How many things are watched."""
+        """Number of targets that are watched."""
         return len(self.markers)
 
 
 @dataclass(frozen=True)
 class WatchedLitMarkers:
-    """Markers that are lit together, told apart by where they are to be.
+    """Markers that are lit together, identified by their reference positions.
 
     Args:
         markers: how many.
@@ -69,7 +69,7 @@ class WatchedLitMarkers:
 
     @property
     def count(self) -> int:
-        """How many things are watched."""
+        """Number of targets that are watched."""
         return self.markers
 
 
@@ -78,13 +78,13 @@ Spec = WatchedTool | WatchedStrobedMarkers | WatchedLitMarkers
 
 @dataclass(frozen=True, eq=False)
 class HoldReference:
-    """How all was at set-up.
+    """Reference of a hold: pose or marker positions at set-up.
 
     Args:
         id: another for each reference that was taken.
         at: when it was.
-        calibration_id: then in force; the places mean something in its world only.
-        table_id: the correction table then in force.
+        calibration_id: then active; the places mean something in its world only.
+        table_id: the correction table then active.
         pose: T_world_tool, of a tool.
         positions_mm: of markers, shape (M, 3) [mm].
         covariances_mm2: of these, shape (M, 3, 3) [mm^2].
@@ -101,7 +101,7 @@ class HoldReference:
 
 @dataclass(frozen=True, eq=False)
 class BeamHoldConfig:
-    """A hold of a device.
+    """A beam hold of a device.
 
     Args:
         id: its id.

@@ -1,9 +1,9 @@
-"""BeamHoldState: whether a beam is held now, and why; as the stream sends it."""
+"""BeamHoldState: whether a beam is held after a frame, and why; BeamEnableToken."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ Vector = tuple[float, float, float]
 
 
 class BeamEnableToken:
-    """A time during which a beam is not held: all that says so while it lasts has the same one.
+    """Validity of "the beam is enabled": shared by all states that say so, ended by the next hold.
 
     Once it is over, whatever said that the beam may go on says so no more, however long it waits
     until it is sent. Ended by whoever holds the beam, and by itself at its deadline.
@@ -33,23 +33,23 @@ class BeamEnableToken:
         """When its newest measurement is too old, by that clock [s]."""
 
     def end(self, by: "BeamHoldState") -> None:
-        """End it; ``by``: the hold that does."""
+        """End it; ``by`` is the state that holds the beam."""
         self._ended = by
 
     @property
     def over(self) -> bool:
-        """Whether the beam is held since."""
+        """Whether the beam was held since, or the deadline has passed."""
         return self._ended is not None or self._monotonic_s() >= self.due_s
 
     @property
     def ended(self) -> "BeamHoldState | None":
-        """The hold that ended it; None: none did, though its deadline may have passed."""
+        """The state that ended it; None: none did, though its deadline may have passed."""
         return self._ended
 
 
 @dataclass(frozen=True, slots=True)
 class BeamHoldState:
-    """A hold after a frame, or after what happened between two.
+    """State of a beam hold after a frame, or after an event between two frames.
 
     Args:
         hold_id: the hold.
@@ -81,12 +81,12 @@ class BeamHoldState:
 
     @property
     def superseded(self) -> bool:
-        """Whether it says that the beam is not held, and the beam was held since."""
+        """Whether it says "enabled", and the beam was held since."""
         return not self.held and self.release is not None and self.release.over
 
     @property
     def standing(self) -> "BeamHoldState":
-        """The same as it is to be told now: held, where the beam was held since."""
+        """The state as it is to be reported now: held, where the beam was held since."""
         if not self.superseded:
             return self
         assert self.release is not None
@@ -108,7 +108,7 @@ class BeamHoldState:
         exposure_ns: int | None,
         sequence: int | None,
     ) -> Self:
-        """Return what a monitor says at a frame."""
+        """Return the state for a monitor's decision at a frame."""
         return cls(
             hold_id,
             state.hold,
@@ -123,7 +123,7 @@ class BeamHoldState:
         )
 
     def differs(self, other: "BeamHoldState | None") -> bool:
-        """Whether clients are told: it is held, or for a cause, unlike before."""
+        """Whether ``held`` or the cause differ, so that clients are told."""
         return other is None or (self.held, self.cause) != (other.held, other.cause)
 
 
@@ -132,39 +132,3 @@ def _vector(values: NDArray[np.float64] | None) -> Vector | None:
         return None
     x, y, z = values.tolist()
     return x, y, z
-
-
-def hold_part(now: BeamHoldState) -> dict[str, Any]:
-    """Return a hold as frames and hello have it: held, where it was held since."""
-    now = now.standing
-    return {
-        "hold": now.hold_id,
-        "held": now.held,
-        "cause": now.cause.value,
-        "reason": now.reason,
-        "since_ns": now.since_ns,
-        "shift_mm": now.shift_mm,
-        "rotation_rad": now.rotation_rad,
-        "probability": now.probability,
-    }
-
-
-class BeamHoldMessage(dict[str, Any]):
-    """The message that tells of a change; ``sent`` says it as it is when it is sent."""
-
-    def __init__(self, device_id: str, now: BeamHoldState) -> None:
-        super().__init__(
-            {
-                "type": "hold",
-                "device": device_id,
-                **hold_part(now),
-                "exposure_ns": now.exposure_ns,
-                "sequence": now.sequence,
-            }
-        )
-        self.now = now
-
-    @property
-    def sent(self) -> dict[str, Any]:
-        """Its members, held where the beam was held since it was told."""
-        return {**self, **hold_part(self.now)}

@@ -1,9 +1,10 @@
-"""The one thread that owns Warp: processes the frames of all devices, batch by batch."""
+"""ComputeThread: the one thread that owns Warp and processes the frames of all devices."""
 
 import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from functools import cache
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from typing import TypeVar
@@ -39,12 +40,12 @@ class ComputeThread:
 
     @property
     def busy_s(self) -> float:
-        """How long it is at the batch, or the job, that it has in hand [s]; 0 when it waits."""
+        """Time spent so far on the current batch or job [s]; 0 when idle."""
         since = self._since_s
         return 0.0 if since is None else time.monotonic() - since
 
     def wake(self) -> None:
-        """Say that there is something to do; callable from any thread, never blocks."""
+        """Wake the thread: frames wait; callable from any thread, never blocks."""
         self._wake.set()
 
     def submit(self, job: Callable[[], T]) -> "Future[T]":
@@ -109,3 +110,17 @@ class ComputeThread:
                 return
             self._since_s = time.monotonic()
             job()
+
+
+@cache
+def limit_blas_threads() -> None:
+    """Let BLAS use the calling thread alone, in the whole process, from now on.
+
+    For a triangle of four by four its own threads wait for each other for milliseconds when the
+    cores are busy; for the few hundred unknowns of a calibration they gain next to nothing.
+    """
+    # What is not loaded yet cannot be told: NumPy and SciPy have a BLAS each.
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(limits=1, user_api="blas")

@@ -1,4 +1,4 @@
-"""DetectionStage: the peaks of a device's lines, by the method that its description asks for."""
+"""DetectionStage: peaks of a device's scans, by the method that its description asks for."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,9 +44,9 @@ _Find = Callable[[NDArray[np.uint16]], PeakBatch]
 
 
 def peak_method(description: DeviceDescription) -> Method | None:
-    """Return how a device's peaks are measured; None: they are not.
+    """Return the method by which a device's peaks are measured; None: nothing reads its scans.
 
-    Lines too wide or too narrow to be fitted are measured by their centre of gravity.
+    Stripes too wide or too narrow to be fitted are measured by their centroid.
     """
     if description.readout == "gray-tracks":
         return None
@@ -60,7 +60,7 @@ def peak_method(description: DeviceDescription) -> Method | None:
 
 
 class DetectionStage:
-    """Finds the peaks in the lines of all S sensors of a device.
+    """Finds the peaks in the scans of all S sensors of a device.
 
     Lines and shadows are never quite what is fitted, and what that costs is in the standard
     deviations. Light lines: what the method errs by over the volume of the device's profile, RMS
@@ -69,8 +69,8 @@ class DetectionStage:
     10.1103/PhysRev.40.207); behind the windows of the profile coda-mpx30 the errors are then 0.7
     deviations RMS, and 2.7 at most. The positions are those of the calibrations: a Gaussian at a
     whole light line's centre of gravity; what it misses of that in lines with coma is part of the
-    error (printed by tests/service/pipeline/test_peak_methods.py). Widths are those at a third of the
-    height, by whatever method.
+    error (printed by tests/service/pipeline/test_peak_methods.py). Widths are those at a third of
+    the height, by whatever method.
 
     Loads Warp and its kernels for light lines, and takes what time they need: make it and use it
     in one thread.
@@ -115,11 +115,11 @@ class DetectionStage:
 
     @property
     def reads(self) -> bool:
-        """Whether there are ever any peaks."""
+        """Whether a method reads the scans of this device."""
         return self._find is not None
 
     def settings(self) -> dict[str, Any]:
-        """Return as a JSON object by what peaks are found, beyond the device's description."""
+        """Return the method and its errors as a JSON object, for recordings."""
         return {
             "method": self.method,
             "error_px": None if self.error_px is None else self.error_px.tolist(),

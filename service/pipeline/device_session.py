@@ -1,75 +1,36 @@
-"""DeviceSession: one device from start to stop, what it does and what it has lost."""
+"""DeviceSession: one running device; hands its batches to holds, poses, taps and streams."""
 
 import logging
 import time
-from dataclasses import dataclass, replace
+from bisect import bisect_left
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Final
 
+from compute.pose.tool_pose import PoseStatus, ToolPose
 from hardware.driver import DeviceDescription
 from hardware.line_frame import LineFrame
 from hardware.link import LinkState
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
+from service.pipeline.device_status import DeviceState, DeviceStatus
+from service.pipeline.frame_batch import FrameBatch, TrackingResult
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
-from service.pipeline.frame_ring import FrameRing
-from service.pipeline.latency_histogram import LatencyHistogram
 from service.pipeline.latest_poses import LatestPoses, PoseEntry
 from service.pipeline.load_shedding import LoadShedding
-from service.pipeline.pose_counters import PoseCounters
+from service.pipeline.reader_thread import FrameRing, ReaderThread
+from service.pipeline.stream_publisher import StreamPublisher
+from service.pipeline.taps import Tap
 from service.pipeline.tracking_config import TrackingConfig
-from service.protocols.stream.encoding import describe_message, status_message
-from service.protocols.stream.hub import Hub
-
-if TYPE_CHECKING:
-    from service.pipeline.frame_batch import FrameBatch
-    from service.pipeline.reader_thread import ReaderThread
-    from service.pipeline.taps import Tap
-    from service.pipeline.tracking_result import TrackingResult
 
 _log = logging.getLogger(__name__)
-
-DeviceState = Literal["stopped", "starting", "running", "disconnected", "ended", "failed"]
 
 BOARD_SECONDS = 0.001
 """Least time between two entries of the board: of faster devices not every frame is put up."""
 
 BATCH_SECONDS = 0.02
 """How long the frames of one device may keep those of the others waiting."""
-
-
-@dataclass(frozen=True)
-class DeviceStatus:
-    """What a device is doing, and what was lost where since it was started.
-
-    Args:
-        state: starting (its driver is being opened), running, disconnected (its device is not
-            there, and is tried again until it is), stopped by request, ended by itself (a
-            recording), or failed.
-        reason: why it failed, ended or is disconnected, or what is wrong with its link.
-        calibration_id: the calibration that points are reconstructed with; None: peaks only.
-        table_id: the correction table that readings are corrected by; None: they are not.
-        frames: frames received from the driver.
-        frames_lost_device: exposures missing in the device's sequence numbers.
-        frames_dropped_ring: frames dropped because the compute thread did not keep up.
-        frames_processed: frames that were published.
-        subscribers: connected streams.
-        link: of a device that can be unplugged, how its link stands; None of others.
-        frames_not_tracked: frames whose points were made, but in which markers and tools were not
-            followed, because the compute thread did not keep up.
-    """
-
-    state: DeviceState
-    reason: str | None = None
-    calibration_id: str | None = None
-    table_id: str | None = None
-    frames: int = 0
-    frames_lost_device: int = 0
-    frames_dropped_ring: int = 0
-    frames_processed: int = 0
-    subscribers: int = 0
-    link: LinkState | None = None
-    frames_not_tracked: int = 0
 
 
 class DeviceSession:
@@ -81,7 +42,7 @@ class DeviceSession:
         description: DeviceDescription,
         processor: FrameProcessor,
         ring: FrameRing,
-        hub: Hub,
+        streams: StreamPublisher,
         poses: LatestPoses | None = None,
         holds: BeamHoldRegistry | None = None,
     ) -> None:
@@ -89,11 +50,11 @@ class DeviceSession:
         self.description = description
         self.processor = processor
         self.ring = ring
-        self.hub = hub
+        self.streams = streams
         self.poses = LatestPoses() if poses is None else poses
-        """Where the newest poses are put up."""
+        """Where the newest poses are published."""
         self.holds = holds
-        """What says whether beams are held; None: nothing does."""
+        """The beam holds of all devices; None: there are none."""
         self.pose_counts = PoseCounters()
         self._board_s = -BOARD_SECONDS
         self.frames_not_tracked_count = 0
@@ -102,7 +63,7 @@ class DeviceSession:
         self._taps_lock = Lock()
         self.taps: tuple[Tap, ...] = ()
         """Who takes batches beside the streams; replaced as a whole, so that it may be read."""
-        self.in_force = NO_ACTIVE_CALIBRATION
+        self.active_calibration = NO_ACTIVE_CALIBRATION
         """What batches are processed with; changed in the compute thread, as they are."""
         self.processed = 0
         self.latency = LatencyHistogram()
@@ -110,62 +71,67 @@ class DeviceSession:
         self.failure: str | None = None
         self.stopped = False
         self._batch = MAX_FRAMES
+        self._watches_holds = False
 
     def work(self) -> bool:
         """Process and publish what waits; runs in the compute thread."""
         if self.failure is not None:
             return False
-        frames = self.ring.take(self._batch)
-        if not frames:
-            return False
         begin = time.monotonic()
         try:
-            track = self._select_tracked_frames(frames)
-            frames = frames[: len(track)]
+            frames, track = self._take_frames()
+            if not frames:
+                return False
             batch = self.processor.process(frames, track=track)
-            if self.holds is not None:
+            if self.holds is not None and self._watches_holds:
                 # Before all others: whoever holds a beam waits for nothing else.
                 batch = replace(batch, holds=self.holds.take(batch))
             if batch.motion is not None and batch.motion.poses:
                 # Before the streams: who steers by a pose waits for nothing else.
                 self._publish_poses(batch, batch.motion)
             self._offer(batch)
-            self.hub.publish_batch(batch)
+            self.streams.publish_batch(batch)
             self.latency.count((time.time_ns() - frames[0].exposure_host_ns) * 1e-9)
         except Exception as error:  # noqa: BLE001 - becomes the status
             self._fail(error)
             return False
         self.processed += len(frames)
         # Other devices wait meanwhile: a device whose frames take long gets short batches. But
-        # where only some frames are followed, that time is bounded, whatever the batch's length.
+        # where only some frames are tracked, that time is bounded, whatever the batch's length.
         whole = time.monotonic() - begin
-        following = self.processor.tracking_s
-        self.load_shedding.count(sum(track), following, whole - following)
-        per_frame = (whole - following if self.load_shedding.sheds else whole) / len(frames)
-        self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(per_frame, 1e-6))))
+        if track is not None:
+            tracking = self.processor.tracking_s
+            self.load_shedding.count(sum(track), tracking, whole - tracking)
+            if self.load_shedding.sheds:
+                whole -= tracking
+        self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(whole / len(frames), 1e-6))))
         return True
 
-    def _select_tracked_frames(self, frames: list[LineFrame]) -> tuple[bool, ...]:
-        """Return in which of the frames that were taken markers and tools are followed.
+    def _take_frames(self) -> tuple[list[LineFrame], tuple[bool, ...] | None]:
+        """Take the next frames, and in which of them markers and tools are tracked; None: in all.
 
-        Those without an answer wait for the next batch. A source that waits is never behind.
+        A source that waits for the pipeline is never behind.
         """
         if not self.processor.is_tracking or self.reader is None or self.reader.waits:
-            return (True,) * len(frames)
-        track = self.load_shedding.choose([frame.marker for frame in frames], len(self.ring))
-        if len(track) < len(frames):
-            self.ring.put_back(frames[len(track) :])
+            return self.ring.take(self._batch), None
+        frames, track = self.ring.take_chosen(
+            self._batch,
+            lambda frames, waiting: self.load_shedding.choose(
+                [frame.marker for frame in frames], waiting
+            ),
+        )
         self.frames_not_tracked_count += track.count(False)
-        return track
+        return frames, tuple(track)
 
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
-        """Follow other things from the next batch on; runs in the compute thread."""
+        """Track other things from the next batch on; runs in the compute thread."""
+        self._watches_holds = bool(tracked.holds)
         self.processor.set_tracking_config(tracked)
         self.pose_counts.keep(tool.name for tool in tracked.tools)
         if not tracked.tools:
             self.poses.remove(self.device_id)
 
-    def _publish_poses(self, batch: "FrameBatch", motion: "TrackingResult") -> None:
+    def _publish_poses(self, batch: FrameBatch, motion: TrackingResult) -> None:
         """Count the poses of a batch, and put those of its newest frame up."""
         self.pose_counts.count(motion.poses)
         now = time.monotonic()
@@ -184,17 +150,17 @@ class DeviceSession:
         )
         self.poses.put(entry)
 
-    def attach(self, tap: "Tap") -> None:
-        """Let a tap have the batches from now on."""
+    def attach(self, tap: Tap) -> None:
+        """Give a tap all batches from now on."""
         with self._taps_lock:
             self.taps = (*self.taps, tap)
 
-    def detach(self, tap: "Tap") -> None:
-        """Let it have no more."""
+    def detach(self, tap: Tap) -> None:
+        """Give a tap no more batches."""
         with self._taps_lock:
             self.taps = tuple(one for one in self.taps if one is not tap)
 
-    def _offer(self, batch: "FrameBatch") -> None:
+    def _offer(self, batch: FrameBatch) -> None:
         """Offer a batch to all taps; one that fails has no more, and the device goes on."""
         for tap in self.taps:
             try:
@@ -219,7 +185,7 @@ class DeviceSession:
         self.poses.remove(self.device_id)
         if self.holds is not None:
             self.holds.fail(self.device_id, f"the device failed: {self.failure}")
-        self.hub.publish(self.device_id, status_message(self.device_id, "failed", self.failure))
+        self.streams.publish_status(self.device_id, "failed", self.failure)
 
     @property
     def running(self) -> bool:
@@ -228,7 +194,7 @@ class DeviceSession:
 
     @property
     def drained(self) -> bool:
-        """Whether taps have had all that they will ever have."""
+        """Whether all frames are processed and no more will come."""
         if self.stopped or self.failure is not None:
             return True
         taken = self.processed + self.ring.dropped
@@ -250,14 +216,29 @@ class DeviceSession:
             return state, reason, link
         return "disconnected" if link.state == "disconnected" else "running", link.reason, link
 
-    def status_message(self) -> dict[str, Any]:
-        """Return the message that tells how things stand."""
+    def publish_status(self) -> None:
+        """Tell the clients its state."""
         state, reason, link = self._standing()
-        message = status_message(self.device_id, state, reason, link.state if link else None)
-        return message | describe_message(self.description) if state == "running" else message
+        description = self.description if state == "running" else None
+        self.streams.publish_status(
+            self.device_id, state, reason, link.state if link else None, description
+        )
+
+    def publish_change(self) -> None:
+        """Tell the clients its state behind its last frames; hold its beams when it is lost."""
+        while self.work():
+            pass
+        if not self.connected:
+            self.poses.remove(self.device_id)
+            if self.holds is not None and not self.stopped:
+                status = self.status()
+                why = "" if status.reason is None else f": {status.reason}"
+                self.holds.fail(self.device_id, f"the device is {status.state}{why}")
+        if not self.stopped:
+            self.publish_status()
 
     def status(self) -> DeviceStatus:
-        """Return how things stand."""
+        """Return the device's status."""
         state, reason, link = self._standing()
         return DeviceStatus(
             state,
@@ -268,7 +249,89 @@ class DeviceSession:
             self.ring.lost,
             self.ring.dropped,
             self.processed,
-            self.hub.subscribers(self.device_id),
+            self.streams.subscribers(self.device_id),
             link,
             self.frames_not_tracked_count,
         )
+
+
+BOUNDS_S: Final = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+"""Upper bounds of the classes [s]; one more, without a bound, follows."""
+
+
+@dataclass(frozen=True)
+class LatencyCounts:
+    """Numbers of batches by class of latency.
+
+    Args:
+        counts: batches in each class of BOUNDS_S, and in the one behind it.
+        sum_s: of all latencies [s].
+    """
+
+    counts: tuple[int, ...] = (0,) * (len(BOUNDS_S) + 1)
+    sum_s: float = 0.0
+
+
+class LatencyHistogram:
+    """Latencies of batches by class; counted by one thread, read by any, without a lock."""
+
+    def __init__(self) -> None:
+        self._counts = [0] * (len(BOUNDS_S) + 1)
+        self._sum_s = 0.0
+
+    def count(self, latency_s: float) -> None:
+        """Count a batch; a clock that was set back makes no negative latency."""
+        latency_s = max(latency_s, 0.0)
+        self._counts[bisect_left(BOUNDS_S, latency_s)] += 1
+        self._sum_s += latency_s
+
+    def counts(self) -> LatencyCounts:
+        """Return the counts so far."""
+        return LatencyCounts(tuple(self._counts), self._sum_s)
+
+
+@dataclass(frozen=True)
+class ToolCounts:
+    """Counts of one tool.
+
+    Args:
+        frames: frames by the status of its pose.
+        newest_ns: exposure of the newest frame with a pose of it that is OK, on the host's clock
+            [ns]; None: there was none.
+    """
+
+    frames: dict[PoseStatus, int] = field(default_factory=dict)
+    newest_ns: int | None = None
+
+
+class PoseCounters:
+    """Frames by tool and pose status; counted by the compute thread, read by any."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._frames: dict[str, dict[PoseStatus, int]] = {}
+        self._newest_ns: dict[str, int] = {}
+
+    def count(self, poses: Iterable[ToolPose]) -> None:
+        """Count the poses of a batch."""
+        with self._lock:
+            for pose in poses:
+                frames = self._frames.setdefault(pose.tool, {})
+                frames[pose.status] = frames.get(pose.status, 0) + 1
+                if pose.valid:
+                    self._newest_ns[pose.tool] = pose.exposure_ns
+
+    def keep(self, tools: Iterable[str]) -> None:
+        """Forget all tools but these."""
+        with self._lock:
+            kept = set(tools)
+            self._frames = {name: one for name, one in self._frames.items() if name in kept}
+            self._newest_ns = {name: at for name, at in self._newest_ns.items() if name in kept}
+
+    def counts(self) -> dict[str, ToolCounts]:
+        """Return the counts so far, by tool."""
+        with self._lock:
+            return {
+                name: ToolCounts(dict(frames), self._newest_ns.get(name))
+                for name, frames in self._frames.items()
+            }

@@ -1,4 +1,4 @@
-"""ExpectedScans: what a device's profile tells of its lines, for the measurement of its peaks."""
+"""ExpectedScans: noiseless scans and shadow templates of a device, from its profile."""
 
 import logging
 from collections.abc import Callable
@@ -20,7 +20,7 @@ FindProfile = Callable[[str], DeviceProfile]
 
 @dataclass(frozen=True, eq=False)
 class ExpectedScans:
-    """What is known of a device's lines beyond its description.
+    """What the profile adds to a device's description for the measurement of peaks.
 
     Args:
         volume: noiseless light lines of its volume with their true readings; None: not known.
@@ -48,9 +48,9 @@ def built_in_profile(name: str) -> DeviceProfile:
 def expected_scans(
     description: DeviceDescription, find_profile: FindProfile = built_in_profile
 ) -> ExpectedScans:
-    """Return what the device's profile tells; takes tenths of a second, and no Warp.
+    """Return the expected scans of a device; takes tenths of a second, and no Warp.
 
-    A profile that is gone, or of another device meanwhile, tells nothing: the log says so.
+    They are empty for a profile that is gone, or of another device meanwhile; the log says so.
     """
     if description.profile is None or description.readout == "gray-tracks":
         return ExpectedScans()

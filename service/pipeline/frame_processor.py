@@ -1,4 +1,17 @@
-"""Frames of one device to peaks and points, with the calibration in force."""
+"""FrameProcessor: the stages of a frame, in order. Read this file first.
+
+A batch of frames of one device goes through these stages; each takes what the ones before it made:
+
+1. ``detection_stage``: pixels to peaks (position, sigma, width, flags).
+2. ``measurements``: peaks to measurements, by the one policy for their flags.
+3. ``point_stage``: measurements to points: correspondence, then triangulation with covariance.
+4. ``tracking_stage``: measurements to tracks of markers, then to poses of tools.
+
+Before them stand the reader thread and its ring (``reader_thread``), and the thread that calls them
+(``compute_thread``, ``device_session``). Behind them ``device_session`` steps the beam holds
+(``beam_hold_registry``), puts up the newest poses (``latest_poses``), offers the batch to taps
+(``taps``), and hands it to the streams (``stream_publisher``).
+"""
 
 import time
 from collections.abc import Sequence
@@ -8,29 +21,29 @@ import numpy as np
 from compute.calibration.result import Calibration
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
-from compute.reconstruction.correspondence import Predictor
-from compute.reconstruction.solver import PointSolver, load_kernels
+from compute.reconstruction.solver import load_kernels
 from compute.signal.peaks import PeakBatch
 from hardware.driver import DeviceDescription
 from hardware.line_frame import LineFrame
-from service.pipeline.blas_threads import limit_blas_threads
+from service.pipeline.active_calibration import PreparedCalibration
+from service.pipeline.compute_thread import limit_blas_threads
 from service.pipeline.detection_stage import DetectionStage
 from service.pipeline.expected_scans import ExpectedScans, expected_scans
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.point_stage import CalibrationSolver, no_points, points_of, usable_peaks
+from service.pipeline.point_stage import no_points, points_of, usable_peaks
 from service.pipeline.tracker_factory import TrackerFactory
 from service.pipeline.tracking_config import TrackingConfig
 from service.pipeline.tracking_stage import TrackingStage
 
 MAX_FRAMES = 64
-"""Frames that are processed together, at most, when they have piled up."""
+"""Most frames that are processed together."""
 
 
 class FrameProcessor:
-    """Pure function of frames, calibration and correction table, with the buffers that it needs.
+    """Runs the stages over batches of frames: the same frames give the same bits.
 
-    Made and called in the compute thread, ``set_calibration`` and ``set_tracking_config`` too: they make
-    what the next batch is worked on with, so that no frame waits for a kernel.
+    Made and called in the compute thread; ``set_calibration`` and ``set_tracking_config`` too:
+    they prepare what the next batch needs, so that no frame waits for a kernel.
     """
 
     def __init__(
@@ -41,43 +54,48 @@ class FrameProcessor:
         model: ExpectedScans | None = None,
         make: TrackerFactory | None = None,
     ) -> None:
-        """Load what finds the peaks; ``compute_device`` as of FitFinder.
+        """Load the kernels.
 
-        Without a model, it is that of the built-in profile that the description names. ``make``
-        makes what follows markers and tools; None: what compute has.
+        Args:
+            device_id: the device.
+            description: what its driver says of it.
+            compute_device: as of FitFinder.
+            model: what is known of its scans; None: that of the built-in profile which the
+                description names.
+            make: makes the trackers of markers and tools; None: those of compute.
         """
         limit_blas_threads()
         self._device_id = device_id
         self._names = tuple(sensor.name for sensor in description.sensors)
-        self._active: CalibrationSolver | None = None
+        self._active: PreparedCalibration | None = None
         model = expected_scans(description) if model is None else model
-        self._finding = DetectionStage(description, MAX_FRAMES, model, compute_device)
+        self._detection = DetectionStage(description, MAX_FRAMES, model, compute_device)
         self._compute_device = compute_device
+        reads = self._detection.reads
+        self._tracking = TrackingStage(device_id, len(self._names), reads=reads, make=make)
+        self._is_tracking = False
         self._tracking_s = 0.0
-        self._motion = TrackingStage(
-            device_id, len(self._names), reads=self._finding.reads, make=make
-        )
-        if self._finding.reads:
-            # Here: what follows tools loads only where frames are processed.
+        if reads:
+            # Here: what tracks tools loads only where frames are processed.
             from compute.pose.filtering.native.strobed_step import load_kernels as load_steps
 
             load_kernels(len(self._names), compute_device)
             load_steps(len(self._names))
 
     @property
-    def finding(self) -> DetectionStage:
+    def detection(self) -> DetectionStage:
         """How peaks are found."""
-        return self._finding
+        return self._detection
 
     @property
     def calibration_id(self) -> str | None:
-        """The calibration in force."""
+        """The active calibration."""
         active = self._active
         return active.calibration_id if active else None
 
     @property
     def table_id(self) -> str | None:
-        """The correction table in force."""
+        """The active correction table."""
         active = self._active
         return active.table_id if active else None
 
@@ -93,12 +111,12 @@ class FrameProcessor:
         Takes milliseconds, unless the calibration has more terms of distortion than any before.
 
         Raises:
-            InvalidParameter: the calibration or the table is of other sensors; that in force
+            InvalidParameter: the calibration or the table is of other sensors; the active one
                 stays.
         """
         if calibration_id is None or calibration is None:
             self._active = None
-            self._motion.set_calibration(None)
+            self._tracking.set_calibration(None)
             return
         names = tuple(model.name for model in calibration.models)
         for what, own in (
@@ -110,45 +128,43 @@ class FrameProcessor:
                     f"{what} is of the sensors {', '.join(own)}; the device has "
                     f"{', '.join(self._names)}"
                 )
-        # A table's variance is that of the whole reading, the calibration's share included.
-        covariance = np.array(calibration.covariance) if table is None else None
-        self._active = CalibrationSolver(
-            calibration_id,
-            calibration,
-            None if table is None else table_id,
-            PointSolver(calibration.models, covariance, table, self._compute_device, threads=1),
-            table,
-            Predictor.of(calibration.models, covariance, table),
+        self._active = PreparedCalibration.of(
+            calibration_id, calibration, table_id, table, self._compute_device
         )
-        self._motion.set_calibration(self._active)
+        self._tracking.set_calibration(self._active)
 
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
-        """Switch what is followed, between two batches; what cannot be followed says why."""
-        self._motion.set_tracking_config(tracked)
+        """Switch what is tracked, between two batches; a tool that cannot be tracked says why."""
+        self._is_tracking = not tracked.nothing
+        self._tracking.set_tracking_config(tracked)
 
     @property
     def is_tracking(self) -> bool:
-        """Whether markers or tools are followed."""
-        return self._motion.is_enabled
+        """Whether markers or tools are tracked."""
+        return self._is_tracking
 
     @property
     def tracking_s(self) -> float:
-        """How long markers and tools were followed in the newest batch [s]."""
+        """Time that tracking took in the newest batch [s]."""
         return self._tracking_s
 
     def process(
         self, frames: Sequence[LineFrame], *, track: Sequence[bool] | None = None
     ) -> FrameBatch:
-        """Find the peaks of up to MAX_FRAMES frames and reconstruct their points.
+        """Run all stages over up to MAX_FRAMES frames.
 
-        A device whose lines nothing is known to read gives neither. Without ``follow`` markers and
-        tools are not looked for in these frames, and the poses say so.
+        A device of which no method can read the scans has neither peaks nor points.
+
+        Args:
+            frames: F frames of the device, in their order.
+            track: of each frame, whether markers and tools are tracked in it; None: in all. The
+                poses of others say that the frame was skipped.
         """
         if len(frames) == 1:
             lines = frames[0].lines
         else:
             lines = np.concatenate([frame.lines for frame in frames])
-        return self.process_peaks(frames, self._finding.find(lines), track=track)
+        return self.process_peaks(frames, self._detection.find(lines), track=track)
 
     def process_peaks(
         self,
@@ -157,19 +173,19 @@ class FrameProcessor:
         *,
         track: Sequence[bool] | None = None,
     ) -> FrameBatch:
-        """Do the rest for frames whose peaks are found; their lines are not looked at."""
+        """Run the stages behind detection; arguments as of ``process``, with the frames' peaks."""
         active = self._active
         usable = None
-        if active is None or not self._finding.reads:
+        if active is None or not self._detection.reads:
             points, owner = no_points(len(self._names)), np.empty(0, dtype=np.intp)
         else:
-            usable = usable_peaks(active, frames, peaks, self._finding.use)
+            usable = usable_peaks(active, frames, peaks, self._detection.use)
             points, owner = points_of(active, frames, usable)
         motion = None
-        begin = time.perf_counter()
-        if self._motion.is_enabled:
-            motion = self._motion.find(frames, usable, points, owner, track)
-        self._tracking_s = time.perf_counter() - begin
+        if self._is_tracking:
+            begin = time.perf_counter()
+            motion = self._tracking.find(frames, usable, points, owner, track)
+            self._tracking_s = time.perf_counter() - begin
         return FrameBatch(
             self._device_id,
             self._names,

@@ -1,4 +1,4 @@
-"""LatestPoses: the newest pose of every tool, and whom to tell when one is newer."""
+"""LatestPoses: the newest pose of every tool, with listeners for newer ones."""
 
 import asyncio
 import time
@@ -20,9 +20,9 @@ class PoseEntry:
         sequence: number of the frame.
         exposure_ns: middle of its exposure on the host's clock [ns].
         poses: of all tools of the device, by name; those that are not seen too.
-        calibration_id: the calibration in force.
+        calibration_id: the active calibration.
         frame_rate_hz: frames of the device per second; 0 when not known.
-        table_id: the correction table in force with it; None: none.
+        table_id: the active correction table; None: none.
         arrived_s: when it was made, as time.monotonic() counts [s]: the wall clock may be set.
     """
 
@@ -43,16 +43,16 @@ class _Listener:
 
 
 class LatestPoses:
-    """Written by the compute thread, read by everybody; nothing that a reader does holds it up."""
+    """Newest poses of all devices; the compute thread writes, and never waits for a reader."""
 
     def __init__(self) -> None:
-        """Make a board without any entry."""
+        """Begin without any entry."""
         self._lock = Lock()
         self._newest: dict[str, PoseEntry] = {}
         self._listeners: tuple[_Listener, ...] = ()
 
     def put(self, entry: PoseEntry) -> None:
-        """Put a newer entry of a device up, and tell the listeners in their loops."""
+        """Replace the entry of a device, and call the listeners in their loops."""
         with self._lock:
             self._newest[entry.device_id] = entry
             listeners = self._listeners
@@ -69,12 +69,12 @@ class LatestPoses:
             return dict(self._newest)
 
     def remove(self, device_id: str) -> None:
-        """Take a device's entry down: it has stopped, or has no tools any more."""
+        """Remove the entry of a device: it has stopped, or has no tools any more."""
         with self._lock:
             self._newest.pop(device_id, None)
 
     def listen(self, told: Told) -> Callable[[], None]:
-        """Have ``told`` called in the running event loop with every newer entry.
+        """Call ``told`` in the running event loop with every newer entry.
 
         Returns:
             What ends it; may be called again.

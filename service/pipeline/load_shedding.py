@@ -1,7 +1,7 @@
-"""Thinning: in which frames markers and tools are followed when there is no time for all of them.
+"""LoadShedding: in which frames markers and tools are tracked when there is no time for all.
 
-A computer that is too slow for all frames follows as many as it can, evenly, instead of all for a
-while and then none: what is followed loses some of its readings, and no pose is late.
+A computer that is too slow for all frames tracks in as many as it can, evenly, instead of in all
+for a while and then in none: tracks lose some of their readings, and no pose is late.
 """
 
 import math
@@ -11,14 +11,14 @@ from statistics import median
 from typing import Final
 
 SLICE_S: Final = 0.004
-"""Time for a batch when not all frames are followed: what is followed is as late, twice at most,
-and the devices that share the thread wait for as long."""
+"""Time for a batch when tracking skips frames: poses are late by twice that at most, and the
+devices that share the thread wait for as long."""
 BEGIN_S: Final = 0.02
-"""When frames of more time wait, not all are followed any more."""
+"""When frames of more time wait, tracking begins to skip frames."""
 END_S: Final = 0.25
-"""When there was time for all frames for so long, all are followed again."""
+"""When there was time for all frames for this long, all are tracked again."""
 BEHIND_S: Final = 0.1
-"""When frames of more time wait, none is followed: its pose would be as old."""
+"""When frames of more time wait, none is tracked: its pose would be as old."""
 CAUGHT_UP_S: Final = 0.02
 """When no more than that waits, some are again."""
 
@@ -27,18 +27,17 @@ _COSTS: Final = 9
 
 
 class LoadShedding:
-    """Decides which frames of one device are followed, from how many wait and what they cost.
+    """Decides in which frames of one device tracking runs, from how many wait and what they cost.
 
-    It has no clock: times are given. All are followed until frames of BEGIN_S wait. Then a batch
-    has SLICE_S, however many frames it holds, or the time of one: batches grow until that is
-    enough, and the devices of a thread get the same time each. Followed are the frames whose strobe
-    slot was not for the longest time, so that no marker is left out, and of equals the newest.
-    Every n-th frame would show some markers of a strobe never, if n has a divisor in common with
-    their number; whole turns of the strobe with gaps between are followed less well, as the gaps
-    are longer.
+    It has no clock: times are given. All frames are tracked until frames of BEGIN_S wait. Then a
+    batch has SLICE_S, however many frames it holds, or the time of one: batches grow until that is
+    enough, and the devices of a thread get the same time each. Tracked are the frames whose strobe
+    slot was left out for the longest time, so that no marker is neglected, and of equals the
+    newest. Every n-th frame would never show some markers of a strobe whose number has a divisor
+    in common with n; whole strobe cycles with gaps between would leave longer gaps.
 
     Args:
-        rate_hz: of the device's frames; 0: not known, then all are followed.
+        rate_hz: of the device's frames; 0: not known, then all are tracked.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -48,23 +47,23 @@ class LoadShedding:
         self._rest_s: deque[float] = deque(maxlen=_COSTS)  # of a batch
         self._enough = 0  # frames in a row for which there was time
         self._count = 0
-        self._last: dict[int | None, int] = {}  # frame of each slot that was followed
+        self._last: dict[int | None, int] = {}  # newest tracked frame of each slot
 
     @property
     def sheds(self) -> bool:
-        """Whether some frames may be passed over."""
+        """Whether tracking may skip frames."""
         return self._thins
 
     @property
     def behind(self) -> bool:
-        """Whether none is followed until it has caught up."""
+        """Whether tracking skips all frames until it has caught up."""
         return self._behind
 
     def choose(self, slots: Sequence[int | None], waiting: int) -> tuple[bool, ...]:
-        """Return in which of the next frames markers and tools are followed.
+        """Return in which of the next frames markers and tools are tracked.
 
-        Those behind the last one that is are left for the next batch, so that the newest of a batch
-        shows where all is: there may be fewer answers than frames, but at least one.
+        Frames behind the last tracked one are left for the next batch, so that the newest frame
+        of a batch has poses: there may be fewer answers than frames, but at least one.
 
         Args:
             slots: strobe slot of each frame, oldest first; None: all markers are lit.
@@ -86,20 +85,20 @@ class LoadShedding:
         self._remember(slots, chosen)
         return tuple(chosen)
 
-    def count(self, followed: int, tracking_s: float, rest_s: float) -> None:
-        """Take in what a batch cost.
+    def count(self, tracked: int, tracking_s: float, rest_s: float) -> None:
+        """Learn what a batch cost.
 
         Args:
-            followed: in how many of its frames markers and tools were followed.
-            following_s: how long that took [s].
+            tracked: in how many of its frames markers and tools were tracked.
+            tracking_s: how long that took [s].
             rest_s: how long all else took [s].
         """
         self._rest_s.append(rest_s)
-        if followed:
-            self._tracking_s.append(tracking_s / followed)
+        if tracked:
+            self._tracking_s.append(tracking_s / tracked)
 
     def _affordable(self, frames: int) -> int:
-        """Return how many of so many frames there is time for: one, however long it takes."""
+        """Return in how many of the frames there is time to track: in one at least."""
         rest_s = median(self._rest_s) if self._rest_s else 0.0
         frame_s = max(median(self._tracking_s) if self._tracking_s else 0.0, 1e-6)
         most = min(max(1, int((SLICE_S - rest_s) / frame_s)), frames)
@@ -109,7 +108,7 @@ class LoadShedding:
         return most
 
     def _chosen(self, slots: Sequence[int | None], most: int) -> list[bool]:
-        """Choose the frame farthest from all of its slot that are followed, and so on."""
+        """Choose the frame farthest from all tracked ones of its strobe slot, and so on."""
         if most == len(slots):
             return [True] * len(slots)
         far = [

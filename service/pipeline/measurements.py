@@ -1,4 +1,4 @@
-"""PipelineMeasurements: the peaks of frames as what follows takes them: doubtless ones, with deviations."""
+"""PipelineMeasurements: the usable peaks of frames with their standard deviations."""
 
 from dataclasses import dataclass
 
@@ -56,11 +56,11 @@ class PipelineMeasurements:
         """Return those of so many frames.
 
         Args:
-            trust: what the calibration in force says of its S sensors' readings.
+            trust: what the active calibration says of its S sensors' readings.
             frames: their number F.
             peaks: of their F x S lines.
             use: which of them are used, and which doubted.
-            corrected: whether a correction table is in force.
+            corrected: whether a correction table is active.
         """
         shape = (frames, len(trust.sensor_sigma_px), -1)
         position = peaks.position_px.reshape(shape).astype(np.float64)

@@ -1,9 +1,8 @@
-"""PipelineManager: owns every running device's threads; what the REST layer talks to."""
+"""PipelineManager: starts and stops devices and their threads; the API's door to the pipeline."""
 
 import logging
 import time
 from collections.abc import Callable
-from functools import partial
 from threading import RLock
 
 import numpy as np
@@ -13,11 +12,11 @@ from compute.errors import InvalidParameter, LumilineError
 from hardware.driver import DeviceDescription, Driver
 from hardware.link import LinkedDriver, LinkState
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
-from service.pipeline.beam_hold_registry import BeamHoldRegistry
-from service.pipeline.beam_hold_watchdog import BeamHoldWatchdog
+from service.pipeline.beam_hold_registry import BeamHoldRegistry, BeamHoldWatchdog
 from service.pipeline.compute_thread import ComputeThread
-from service.pipeline.connect import DeviceConnector
-from service.pipeline.device_session import DeviceSession, DeviceStatus
+from service.pipeline.device_connector import DeviceConnector
+from service.pipeline.device_session import DeviceSession, LatencyCounts, ToolCounts
+from service.pipeline.device_status import DeviceStatus
 from service.pipeline.expected_scans import (
     ExpectedScans,
     FindProfile,
@@ -25,16 +24,12 @@ from service.pipeline.expected_scans import (
     expected_scans,
 )
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.frame_ring import FrameRing
-from service.pipeline.latency_histogram import LatencyCounts
 from service.pipeline.latest_poses import LatestPoses
-from service.pipeline.pose_counters import ToolCounts
-from service.pipeline.reader_thread import ReaderThread
+from service.pipeline.reader_thread import FrameRing, ReaderThread
+from service.pipeline.stream_publisher import StreamPublisher
 from service.pipeline.taps import PeakTap, Tap
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
 from service.problems.errors import DeviceNotRunning
-from service.protocols.stream.encoding import status_message
-from service.protocols.stream.hub import Hub
 
 _log = logging.getLogger(__name__)
 
@@ -54,7 +49,7 @@ Accept = Callable[[DeviceDescription], None]
 
 
 def any_device(_: DeviceDescription) -> None:
-    """Accept it."""
+    """Accept every device."""
 
 
 class PipelineManager:
@@ -62,19 +57,21 @@ class PipelineManager:
 
     def __init__(
         self,
+        streams: StreamPublisher,
         compute_device: str | None = None,
         find_profile: FindProfile = built_in_profile,
-        hub: Hub | None = None,
     ) -> None:
-        """Start the compute thread; ``compute_device`` is "cpu", "cuda:0" or None for the best.
+        """Start the compute thread.
 
-        ``find_profile`` returns the device profiles that descriptions name; ``hub`` is where
-        frames are published, one of its own by default.
+        Args:
+            streams: takes the results for the clients.
+            compute_device: "cpu", "cuda:0", ...; None: the best there is.
+            find_profile: returns the device profiles that descriptions name.
         """
-        self.hub = Hub() if hub is None else hub
+        self.streams = streams
         self.poses = LatestPoses()
         """The newest poses of all tools."""
-        self.holds = BeamHoldRegistry(partial(self.hub.publish, content="holds"))
+        self.holds = BeamHoldRegistry(streams.publish_hold)
         """Whether beams are held."""
         self._watchdog = BeamHoldWatchdog(self.holds)
         self._watchdog.start()
@@ -96,7 +93,7 @@ class PipelineManager:
 
     @property
     def busy_s(self) -> float:
-        """How long the compute thread is at the batch, or the job, that it has in hand [s]."""
+        """Time that the compute thread has spent on its current batch or job [s]."""
         return self._compute.busy_s
 
     def start_device(
@@ -126,7 +123,7 @@ class PipelineManager:
             )
             self._refused.pop(device_id, None)
             self._openings[device_id] = opening
-            self.hub.publish(device_id, status_message(device_id, "starting", None))
+            self.streams.publish_status(device_id, "starting")
             if not isinstance(driver, LinkedDriver):
                 try:
                     opening.attempt()
@@ -162,24 +159,24 @@ class PipelineManager:
                 lambda: self._prepare(device_id, description, model)
             ).result()
             tracked = self._tracked.get(device_id, NO_TRACKING)
-            if not tracked.nothing:
+            if tracked is not NO_TRACKING:
                 self._compute.submit(lambda: session.set_tracking_config(tracked)).result()
             self._set(session, opening.found)
             session.reader = ReaderThread(
                 device_id,
                 driver,
                 session.ring,
-                lambda: self._publish_load_shedding(session),
-                lambda: self._publish_load_shedding(session),
+                lambda: self._compute.submit(session.publish_change),
+                lambda: self._compute.submit(session.publish_change),
             )
             self._compute.submit(lambda: self._compute.add(device_id, session.work)).result()
             self._sessions[device_id] = session
             self._openings.pop(device_id, None)
-            self.hub.publish(device_id, session.status_message())
+            session.publish_status()
             session.reader.start()
 
     def _opening_changed(self, device_id: str, opening: DeviceConnector) -> None:
-        """Tell of a device that is waited for, or given up."""
+        """Publish that a device is waited for, or could not be opened."""
         with self._lock:
             if opening.cancelled.is_set():
                 return
@@ -187,14 +184,13 @@ class PipelineManager:
                 self._openings.pop(device_id, None)
                 self._refuse(device_id, opening.reason or "")
             else:
-                message = status_message(device_id, opening.state, opening.reason, opening.state)
-                self.hub.publish(device_id, message)
+                self.streams.publish_status(device_id, opening.state, opening.reason, opening.state)
 
     def _refuse(self, device_id: str, reason: str) -> None:
-        """Keep and tell why a device was not started."""
+        """Keep and publish why a device was not started."""
         self._sessions.pop(device_id, None)
         self._refused[device_id] = reason
-        self.hub.publish(device_id, status_message(device_id, "failed", reason))
+        self.streams.publish_status(device_id, "failed", reason)
 
     def stop_device(self, device_id: str) -> None:
         """Stop the device and close its driver; nothing happens when it is not running."""
@@ -203,7 +199,7 @@ class PipelineManager:
             if opening is not None:
                 opening.cancel()
                 self.holds.fail(device_id, STOPPED)
-                self.hub.publish(device_id, status_message(device_id, "stopped", None))
+                self.streams.publish_status(device_id, "stopped")
                 return
             session = self._sessions.get(device_id)
             if session is None or session.reader is None or session.stopped:
@@ -216,7 +212,7 @@ class PipelineManager:
             self.poses.remove(device_id)
             self.holds.fail(device_id, STOPPED)
             if was_running:
-                self.hub.publish(device_id, status_message(device_id, "stopped", None))
+                self.streams.publish_status(device_id, "stopped")
 
     def forget_device(self, device_id: str) -> None:
         """Stop the device, drop its counters and end its streams: it is deleted."""
@@ -226,7 +222,7 @@ class PipelineManager:
             self._refused.pop(device_id, None)
             self._tracked.pop(device_id, None)
             self.holds.forget(device_id)
-            self.hub.end(device_id, status_message(device_id, "deleted", None))
+            self.streams.end(device_id)
 
     def set_calibration(self, device_id: str, found: ActiveCalibration) -> None:
         """Switch calibration and table between two frames; nothing happens when it is not running.
@@ -247,7 +243,7 @@ class PipelineManager:
                 _log.warning("device %s goes on as it was: %s", device_id, error.detail)
 
     def set_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
-        """Say what of a device is followed: from the next batch on, or once it is started."""
+        """Set what is tracked of a device: from the next batch on, or once it is started."""
         with self._lock:
             self._tracked[device_id] = tracked
             try:
@@ -260,7 +256,7 @@ class PipelineManager:
                 raise
 
     def tracked(self, device_id: str) -> TrackingConfig:
-        """Return what of a device is followed, or will be once it is started."""
+        """Return what is tracked of a device, or will be once it is started."""
         return self._tracked.get(device_id, NO_TRACKING)
 
     def _set(self, session: DeviceSession, found: ActiveCalibration) -> None:
@@ -271,13 +267,13 @@ class PipelineManager:
 
         def switch() -> None:
             session.processor.set_calibration(*given)
-            session.in_force = found
+            session.active_calibration = found
 
         self._compute.submit(switch).result()
 
     def status(self, device_id: str) -> DeviceStatus:
         """Return the device's status; "stopped" for one never started. Never waits."""
-        subscribers = self.hub.subscribers(device_id)
+        subscribers = self.streams.subscribers(device_id)
         opening = self._openings.get(device_id)
         if opening is not None:
             link = (
@@ -295,7 +291,7 @@ class PipelineManager:
         return {name: session.latency.counts() for name, session in tuple(self._sessions.items())}
 
     def pose_counts(self) -> dict[str, dict[str, ToolCounts]]:
-        """Return what was counted of the tools of every device that was started. Never waits."""
+        """Return pose counts by device and tool, of devices that were started. Never waits."""
         return {
             name: session.pose_counts.counts() for name, session in tuple(self._sessions.items())
         }
@@ -306,7 +302,7 @@ class PipelineManager:
         return {name: self.status(name) for name in sorted(names)}
 
     def describe(self, device_id: str) -> DeviceDescription | None:
-        """Return what the device's driver says it is; None for one never started. Never waits."""
+        """Return the driver's description of a device; None: it was never started. Never waits."""
         session = self._sessions.get(device_id)
         return session.description if session else None
 
@@ -318,18 +314,18 @@ class PipelineManager:
         return session
 
     def attach(self, session: DeviceSession, tap: Tap) -> None:
-        """Let a tap have the batches of a session from now on."""
-        tap.prepare(session.in_force)
+        """Give a tap all batches of a session from now on."""
+        tap.prepare(session.active_calibration)
         session.attach(tap)
 
     def detach(self, session: DeviceSession, tap: Tap) -> None:
-        """Let it have no more."""
+        """Give a tap no more batches."""
         session.detach(tap)
 
     def collect(
         self, device_id: str, frames: int, marker: int | None, timeout_s: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return what the sensors read of one marker in the next frames of a running device.
+        """Return the readings of one marker in the next frames of a running device.
 
         Args:
             device_id: the device.
@@ -384,25 +380,8 @@ class PipelineManager:
         ring = FrameRing(capacity, self._compute.wake)
         processor = FrameProcessor(device_id, description, self._compute_device, model)
         return DeviceSession(
-            device_id, description, processor, ring, self.hub, self.poses, self.holds
+            device_id, description, processor, ring, self.streams, self.poses, self.holds
         )
-
-    def _publish_load_shedding(self, session: DeviceSession) -> None:
-        """Tell the clients how a device stands now, behind its last frames."""
-
-        def tell() -> None:
-            while session.work():
-                pass
-            if not session.connected:
-                self.poses.remove(session.device_id)
-                if not session.stopped:
-                    status = session.status()
-                    why = "" if status.reason is None else f": {status.reason}"
-                    self.holds.fail(session.device_id, f"the device is {status.state}{why}")
-            if not session.stopped:
-                self.hub.publish(session.device_id, session.status_message())
-
-        self._compute.submit(tell)
 
     def _not_running(self, device_id: str) -> DeviceNotRunning:
         """Return the error of a device from which nothing can be captured now."""

@@ -1,21 +1,17 @@
-"""Points of frames from the peaks of their lines: who belongs together, and where it is."""
+"""Point stage: correspondence of measurements, then triangulation to points with covariance."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.measurement_noise import MeasurementNoise
-from compute.calibration.result import Calibration
-from compute.mapping.table import CorrectionTable
-from compute.reconstruction.correspondence import Predictor, group_peaks
+from compute.reconstruction.correspondence import group_peaks
 from compute.reconstruction.point_batch import PointBatch, PointFlag
-from compute.reconstruction.solver import PointSolver
 from compute.signal.peaks import PeakBatch, PeakFlag
 from hardware.line_frame import LineFrame
+from service.pipeline.active_calibration import PreparedCalibration
 from service.pipeline.measurements import PeakFlagPolicy, PipelineMeasurements
 
 Array = NDArray[np.float64]
@@ -26,26 +22,8 @@ MAX_SIMULTANEOUS_MARKERS: Final = 12
 On four sensors more of them are mostly ambiguous, and take longer than frames come."""
 
 
-@dataclass(frozen=True, eq=False)
-class CalibrationSolver:
-    """A calibration in the form that the live path uses, with its correction table, if any."""
-
-    calibration_id: str
-    calibration: Calibration
-    table_id: str | None
-    solver: PointSolver
-    table: CorrectionTable | None = None
-    predictor: Predictor | None = None
-    """The cameras forward, for frames with many markers; None: only small ones are grouped."""
-
-    @cached_property
-    def trust(self) -> MeasurementNoise:
-        """How far the calibration trusts each sensor's readings."""
-        return MeasurementNoise.of(self.calibration)
-
-
 def no_points(sensors: int) -> PointBatch:
-    """Return the batch of no points, of so many sensors."""
+    """Return an empty batch of points for this number of sensors."""
     return PointBatch(
         np.empty((0, 3)),
         np.empty((0, 3, 3)),
@@ -56,12 +34,12 @@ def no_points(sensors: int) -> PointBatch:
 
 
 def reconstruct_points(
-    active: CalibrationSolver, frames: Sequence[LineFrame], peaks: PeakBatch, use: PeakFlagPolicy
+    active: PreparedCalibration, frames: Sequence[LineFrame], peaks: PeakBatch, use: PeakFlagPolicy
 ) -> tuple[PointBatch, NDArray[np.intp]]:
     """Return the points of all frames and the frame that each belongs to.
 
     Args:
-        active: the calibration in force, of S sensors.
+        active: the active calibration, of S sensors.
         frames: F frames.
         peaks: of their F x S lines.
         use: which of them are used, and which doubted.
@@ -70,7 +48,7 @@ def reconstruct_points(
 
 
 def usable_peaks(
-    active: CalibrationSolver, frames: Sequence[LineFrame], peaks: PeakBatch, use: PeakFlagPolicy
+    active: PreparedCalibration, frames: Sequence[LineFrame], peaks: PeakBatch, use: PeakFlagPolicy
 ) -> PipelineMeasurements:
     """Return the peaks that points are made of; arguments as of ``reconstruct_points``."""
     corrected = active.table_id is not None
@@ -78,7 +56,7 @@ def usable_peaks(
 
 
 def points_of(
-    active: CalibrationSolver, frames: Sequence[LineFrame], usable: PipelineMeasurements
+    active: PreparedCalibration, frames: Sequence[LineFrame], usable: PipelineMeasurements
 ) -> tuple[PointBatch, NDArray[np.intp]]:
     """Return the points of usable peaks, and the frame that each belongs to."""
     position, spread = usable.position_px, usable.sigma_px

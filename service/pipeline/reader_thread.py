@@ -1,21 +1,108 @@
-"""The reader thread of one device: takes frames from its driver and puts them into the ring."""
+"""ReaderThread: puts a driver's frames into a FrameRing, from which the compute thread takes."""
 
 import logging
-from collections.abc import Callable
-from threading import Thread
-from typing import Literal
+from collections import deque
+from collections.abc import Callable, Sequence
+from itertools import islice
+from threading import Event, Lock, Thread
+from typing import Final, Literal, TypeVar
 
 from compute.errors import LumilineError
 from hardware.driver import Driver
+from hardware.line_frame import LineFrame
 from hardware.link import LinkedDriver, LinkState
 from service.logs.context import set_device_id
-from service.pipeline.frame_ring import FrameRing
 
 _log = logging.getLogger(__name__)
 
 ReaderState = Literal["running", "stopped", "ended", "failed"]
 
-JOIN_TIMEOUT_S = 5.0
+T = TypeVar("T")
+
+JOIN_TIMEOUT_S: Final = 5.0
+_ROOM_POLL_S: Final = 0.1
+
+
+class FrameRing:
+    """Holds at most ``capacity`` frames; when full, the oldest is dropped and counted.
+
+    Frames are handed over by reference: a driver does not write to a frame again.
+    """
+
+    def __init__(self, capacity: int, notify: Callable[[], None]) -> None:
+        """Create a ring that calls ``notify`` after each frame that is put in."""
+        self._frames: deque[LineFrame] = deque()
+        self._capacity = capacity
+        self._notify = notify
+        self._lock = Lock()
+        self._taken = Event()
+        self._last: int | None = None
+        self.received = 0
+        """Frames put in."""
+        self.lost = 0
+        """Exposures missing in the sequence numbers: lost in the device or on the way."""
+        self.dropped = 0
+        """Frames dropped here because nobody took them in time."""
+
+    def put(self, frame: LineFrame) -> None:
+        """Add a frame; never blocks."""
+        with self._lock:
+            self.received += 1
+            if self._last is not None and frame.sequence > self._last + 1:
+                self.lost += frame.sequence - self._last - 1
+            self._last = frame.sequence
+            if len(self._frames) == self._capacity:
+                self._frames.popleft()
+                self.dropped += 1
+            self._frames.append(frame)
+        self._notify()
+
+    def wait_for_room(self, given_up: Callable[[], bool]) -> None:
+        """Wait until a frame can be put without dropping another, for sources that can wait."""
+        while len(self._frames) >= self._capacity and not given_up():
+            self._taken.clear()
+            if len(self._frames) >= self._capacity:
+                self._taken.wait(_ROOM_POLL_S)
+
+    @property
+    def last_sequence(self) -> int:
+        """Sequence number of the newest frame that was put in; -1 before the first."""
+        last = self._last
+        return -1 if last is None else last
+
+    def take(self, most: int) -> list[LineFrame]:
+        """Remove and return up to ``most`` frames, oldest first."""
+        with self._lock:
+            if len(self._frames) <= most:
+                taken = list(self._frames)
+                self._frames.clear()
+            else:
+                taken = [self._frames.popleft() for _ in range(most)]
+        self._taken.set()
+        return taken
+
+    def take_chosen(
+        self, most: int, choose: Callable[[Sequence[LineFrame], int], Sequence[T]]
+    ) -> tuple[list[LineFrame], list[T]]:
+        """Remove and return the oldest frames for which ``choose`` has an answer, and the answers.
+
+        Args:
+            most: how many frames ``choose`` is shown at most.
+            choose: gets frames, oldest first, and how many more wait; returns an answer for the
+                first of them, or for all. It is called with the ring locked, and not without a
+                frame.
+        """
+        with self._lock:
+            shown = list(islice(self._frames, most))
+            chosen = list(choose(shown, len(self._frames) - len(shown))) if shown else []
+            for _ in chosen:
+                self._frames.popleft()
+        self._taken.set()
+        return shown[: len(chosen)], chosen
+
+    def __len__(self) -> int:
+        """Return the number of frames that wait."""
+        return len(self._frames)
 
 
 class ReaderThread:
@@ -26,8 +113,8 @@ class ReaderThread:
         device_id: str,
         driver: Driver,
         ring: FrameRing,
-        ended: Callable[[], None],
-        link_changed: Callable[[], None],
+        ended: Callable[[], object],
+        link_changed: Callable[[], object],
     ) -> None:
         """Prepare the thread.
 

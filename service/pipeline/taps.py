@@ -1,7 +1,9 @@
-"""Taps: what takes a running device's batches; PeakTap the readings of one marker in them."""
+"""Taps: consumers of a running device's batches beside the streams."""
 
-from threading import Condition
-from typing import Protocol
+import time
+from collections.abc import Callable
+from threading import Condition, Event
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +11,11 @@ from numpy.typing import NDArray
 from compute.signal.peaks import PeakFlag
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
+from service.problems.errors import DeviceNotRunning, NotReady
+
+if TYPE_CHECKING:
+    from service.pipeline.device_session import DeviceSession
+    from service.pipeline.pipeline_manager import PipelineManager
 
 Array = NDArray[np.float64]
 
@@ -22,7 +29,7 @@ class Tap(Protocol):
     """Takes the batches of a running device beside the streams."""
 
     def prepare(self, found: ActiveCalibration) -> None:
-        """Learn what is about to be in force; called in a thread that may wait."""
+        """Learn the calibration that becomes active next; called in a thread that may wait."""
         ...
 
     def offer(self, batch: FrameBatch) -> None:
@@ -87,3 +94,69 @@ def _readings(batch: FrameBatch, lines: slice, *, strobed: bool) -> tuple[Array,
     value = np.where(clear, position[row, brightest], np.nan)
     sigma = np.where(clear, peaks.sigma_px[lines][row, brightest], np.nan)
     return value, sigma.astype(np.float64)
+
+
+class SingleCalibrationTap:
+    """Base of taps that need one calibration and table throughout; ends when they change."""
+
+    def __init__(self) -> None:
+        self.ended = Event()
+        """Set when there is enough, or another calibration or table became active."""
+        self.switched = False
+        """Whether another calibration or table became active meanwhile."""
+        self.active_ids: tuple[str | None, str | None] | None = None
+        """Calibration and table of the first batch; None: none came."""
+
+    def prepare(self, found: ActiveCalibration) -> None:
+        """Do nothing: the batches name their calibration and table."""
+
+    def _goes_on(self, batch: FrameBatch) -> bool:
+        """Return whether all that came was made with the same, and more is wanted."""
+        own = (batch.calibration_id, batch.table_id)
+        if self.active_ids is None:
+            self.active_ids = own
+        if own != self.active_ids:
+            self.switched = True
+            self.ended.set()
+        return not self.ended.is_set()
+
+
+_LOOK_S: Final = 0.1
+
+
+def collect(
+    live: "PipelineManager",
+    session: "DeviceSession",
+    tap: Tap,
+    seconds: float,
+    ended: Event,
+    look: Callable[[], bool] = lambda: False,
+) -> None:
+    """Attach a tap for some seconds, or until ``ended`` is set or ``look`` is true; waits.
+
+    ``look`` is called in the waiting thread, several times a second.
+
+    Raises:
+        DeviceNotRunning: the device stops or is lost meanwhile.
+        NotReady: the server stops meanwhile.
+    """
+    live.attach(session, tap)
+    try:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0 and not ended.wait(min(_LOOK_S, left)):
+            if live.streams.closed is not None:
+                raise NotReady(
+                    f"{live.streams.closed}; what was measured so far is not kept, do it again "
+                    "when it is up again",
+                    part="server",
+                )
+            if look():
+                return
+            if not session.connected:
+                raise DeviceNotRunning(
+                    f'device "{session.device_id}" stopped or was lost while it was measured; '
+                    "start it and try again",
+                    device=session.device_id,
+                )
+    finally:
+        live.detach(session, tap)

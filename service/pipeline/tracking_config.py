@@ -1,4 +1,4 @@
-"""Tracked: what of a running device is followed, markers and tools, and how."""
+"""TrackingConfig: the markers, tools and beam holds that a running device tracks, and how."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class TrackingConfig:
-    """What a device follows.
+    """What is tracked of a device.
 
     Args:
-        tracks: whether markers are followed as tracks.
+        tracks: whether markers are tracked.
         tools: tools whose poses are wanted, in the order of their poses.
-        tracker: how markers are followed; None: by default.
-        tool_tracker: how tools are followed; None: by default.
+        tracker: settings of the marker tracker; None: the defaults.
+        tool_tracker: settings of the tool tracker; None: the defaults.
         blinking: codes by which tracks are named, and how the markers show them; None: none.
-        holds: beam holds that watch what is seen of it.
+        holds: its beam holds.
     """
 
     tracks: bool = False
@@ -33,7 +33,7 @@ class TrackingConfig:
 
     @property
     def nothing(self) -> bool:
-        """Whether there is nothing to follow."""
+        """Whether neither markers nor tools are tracked."""
         return not self.tracks and not self.tools
 
 

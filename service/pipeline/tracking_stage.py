@@ -1,4 +1,4 @@
-"""TrackingStage: a device's tracks and tool poses, frame by frame, whatever fails on the way."""
+"""TrackingStage: tracks and tool poses, frame by frame; faults of a tracker stay with its tools."""
 
 import logging
 from collections.abc import Sequence
@@ -15,8 +15,9 @@ from compute.reconstruction.point_batch import PointBatch
 from compute.tracking.blink_identification import BlinkIdentifier
 from compute.tracking.track_batch import TrackBatch
 from hardware.line_frame import LineFrame
+from service.pipeline.active_calibration import PreparedCalibration
+from service.pipeline.frame_batch import TrackingResult
 from service.pipeline.measurements import PipelineMeasurements
-from service.pipeline.point_stage import CalibrationSolver
 from service.pipeline.tracker_factory import (
     DefaultTrackerFactory,
     MarkerTrackerProtocol,
@@ -24,7 +25,6 @@ from service.pipeline.tracker_factory import (
     TrackerFactory,
 )
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
-from service.pipeline.tracking_result import TrackingResult
 
 _log = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ MAX_BACKOFF_S: Final = 30.0
 
 
 class _Group:
-    """Tools that are followed together; a fault in one of them is a fault of its group."""
+    """Tools that are tracked together; a fault in one of them is a fault of its group."""
 
     def __init__(
         self,
@@ -49,8 +49,8 @@ class _Group:
     ):
         self.tools = tuple(tools)
         self.tracker = tracker
-        self.reason = reason  # why there is no follower
-        self.faults = faults  # of its followers so far
+        self.reason = reason  # why there is no tracker
+        self.faults = faults  # of its trackers so far
         self.failed_ns: int | None = None  # on the device's clock; None: it never began
 
     def may_restart(self, now_ns: int) -> bool:
@@ -63,19 +63,19 @@ class _Group:
 
 
 class TrackingStage:
-    """Follows markers and tools through the frames of one device; lives in the compute thread.
+    """Tracks markers and tools through the frames of one device; lives in the compute thread.
 
-    Nothing that a tracker does stops the device: tools that cannot be followed have the status
-    INVALID and the reason. When following all tools together fails, each is followed by itself
-    from then on, so that the faulty one does not take the others with it; one that fails by itself
-    begins anew after a while, more and more rarely. When following markers fails, it begins anew,
-    at most FRESH_STARTS times.
+    No fault of a tracker stops the device: tools that cannot be tracked have the status INVALID
+    and the reason. When tracking all tools together fails, each is tracked by itself from then on,
+    so that the faulty one does not take the others with it; one that fails by itself is restarted
+    after a while, more and more rarely. The marker tracker is restarted at most MAX_RESTARTS
+    times.
 
     Args:
         device_id: the device, for the log.
         sensors: how many it has.
-        reads: whether its lines are read at all.
-        make: makes what follows.
+        reads: whether a method reads its scans.
+        make: makes the trackers.
     """
 
     MAX_RESTARTS: Final = 3
@@ -88,7 +88,7 @@ class TrackingStage:
         self._reads = reads
         self._make: TrackerFactory = DefaultTrackerFactory() if make is None else make
         self._tracked = NO_TRACKING
-        self._active: CalibrationSolver | None = None
+        self._active: PreparedCalibration | None = None
         self._markers: MarkerTrackerProtocol | None = None
         self._names: BlinkIdentifier | None = None
         self._groups: list[_Group] = []
@@ -99,11 +99,11 @@ class TrackingStage:
 
     @property
     def is_enabled(self) -> bool:
-        """Whether there is anything to follow."""
+        """Whether markers or tools are tracked."""
         return not self._tracked.nothing
 
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
-        """Follow other things from the next frame on; what is followed already goes on."""
+        """Track other things from the next frame on; what is tracked already goes on."""
         before, self._tracked = self._tracked, tracked
         active = self._is_tracking
         if active is None:
@@ -117,8 +117,8 @@ class TrackingStage:
         same = tracked.tool_tracker == before.tool_tracker
         self._groups = self._tool_groups(active, tracked.tools, known if same else None)
 
-    def set_calibration(self, active: CalibrationSolver | None) -> None:
-        """Follow with another calibration; tracks and tools are found anew."""
+    def set_calibration(self, active: PreparedCalibration | None) -> None:
+        """Track with another calibration; tracks and tools are acquired anew."""
         self._active = active
         self._markers, self._groups = None, []
         active = self._is_tracking
@@ -129,7 +129,7 @@ class TrackingStage:
         self._groups = self._tool_groups(active, self._tracked.tools, None)
 
     @property
-    def _is_tracking(self) -> CalibrationSolver | None:
+    def _is_tracking(self) -> PreparedCalibration | None:
         """The calibration, where there is one and lines are read."""
         return self._active if self._reads else None
 
@@ -141,14 +141,14 @@ class TrackingStage:
         owner: NDArray[np.intp],
         track: Sequence[bool] | None = None,
     ) -> TrackingResult:
-        """Return what moved in a batch.
+        """Return the tracks and tool poses of a batch.
 
         Args:
             frames: F frames, in their order.
             usable: their peaks; None: there is no calibration, or nothing is read.
             points: of these frames.
             owner: index of the frame of each.
-            follow: of each frame, whether anything is followed in it; None: in all. In others tools
+            track: of each frame, whether anything is tracked in it; None: in all. In others tools
                 are MISSING, as the computer does not keep up, and there are no tracks.
         """
         tracks: list[TrackBatch] = []
@@ -175,12 +175,12 @@ class TrackingStage:
             poses.append(self._track_tools(frame, *readings, own))
         return TrackingResult.of(tracks, poses, self._sensors)
 
-    def _start_marker_tracker(self, active: CalibrationSolver) -> None:
-        """Follow markers anew; their numbers go on where those before ended."""
+    def _start_marker_tracker(self, active: PreparedCalibration) -> None:
+        """Start the marker tracker; its track numbers go on where those before ended."""
         self._restarts = 0
         self._markers = self._marker_tracker(active)
 
-    def _marker_tracker(self, active: CalibrationSolver) -> MarkerTrackerProtocol | None:
+    def _marker_tracker(self, active: PreparedCalibration) -> MarkerTrackerProtocol | None:
         self._first_number = self._highest_number
         blinking = self._tracked.blinking
         self._names = None if blinking is None else BlinkIdentifier(*blinking)
@@ -192,7 +192,7 @@ class TrackingStage:
 
     def _tool_groups(
         self,
-        active: CalibrationSolver,
+        active: PreparedCalibration,
         tools: Sequence[RigidBody],
         before: ToolTrackerProtocol | None,
     ) -> list[_Group]:
@@ -206,7 +206,7 @@ class TrackingStage:
             return [self._single_tool_group(active, tool) for tool in tools]
 
     def _single_tool_group(
-        self, active: CalibrationSolver, tool: RigidBody, faults: int = 0
+        self, active: PreparedCalibration, tool: RigidBody, faults: int = 0
     ) -> _Group:
         try:
             tracker = self._make.tools(active, self._tracked, [tool], None)
@@ -216,7 +216,7 @@ class TrackingStage:
             return _Group([tool], None, f"the tool cannot be tracked: {_error_message(error)}")
 
     def _check_clock(self, frame: LineFrame) -> None:
-        """Begin anew when the device's clock did: it was restarted."""
+        """Reset the trackers when the device's clock went back: it was restarted."""
         last, self._last_ns = self._last_ns, frame.exposure_device_ns
         if last is None or frame.exposure_device_ns > last:
             return

@@ -1,4 +1,4 @@
-"""Every problem type by its code: HTTP status, title and meaning, in one table (RFC 9457)."""
+"""Catalogue of problem types: code, HTTP status, title and meaning (RFC 9457)."""
 
 import inspect
 from collections.abc import Iterable

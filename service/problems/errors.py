@@ -1,4 +1,4 @@
-"""The service's own errors: things not there, and conflicts with what is."""
+"""The service's own errors: unknown resources, conflicts, limits."""
 
 from compute.errors import LumilineError
 

@@ -1,11 +1,11 @@
-"""Turns every exception into a problem document: application/problem+json (RFC 9457)."""
+"""Exception handlers that answer with problem documents, application/problem+json (RFC 9457)."""
 
 import json
 import logging
 import math
 import secrets
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
@@ -17,7 +17,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from compute.errors import LumilineError, NonFiniteValue
-from service.logs.request_record import request_record
+from service.logs.context import request_record
 from service.problems.catalogue import (
     MEDIA_TYPE,
     PROBLEM_TYPES,
@@ -26,7 +26,6 @@ from service.problems.catalogue import (
     ProblemType,
     problem_type_of,
 )
-from service.problems.error_location import location_in_body
 from service.problems.errors import BodyTooLarge, BodyTooSlow, MalformedJson
 
 _log = logging.getLogger(__name__)
@@ -216,3 +215,63 @@ def install_problem_handlers(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, _validation_error)
     app.add_exception_handler(HTTPException, _http_error)
     app.add_exception_handler(Exception, _unexpected_error)
+
+
+Location = list[str | int]
+
+_DISCRIMINATORS: Final = ("kind", "method")
+"""Fields by which unions of bodies are told apart."""
+
+
+def location_in_body(location: Sequence[str | int], body: Any, *, missing: bool) -> Location:
+    """Return the path to the value; unchanged where it does not lead through the body.
+
+    Pydantic puts into a location which member of a union it tried, and that is no key of the
+    body: ``source, external, sensors, 1, name`` stands for ``source.sensors[1].name``.
+
+    Args:
+        location: the parts below the body.
+        body: the parsed body.
+        missing: whether the last part is a key that the body lacks.
+    """
+    parts = list(location)
+    last = [parts.pop()] if missing and parts else []
+    found = _path(parts, body)
+    return list(location) if found is None else found + last
+
+
+def _path(parts: Location, value: Any, *, tagged: bool = False) -> Location | None:
+    """Return the parts that lead through the value, None where a needed one does not.
+
+    A member's name may be the same as a key's. Where the value says by a discriminator that it is
+    this member, the first part of the name is the member, and the next is the key. Otherwise of
+    the two readings the one counts that more parts lead on from; as a key where both are as long.
+
+    Args:
+        parts: of the location.
+        value: that they begin at.
+        tagged: whether the part that says which member the value is was passed already.
+    """
+    if not parts:
+        return []
+    part, rest = parts[0], parts[1:]
+    if not tagged and _is_member(value, part):
+        within = _path(rest, value, tagged=True)
+        if within is not None:
+            return within
+    below = _path(rest, value[part]) if _has(value, part) else None
+    beside = None if isinstance(part, int) else _path(rest, value, tagged=tagged)
+    if below is None or (beside is not None and len(beside) > len(below) + 1):
+        return beside
+    return [part, *below]
+
+
+def _is_member(value: Any, part: str | int) -> bool:
+    """Whether a value's own discriminator names this member of a union."""
+    return isinstance(value, dict) and any(value.get(key) == part for key in _DISCRIMINATORS)
+
+
+def _has(value: Any, part: str | int) -> bool:
+    if isinstance(value, dict):
+        return part in value
+    return isinstance(value, list) and isinstance(part, int) and 0 <= part < len(value)

@@ -1,1 +1,1 @@
-"""Who may do what: keys, tokens, scopes, and the guard before every operation."""
+"""Security: keys, tokens, scopes, and the guard before every operation."""

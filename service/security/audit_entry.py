@@ -1,4 +1,4 @@
-"""Entries of the audit log that have a transaction of their own: nothing else was changed."""
+"""Entries of the audit log in a transaction of their own, for requests that change no row."""
 
 import logging
 from typing import Final, Literal
@@ -8,11 +8,11 @@ from anyio.to_thread import run_sync
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.types import Scope
 
-from service.api.audit.audited_session import entry
+from service.database.audited_session import entry
 from service.database.engine import Database
+from service.logs.redaction import decoded, redact
+from service.principal import Act, current_act
 from service.problems.errors import NotReady
-from service.security.principal import Act, current_act
-from service.security.redaction import decoded, redact
 
 _log = logging.getLogger(__name__)
 

@@ -1,4 +1,4 @@
-"""From what a request brings to who is asking."""
+"""Authenticator: the principal of a key or token."""
 
 import hmac
 import logging
@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from service.database.engine import Database
 from service.database.models import ApiKeyRow
+from service.principal import Principal
 from service.problems.errors import NotReady, TooManyAttempts, Unauthenticated
 from service.security import store
 from service.security.key_cache import KeyCache
 from service.security.key_format import PREFIX, digest, key_id_of
 from service.security.login_throttle import LoginThrottle
-from service.security.principal import Principal
 from service.settings import Settings
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class Authenticator:
         self._tokens = _oidc_tokens(settings)
 
     def principal(self, credential: str, address: str) -> Principal:
-        """Return who acts with a key or token that came from an address; blocks.
+        """Return the principal of a key or token that came from an address; blocks.
 
         Raises:
             Unauthenticated: it is not valid; the message does not repeat it.
@@ -94,7 +94,7 @@ class Authenticator:
         return found
 
     def _stored(self, identity: str, given: str) -> tuple[Principal, datetime | None]:
-        """Return who acts with a key, and when it was used last, as the database says."""
+        """Return a key's principal and last use from the database."""
         with self._database.read() as session:
             row = session.get(ApiKeyRow, identity)
             stored = _NO_DIGEST if row is None else row.digest

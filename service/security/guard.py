@@ -1,4 +1,4 @@
-"""ASGI middleware that lets an operation begin only for those who may do it.
+"""Guard: ASGI middleware that authenticates a request and checks its operation's scope.
 
 It stands before the router, so that nothing of a request is read for who may not ask. It finds
 the route as the router does; `confirm`, a dependency of every route, checks that both found the
@@ -6,33 +6,27 @@ same one.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from anyio.to_thread import run_sync
+from fastapi.routing import RouteContext, iter_route_contexts
 from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
-from starlette.routing import Match
+from starlette.routing import BaseRoute, Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from compute.errors import LumilineError
-from service.logs.request_record import request_record
+from service.logs.context import request_record
+from service.principal import LOCAL, Act, Principal, current_act
 from service.problems.catalogue import problem_type_of
 from service.problems.errors import MissingScope, TooManyAttempts, Unauthenticated
 from service.problems.handlers import problem_response, refuse_websocket
 from service.security.audit_entry import record_act, record_repeats
-from service.security.credential import check_query, credential_of
-from service.security.local_access import why_not_local
-from service.security.operation_scopes import (
-    OPERATION_SCOPES,
-    PUBLIC,
-    WRITE_SCOPES,
-    check_complete,
-    operation_of,
-)
-from service.security.principal import LOCAL, Act, Principal, current_act
+from service.security.credential import check_query, credential_of, why_not_local
+from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC, WRITE_SCOPES
 from service.security.refusal_aggregation import RefusalAggregator
 from service.settings import Settings
 
@@ -47,6 +41,31 @@ _Matches = Callable[[Scope], tuple[Match, Scope]]
 _REALM: Final = 'Bearer realm="lumiline"'
 
 
+def operation_of(route: RouteContext | BaseRoute) -> str:
+    """Return the name under which the table has a route."""
+    return str(getattr(route, "operation_id", None) or getattr(route, "name", "?"))
+
+
+def check_complete(routes: Iterable[BaseRoute]) -> tuple[RouteContext, ...]:
+    """Return all routes in the order in which they are tried, each of which the table has.
+
+    Raises:
+        ValueError: a route is not in the table, or the table has one that there is not.
+    """
+    found = tuple(iter_route_contexts(list(routes)))
+    names = {operation_of(route) for route in found}
+    for missing in sorted(names - OPERATION_SCOPES.keys()):
+        raise ValueError(
+            f'operation "{missing}" is not in service/security/operation_scopes.py; give it a '
+            'scope, or "public"'
+        )
+    for left in sorted(OPERATION_SCOPES.keys() - names):
+        raise ValueError(
+            f'service/security/operation_scopes.py has "{left}", which no route has; remove it'
+        )
+    return found
+
+
 async def confirm(connection: HTTPConnection) -> None:
     """Refuse to run a route that the guard did not let in: a dependency of every route."""
     operation = operation_of(connection.scope["route"])
@@ -55,7 +74,7 @@ async def confirm(connection: HTTPConnection) -> None:
 
 
 class Guard:
-    """Answers 401 or 403 in the place of operations that the table of access does not allow."""
+    """Answers 401 or 403 where the operation's scope is not granted."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self._app = app
@@ -158,7 +177,7 @@ def _is_recorded(scope: Scope, operation: str) -> bool:
 
 
 class _Recorded:
-    """Sends an answer once the audit log has what it tells of.
+    """Sends an answer once the audit log has its entry.
 
     Changes are there already, from their own transactions; conflicts, and what changes nothing in
     the database (starting a device), come here.

@@ -1,4 +1,4 @@
-"""The identity provider's public keys: fetched when needed, kept, with limits.
+"""The identity provider's public keys (JWKS): fetched on demand, cached, with limits.
 
 One thread fetches, and of the requests only that which began it waits, for a bounded time: a
 provider that hangs must not hold up what needs none of it.
@@ -61,7 +61,7 @@ async def _fetch(url: str) -> bytes:
 
 
 class Jwks:
-    """The keys by their ids. One that is not known is looked for at most every ``AGAIN_S``."""
+    """Keys by their ids; an unknown id is looked up at most every ``AGAIN_S``."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Keys that were valid a short while ago, for when the database does not answer."""
+"""KeyCache: recently valid keys, used while the database does not answer."""
 
 import hmac
 import time
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from threading import Lock
 from typing import Final
 
-from service.security.principal import Principal
+from service.principal import Principal
 
 CACHE_LIFETIME_S: Final = 600.0
 """How long after the database last said so a key is still believed."""
@@ -15,7 +15,7 @@ MAX_CACHED_KEYS: Final = 1000
 
 
 class KeyCache:
-    """By their ids: the digest, who acts with it, and when the database said so.
+    """By id: digest, principal and time of the last validation.
 
     Without room for another the one that was used longest ago is forgotten. Thread-safe.
     """
@@ -46,7 +46,7 @@ class KeyCache:
             self._found.pop(key_id, None)
 
     def principal(self, key_id: str, digest: str) -> Principal | None:
-        """Return who acts with a key, None when it is not remembered; see also its end."""
+        """Return the principal of a cached key, None when there is none; check its expiry, too."""
         with self._lock:
             stored, principal, at = self._found.get(key_id, ("", None, 0.0))
         if principal is None or self._clock() - at > CACHE_LIFETIME_S:

@@ -1,4 +1,4 @@
-"""API keys as text: made, taken apart, hashed.
+"""Format of API keys: generation, parsing, digest.
 
 A key is ``lumi_<id>_<secret>``: the id, 12 letters and digits, finds it in the database; the
 secret has 43 letters and digits, 256 bits from the operating system. What is random to 256 bits

@@ -1,4 +1,4 @@
-"""Failed log-ins by address: so many, then none for a while; bounded in memory."""
+"""LoginThrottle: limits failed log-ins per address; bounded in memory."""
 
 import ipaddress
 import time

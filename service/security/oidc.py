@@ -1,14 +1,13 @@
-"""Tokens of an identity provider (OpenID Connect): checked, and turned into principals."""
+"""Tokens of an identity provider (OpenID Connect): validation, and their principals."""
 
 from datetime import UTC, datetime
 from typing import Any, Final
 
 import jwt
 
+from service.principal import Principal, known_scopes
 from service.problems.errors import Unauthenticated
 from service.security.jwks import Jwks
-from service.security.principal import Principal
-from service.security.scopes import known_scopes
 
 ALGORITHMS: Final = (
     "RS256",
@@ -39,7 +38,7 @@ class OidcTokens:
         self._keys = keys
 
     def principal(self, token: str) -> Principal:
-        """Return who acts with a token.
+        """Return the principal of a token.
 
         Raises:
             Unauthenticated: it is not valid here; the message says why, without the token.

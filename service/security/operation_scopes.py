@@ -1,12 +1,9 @@
-"""The table of access: which scope every operation needs, and what is public."""
+"""Scopes of operations: which scope each needs, and what is public."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Final, Literal
 
-from fastapi.routing import RouteContext, iter_route_contexts
-from starlette.routing import BaseRoute
-
-from service.security.scopes import Scope
+from service.principal import Scope
 
 PUBLIC: Final = "public"
 """Needs no key: it tells nothing of this installation but whether it is up."""
@@ -147,28 +144,3 @@ WRITE_SCOPES: Final[frozenset[Access]] = frozenset(
     {"write:calibration", "admin:hardware", "admin:keys"}
 )
 """Scopes of which every operation that is no GET goes into the audit log."""
-
-
-def operation_of(route: RouteContext | BaseRoute) -> str:
-    """Return the name under which the table has a route."""
-    return str(getattr(route, "operation_id", None) or getattr(route, "name", "?"))
-
-
-def check_complete(routes: Iterable[BaseRoute]) -> tuple[RouteContext, ...]:
-    """Return all routes in the order in which they are tried, each of which the table has.
-
-    Raises:
-        ValueError: a route is not in the table, or the table has one that there is not.
-    """
-    found = tuple(iter_route_contexts(list(routes)))
-    names = {operation_of(route) for route in found}
-    for missing in sorted(names - OPERATION_SCOPES.keys()):
-        raise ValueError(
-            f'operation "{missing}" is not in service/security/operation_scopes.py; give it a scope, or '
-            '"public"'
-        )
-    for left in sorted(OPERATION_SCOPES.keys() - names):
-        raise ValueError(
-            f'service/security/operation_scopes.py has "{left}", which no route has; remove it'
-        )
-    return found

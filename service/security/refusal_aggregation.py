@@ -1,4 +1,4 @@
-"""Folds refusals that repeat: one entry of the audit log at first, one with their count later.
+"""RefusalAggregator: repeated refusals become one audit entry with a count.
 
 The audit log is never cut, and whoever has any key could fill it with attempts.
 """
@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final
 
-from service.security.principal import Act
+from service.principal import Act
 
 AGGREGATION_S: Final = 60.0
 """Within which refusals of the same principal and operation are one."""
@@ -49,7 +49,7 @@ class RefusalAggregator:
         return len(self._open)
 
     def is_first(self, act: Act) -> bool:
-        """Whether a refusal wants an entry of its own; others are counted, and told of later."""
+        """Whether a refusal gets an entry of its own; repeats are counted and recorded later."""
         key = (act.principal.kind, act.principal.id, act.operation)
         found = self._open.get(key)
         if found is not None:

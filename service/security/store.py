@@ -1,25 +1,44 @@
-"""API keys in the database: made, found, revoked; only the digest of their text is kept."""
+"""API keys in the database; only the digest of their text is stored."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
-from typing import Final
+from typing import Final, Literal, Protocol
 
 from sqlalchemy import func, or_, select, update
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
-from service.api.security.schema import ApiKey, KeyState, NewApiKey
 from service.database.models import ApiKeyRow
+from service.principal import Principal, Scope, current_act, known_scopes
 from service.problems.errors import UnknownKey
 from service.security.key_format import NewKey, make_key
-from service.security.principal import Principal, current_act
-from service.security.scopes import known_scopes
+
+KeyState = Literal["valid", "expired", "revoked"]
 
 USED_EVERY: Final = timedelta(hours=1)
 """The moment of last use is written down no more often: each is a write."""
 
 
-def add_key(session: Session, request: NewApiKey) -> tuple[ApiKeyRow, NewKey]:
+class KeyRequest(Protocol):
+    """What a new key is asked to be: its name, its scopes and until when it is valid."""
+
+    @property
+    def name(self) -> str:
+        """Who or what the key is for."""
+        ...
+
+    @property
+    def scopes(self) -> Sequence[Scope]:
+        """What it may do."""
+        ...
+
+    @property
+    def expires_at(self) -> datetime | None:
+        """Until when it is valid; None: until it is revoked."""
+        ...
+
+
+def add_key(session: Session, request: KeyRequest) -> tuple[ApiKeyRow, NewKey]:
     """Store a new key and return it with its text, which nothing else has.
 
     Raises:
@@ -104,17 +123,5 @@ def state_of(row: ApiKeyRow) -> KeyState:
 
 
 def principal_of(row: ApiKeyRow) -> Principal:
-    """Return who acts with a key."""
+    """Return the principal of a key."""
     return Principal("key", row.id, row.name, known_scopes(set(row.scopes)), row.expires_at)
-
-
-def document(row: ApiKeyRow) -> ApiKey:
-    """Return a key as clients see it."""
-    return ApiKey.model_validate(members(row))
-
-
-def members(row: ApiKeyRow) -> dict[str, object]:
-    """Return the members of a key's document."""
-    names = ("id", "name", "scopes", "created_by", "created_at", "expires_at", "revoked_at")
-    found: dict[str, object] = {name: getattr(row, name) for name in names}
-    return found | {"state": state_of(row), "last_used_at": row.last_used_at}

@@ -1,4 +1,4 @@
-"""Counts the open streams of each principal, and refuses more than it may have."""
+"""StreamLimit: limits the open streams of each principal."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -8,14 +8,14 @@ from typing import Final
 
 from anyio import CapacityLimiter
 
+from service.principal import Principal
 from service.problems.errors import TooManyStreams
-from service.security.principal import Principal
 
 _CHECKED_AT_ONCE: Final = 2
 
 
 class StreamLimit:
-    """At most ``most`` streams at once for each key, token subject, or all local programs."""
+    """Limit of open streams for each key, token subject, or all local programs."""
 
     def __init__(self, max_streams: int) -> None:
         self._max_streams = max_streams
@@ -36,7 +36,8 @@ class StreamLimit:
         with self._lock:
             if self._open[who] >= self._max_streams:
                 raise TooManyStreams(
-                    f"{principal.label} has {self._max_streams} open streams, as many as it may; close one"
+                    f"{principal.label} has {self._max_streams} open streams, as many as it may; "
+                    "close one"
                 )
             self._open[who] += 1
         try:

@@ -26,8 +26,8 @@ from lumiline.client.messages import (
 )
 from lumiline.client.server import Server
 from lumiline.client.stream_state import StreamRequest, StreamState
+from service.pipeline.frame_batch import pose_members
 from service.protocols.stream.encoding import bundle, encode, missed_message, status_message
-from service.protocols.stream.tracking_messages import pose_message
 
 HEAD: dict[str, Any] = {
     "type": "frame", "device": "sim", "sequence": 7, "exposure_ns": 1, "device_ns": 2,
@@ -56,7 +56,7 @@ def test_a_pose_of_the_server_is_read_whole(
         "probe", PoseStatus.HIGH_ERROR, "too far off", 1, 2, np.eye(3), np.array(place),
         np.eye(6), np.array(place), np.eye(3), residual, 4, 12,
     )  # fmt: skip
-    (frame,) = state().decode(encode({**HEAD, "tools": [pose_message(pose)]}, encoding))
+    (frame,) = state().decode(encode({**HEAD, "tools": [pose_members(pose)]}, encoding))
     assert isinstance(frame, Frame)
     assert frame.tools is not None
     (read,) = frame.tools
@@ -69,7 +69,7 @@ def test_a_pose_of_the_server_is_read_whole(
     assert (read.markers_used, read.readings_used) == (4, 12)
     assert read.velocity_mm_s is None
     # Everything that the server sends has its place.
-    assert set(pose_message(pose)) == {one.name for one in fields(ToolPose)}
+    assert set(pose_members(pose)) == {one.name for one in fields(ToolPose)}
 
 
 def test_a_track_and_a_point_have_the_members_that_the_guide_names() -> None:

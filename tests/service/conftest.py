@@ -13,7 +13,9 @@ from sqlalchemy.exc import DBAPIError, OperationalError
 
 from service.application.app import create_app
 from service.application.bootstrap import prepare
+from service.application.initial_content import seed
 from service.database.engine import Database
+from service.database.migration import migrate
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
@@ -117,6 +119,15 @@ def postgres_schema() -> Iterator[str]:
             connection.execute(text(f"DROP SCHEMA {name} CASCADE"))
     finally:
         engine.dispose()
+
+
+@pytest.fixture
+def database(database_url: str) -> Iterator[Database]:
+    """A new database with its first content."""
+    opened = Database(database_url)
+    migrate(opened, fill=seed)
+    yield opened
+    opened.close()
 
 
 @pytest.fixture

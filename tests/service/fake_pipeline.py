@@ -1,7 +1,6 @@
 """A live side that records its calls, and the test client, for tests of the REST side."""
 
 import warnings
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,18 +11,16 @@ from service.api.beam_holds.reference_capture import ReferenceTap
 from service.api.quality.interval_statistics_tap import IntervalStatisticsTap
 from service.api.quality.point_tap import PointTap
 from service.api.tools.marker_tap import MarkerTap
-from service.api.tools.pose_tap import PoseTap
-from service.api.tools.tip_tap import TipTap
+from service.api.tools.pose_taps import PoseTap, TipTap
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.pipeline.detection_stage import DetectionStage
-from service.pipeline.device_session import DeviceSession, DeviceStatus
+from service.pipeline.device_session import DeviceSession, LatencyCounts, ToolCounts
+from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.frame_ring import FrameRing
-from service.pipeline.latency_histogram import LatencyCounts
 from service.pipeline.latest_poses import LatestPoses
 from service.pipeline.pipeline_manager import Accept, PipelineManager, any_device
-from service.pipeline.pose_counters import ToolCounts
+from service.pipeline.reader_thread import FrameRing
 from service.pipeline.taps import Tap
 from service.pipeline.tracking_config import TrackingConfig
 from service.problems.errors import DeviceNotRunning
@@ -59,9 +56,9 @@ class _Processor(FrameProcessor):
     """Processes nothing."""
 
     def __init__(self) -> None:
-        self._finding = DetectionStage.__new__(DetectionStage)
-        self._finding.method = self._finding.error_px = None
-        self._finding.unfitted_error_px = 0.0
+        self._detection = DetectionStage.__new__(DetectionStage)
+        self._detection.method = self._detection.error_px = None
+        self._detection.unfitted_error_px = 0.0
 
 
 class _Running(DeviceSession):
@@ -80,13 +77,13 @@ class FakePipeline(PipelineManager):
     """Takes the live pipeline's calls, opens drivers, and runs nothing."""
 
     def __init__(self) -> None:
-        self.hub = Hub()
+        self.streams = Hub()
         self.calls: list[tuple[Any, ...]] = []
         self.states: dict[str, DeviceStatus] = {}
         self.seen_px = np.full(4, 1000.0)
         self.in_force: dict[str, ActiveCalibration] = {}
         self.poses = LatestPoses()
-        self.holds = BeamHoldRegistry(partial(self.hub.publish, content="holds"))
+        self.holds = BeamHoldRegistry(self.streams.publish_hold)
         self.tracked: dict[str, TrackingConfig] = {}
         self.answers = True
         self.busy = 0.0
@@ -166,7 +163,7 @@ class FakePipeline(PipelineManager):
     def session(self, device_id: str) -> DeviceSession:
         if self.records is None:
             raise DeviceNotRunning(f'device "{device_id}" does not run')
-        return _Running(device_id, self.records, _Processor(), FrameRing(1, int), self.hub)
+        return _Running(device_id, self.records, _Processor(), FrameRing(1, int), self.streams)
 
     def attach(self, session: DeviceSession, tap: Tap) -> None:
         self.calls.append(("attach", session.device_id))

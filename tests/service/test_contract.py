@@ -18,7 +18,7 @@ from hardware.serial.driver import SerialDriver
 from hardware.tcd1304.driver import Tcd1304Driver
 from service.api.security.schema import NewApiKey
 from service.application.app import create_app
-from service.security.scopes import SCOPES
+from service.principal import SCOPES
 from service.security.store import add_key
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient

@@ -36,14 +36,15 @@ def test_heavy_libraries_stay_out(code: str):
 
 
 def test_a_worker_process_loads_neither_the_server_nor_the_database():
-    # What runs, reports and uploads call in their processes; all of the package of tasks.
+    # What runs, reports and uploads call in their processes; all kinds of runs.
     loaded = loaded_by(
         "import importlib, pkgutil\n"
-        "import service.api.correction_tables.upload_process, service.api.reports.render_process, service.jobs.worker\n"
-        "import service.api.runs.tasks as tasks\n"
-        "names = [found.name for found in pkgutil.iter_modules(tasks.__path__)]\n"
+        "import service.api.correction_tables.upload_process, service.jobs.worker\n"
+        "import service.api.reports.render_process\n"
+        "import service.api.runs.kinds as kinds\n"
+        "names = [found.name for found in pkgutil.iter_modules(kinds.__path__)]\n"
         "assert 'calibration' in names\n"
-        "for name in names: importlib.import_module(f'{tasks.__name__}.{name}')"
+        "for name in names: importlib.import_module(f'{kinds.__name__}.{name}')"
     )
     assert {"compute", "pydantic"} <= loaded
     assert not loaded & (HEAVY | {"fastapi", "starlette", "sqlalchemy", "alembic", "uvicorn"})

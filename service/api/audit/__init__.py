@@ -1,1 +1,1 @@
-"""The audit log: who changed what, written in the transaction of the change."""
+"""The audit log as a REST resource: who changed what."""

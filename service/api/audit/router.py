@@ -7,8 +7,7 @@ from fastapi import APIRouter, Query
 from pydantic import BeforeValidator
 
 from service.api.audit import store
-from service.api.audit.schema import AuditEntry, Outcome
-from service.api.audit.store import AuditFilter
+from service.api.audit.store import AuditEntry, AuditFilter, Outcome
 from service.api.base_models import Page, RequestMoment
 from service.api.dependencies import DatabaseDep
 from service.api.request_parameters import Limit, Offset

@@ -1,4 +1,4 @@
-"""Stored beam holds as what the live side watches."""
+"""Stored beam holds and tools as the configuration that the pipeline tracks and monitors."""
 
 import json
 from datetime import datetime
@@ -22,7 +22,9 @@ from service.api.beam_holds.schema import (
     ToolWatch,
     Watch,
 )
-from service.database.models import HoldRow
+from service.api.devices.store import tracking_of
+from service.api.tools.rigid_bodies import tools_of
+from service.database.models import DeviceRow, HoldRow
 from service.pipeline.beam_hold_spec import (
     BeamHoldConfig,
     HoldReference,
@@ -31,6 +33,7 @@ from service.pipeline.beam_hold_spec import (
     WatchedStrobedMarkers,
     WatchedTool,
 )
+from service.pipeline.tracking_config import TrackingConfig
 
 MIN_APART_MM: Final = 1.0
 """Of markers: two lights that are nearer to each other are seen as one."""
@@ -79,20 +82,21 @@ def to_limits(limits: Limits, rules: Rules, watch: Watch) -> BeamHoldLimits:
     )
     if not isinstance(watch, ToolWatch) and limits.rotation_rad is not None:
         raise InvalidParameter(
-            f"rotation_rad is {limits.rotation_rad}, and markers do not turn; leave it out, or watch a tool"
+            f"rotation_rad is {limits.rotation_rad}, and markers do not turn; leave it out, or "
+            "watch a tool"
         )
     if isinstance(watch, SimultaneousMarkersWatch):
         most = max(limits.shift_mm or 0.0, *(limits.axis_mm or (0.0,)), 0.0)
         if watch.search_radius_mm <= most:
             raise InvalidParameter(
-                f"search_radius_mm is {watch.search_radius_mm:g} mm and a limit {most:g} mm; markers must be looked "
-                "for farther away than they may move"
+                f"search_radius_mm is {watch.search_radius_mm:g} mm and a limit {most:g} mm; "
+                "markers must be looked for farther away than they may move"
             )
     return found
 
 
 def validate_reference(given: ReferenceInput, watch: Watch) -> dict[str, Any]:
-    """Return the members of a Reference that is given.
+    """Validate a reference that a client gives; return its members as they are stored.
 
     Raises:
         InvalidParameter: it is not one of what is watched.
@@ -192,3 +196,19 @@ def beam_holds_of(session: Session, device_id: str) -> tuple[BeamHoldConfig, ...
     """Return all holds of a device, by id."""
     rows = select(HoldRow).where(HoldRow.device_id == device_id).order_by(HoldRow.id)
     return tuple(to_watched_hold(row) for row in session.scalars(rows))
+
+
+def tracking_config_of(session: Session, device: DeviceRow) -> TrackingConfig:
+    """Return what a running device tracks: tools, beam holds, and whether it makes tracks.
+
+    A beam hold that goes by tracks has markers followed, whatever the settings say.
+    """
+    tracking, tools = tracking_of(device), tools_of(session, device.id)
+    holds = beam_holds_of(session, device.id)
+    tracks = tracking.tracks == "always" or (tracking.tracks == "with-tools" and bool(tools))
+    tracks |= any(
+        isinstance(one.spec, WatchedLitMarkers) and one.spec.observed_as == "tracks"
+        for one in holds
+    )
+    codes = None if tracking.blinking is None else tracking.blinking.codes()
+    return TrackingConfig(tracks, tools, tracking.tracker(), tracking.tool_tracker(), codes, holds)

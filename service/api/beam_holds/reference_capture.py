@@ -1,4 +1,4 @@
-"""A hold's reference from what a running device sees of the patient, set up and at rest."""
+"""Captures a beam hold's reference from a running device, the patient set up and at rest."""
 
 from typing import Any, Final
 
@@ -14,23 +14,22 @@ from compute.pose.tool_calibration.digitising import (
 )
 from compute.pose.transform import Transform
 from service.api.beam_holds.schema import NewReference
-from service.pipeline.beam_hold_spec import (
-    Spec,
-    WatchedLitMarkers,
-    WatchedStrobedMarkers,
-    WatchedTool,
-)
-from service.pipeline.collect import collect
-from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.hold_observer import (
+from service.pipeline.beam_hold_observer import (
     HoldObserver,
     LitMarkerObserver,
     StrobedMarkerObserver,
     ToolObserver,
     lit_places,
 )
+from service.pipeline.beam_hold_spec import (
+    Spec,
+    WatchedLitMarkers,
+    WatchedStrobedMarkers,
+    WatchedTool,
+)
+from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.single_calibration_tap import SingleCalibrationTap
+from service.pipeline.taps import SingleCalibrationTap, collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
 Array = NDArray[np.float64]
@@ -42,7 +41,7 @@ _NO_LIMIT: Final = 1e9
 
 
 class ReferenceTap(SingleCalibrationTap):
-    """Collects what frames show of what is watched, with one calibration in force all the time.
+    """Collects observations of the watched object while one calibration is active.
 
     Args:
         spec: what is watched.
@@ -66,7 +65,7 @@ class ReferenceTap(SingleCalibrationTap):
             self._sight = StrobedMarkerObserver(spec, np.iinfo(np.int64).max)
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take what is wanted of a batch; called in the compute thread."""
+        """Collect from a batch; called in the compute thread."""
         if not self._goes_on(batch):
             return
         for index in range(len(batch.frames)):
@@ -119,7 +118,7 @@ class ReferenceTap(SingleCalibrationTap):
 def capture_reference(
     live: PipelineManager, device_id: str, spec: Spec, asked: NewReference
 ) -> tuple[dict[str, Any], str, str | None]:
-    """Look at what is watched; return what was measured, and the calibration and table in force.
+    """Measure the watched object; return the reference with the active calibration and table.
 
     Raises:
         DeviceNotRunning: the device does not run, or ends meanwhile.
@@ -137,8 +136,8 @@ def capture_reference(
             "reference was measured; measure it again",
             device=device_id,
         )
-    calibration_id, table_id = tap.in_force or (None, None)
-    if tap.in_force is not None and calibration_id is None:
+    calibration_id, table_id = tap.active_ids or (None, None)
+    if tap.active_ids is not None and calibration_id is None:
         raise NoActiveCalibration(
             f'device "{device_id}" has no active calibration, and so no places; activate one',
             device=device_id,

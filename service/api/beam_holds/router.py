@@ -1,11 +1,13 @@
 """REST resource /api/v1/beam-holds."""
 
+import time
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Path, Response
 from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from compute.errors import InvalidParameter, NotStationary
+from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.beam_holds import store
 from service.api.beam_holds.examples import BEAM_HOLD_IDS, CHANGES, NEW_BEAM_HOLDS, REFERENCES
@@ -17,14 +19,15 @@ from service.api.beam_holds.schema import (
     NewBeamHold,
     NewReference,
 )
-from service.api.beam_holds.state import state_of
-from service.api.dependencies import DatabaseDep, DeviceServiceDep, LiveDep
+from service.api.dependencies import DatabaseDep, LiveDep
+from service.api.devices.device_service import DeviceServiceDep
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
 from service.api.pagination import PagingDep, page_of
 from service.api.request_parameters import DeviceFilter
-from service.api.tools.concurrency_limits import capture_slot
+from service.api.tools import concurrency_limits
 from service.database.models import HoldRow
+from service.pipeline.beam_hold_state import BeamHoldState
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.errors import (
     BeamHoldExists,
@@ -69,14 +72,14 @@ def list_beam_holds(
     ),
 )
 def create_beam_hold(
-    request: NewBeamHoldBody, live: LiveDep, operation: DeviceServiceDep, response: Response
+    request: NewBeamHoldBody, live: LiveDep, device_service: DeviceServiceDep, response: Response
 ) -> BeamHold:
     """Say what is watched, and how far it may move.
 
     The beam is held from the first: until there is a reference, and all was near it for as long
     as `settle_s`.
     """
-    with operation.tools_change(request.device) as session:
+    with device_service.tools_change(request.device) as session:
         made = _set_up(live, store.add_beam_hold(session, request))
     response.headers["Location"] = f"/api/v1/beam-holds/{made.id}"
     return made
@@ -101,13 +104,16 @@ def get_beam_hold(hold_id: BeamHoldPath, database: DatabaseDep) -> BeamHold:
     responses=problems(UnknownBeamHold, InvalidParameter),
 )
 def change_beam_hold(
-    hold_id: BeamHoldPath, request: ChangeBody, database: DatabaseDep, operation: DeviceServiceDep
+    hold_id: BeamHoldPath,
+    request: ChangeBody,
+    database: DatabaseDep,
+    device_service: DeviceServiceDep,
 ) -> BeamHold:
     """Change what is given; other limits or rules hold the beam, and it settles anew.
 
     What is watched never changes: delete the hold and create another.
     """
-    with operation.tools_change(_device_of(database, hold_id)) as session:
+    with device_service.tools_change(_device_of(database, hold_id)) as session:
         return store.document(
             store.change_beam_hold(session, store.get_beam_hold(session, hold_id), request)
         )
@@ -121,10 +127,10 @@ def change_beam_hold(
     responses=problems(UnknownBeamHold),
 )
 def delete_beam_hold(
-    hold_id: BeamHoldPath, database: DatabaseDep, operation: DeviceServiceDep
+    hold_id: BeamHoldPath, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> None:
     """Delete a hold; the last that clients of the stream hear of it is that it is held."""
-    with operation.tools_change(_device_of(database, hold_id)) as session:
+    with device_service.tools_change(_device_of(database, hold_id)) as session:
         session.delete(store.get_beam_hold(session, hold_id))
 
 
@@ -149,7 +155,7 @@ def set_beam_hold_reference(
     request: ReferenceBody,
     database: DatabaseDep,
     live: LiveDep,
-    operation: DeviceServiceDep,
+    device_service: DeviceServiceDep,
 ) -> BeamHold:
     """Measure the set-up, with the patient at rest, or take what is given.
 
@@ -163,12 +169,12 @@ def set_beam_hold_reference(
         device, created, spec = row.device_id, row.created_at, to_spec(to_watch(row))
         before = store.reference_id(row)
     if request.given is not None:
-        with operation.tools_change(device) as session:
+        with device_service.tools_change(device) as session:
             row = store.get_same_beam_hold(session, hold_id, created, before)
             return _set_up(live, store.set_given(session, row, request.given))
-    with capture_slot():
+    with concurrency_limits.captures:
         measured, calibration, table = capture_reference(live, device, spec, request)
-    with operation.tools_change(device) as session:
+    with device_service.tools_change(device) as session:
         row = store.get_same_beam_hold(session, hold_id, created, before)
         return _set_up(live, store.set_captured(session, row, measured, calibration, table))
 
@@ -180,10 +186,10 @@ def set_beam_hold_reference(
     responses=problems(UnknownBeamHold),
 )
 def delete_beam_hold_reference(
-    hold_id: BeamHoldPath, database: DatabaseDep, operation: DeviceServiceDep
+    hold_id: BeamHoldPath, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> BeamHold:
     """The beam is held until there is another: between two patients."""
-    with operation.tools_change(_device_of(database, hold_id)) as session:
+    with device_service.tools_change(_device_of(database, hold_id)) as session:
         return store.document(
             store.remove_reference(session, store.get_beam_hold(session, hold_id))
         )
@@ -224,7 +230,7 @@ def get_beam_hold_state(
 
 
 def _set_up(live: PipelineManager, row: HoldRow) -> BeamHold:
-    """Return a hold whose reference, if it has one, is taken now; said before it is watched."""
+    """Return a hold with its reference, captured now where it has none."""
     made = store.document(row)
     if made.reference is not None:
         live.holds.set_up(made.reference.id)
@@ -234,3 +240,25 @@ def _set_up(live: PipelineManager, row: HoldRow) -> BeamHold:
 def _device_of(database: DatabaseDep, hold_id: str) -> str:
     with database.read() as session:
         return store.get_beam_hold(session, hold_id).device_id
+
+
+def state_of(live: PipelineManager, device_id: str, hold_id: str) -> BeamHoldStatus:
+    """Return the state of a beam hold; one that is not monitored holds the beam."""
+    now = live.holds.now(hold_id)
+    if now is None:
+        # Of a server that is starting, or one that could not take the hold over.
+        why = "it is not watched"
+        now = BeamHoldState(hold_id, True, BeamHoldCause.NO_DATA, why, time.time_ns())
+    return BeamHoldStatus(
+        hold=hold_id,
+        device=device_id,
+        held=now.held,
+        cause=now.cause,
+        reason=now.reason,
+        since_ns=now.since_ns,
+        exposure_ns=now.exposure_ns,
+        sequence=now.sequence,
+        shift_mm=now.shift_mm,
+        rotation_rad=now.rotation_rad,
+        probability=now.probability,
+    )

@@ -39,8 +39,8 @@ Probability = Annotated[
     Field(
         gt=0,
         le=0.5,
-        description="The beam is held when the probability of being beyond a limit is above this. 0.5 "
-        "leaves uncertainty aside; less holds sooner.",
+        description="The beam is held when the probability of being beyond a limit is above this. "
+        "0.5 leaves uncertainty aside; less holds sooner.",
     ),
 ]
 ReleaseFraction = Annotated[

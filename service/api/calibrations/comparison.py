@@ -1,4 +1,4 @@
-"""Two calibrations of one device beside one another: parameters, positions, observations."""
+"""Comparison of two calibrations of a device: parameters, positions, control-point errors."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -237,7 +237,7 @@ def _positions(
 
 
 def box_grid(low_mm: Array, high_mm: Array, side: int) -> Array:
-    """Return places on a grid over a box, shape (side^3, 3) [mm]."""
+    """Return positions on a grid over a box, shape (side^3, 3) [mm]."""
     axes = [np.linspace(low_mm[axis], high_mm[axis], side) for axis in range(3)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 

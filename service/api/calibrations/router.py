@@ -26,8 +26,9 @@ from service.api.calibrations.schema import (
     NewCalibration,
     State,
 )
-from service.api.calibrations.sensor_check import check_sensors
-from service.api.dependencies import DatabaseDep, DeviceServiceDep
+from service.api.dependencies import DatabaseDep
+from service.api.devices.device_service import DeviceServiceDep
+from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
@@ -152,7 +153,6 @@ def compare_calibrations(
     points' box, and which is better on the same observations.
     """
     from service.api.calibrations.comparison import compare
-    from service.api.calibrations.with_control_points import with_control_points
 
     with database.read() as session:
         rows = [store.get_calibration(session, name) for name in (calibration_id, other_id)]
@@ -165,7 +165,7 @@ def compare_calibrations(
         sensors = sensors_of_row(get_device(session, rows[0].device_id))
         for row in rows:
             check_sensors(row.device_id, sensors, result_of(row.content).models)
-        held = [with_control_points(row, sensors) for row in rows]
+        held = [store.with_control_points(row, sensors) for row in rows]
     return ComparisonDocument(
         one=calibration_id, other=other_id, comparison=compare(held[0], held[1])
     )
@@ -178,14 +178,22 @@ def compare_calibrations(
     responses=problems(UnknownCalibration, CalibrationRetired, SensorsChanged, ActivationConflict),
 )
 def activate_calibration(
-    calibration_id: CalibrationPath, operation: DeviceServiceDep, expected: ExpectedActive = None
+    calibration_id: CalibrationPath,
+    database: DatabaseDep,
+    device_service: DeviceServiceDep,
+    expected: ExpectedActive = None,
 ) -> CalibrationSummary:
     """Make this the active calibration of its device, in a running one from the next frame on.
 
     The move is written into the device's history of activations. To roll back, activate the
     previous one again. Of activations at the same moment one wins; the others are told.
     """
-    return operation.activate(calibration_id, expected)
+    with database.read() as session:
+        device = store.get_calibration(session, calibration_id).device_id
+    with device_service.pointer_move(
+        device, lambda now: now.calibration_id == calibration_id, expected
+    ) as session:
+        return store.summary(session, store.activate(session, calibration_id))
 
 
 @router.post(

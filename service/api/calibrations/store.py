@@ -4,18 +4,26 @@ import secrets
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
-from service.api.calibrations.activation import Target, active, lock_device, move_pointer
-from service.api.calibrations.calibration_content import Outcome
-from service.api.calibrations.schema import CalibrationSummary, State
+from service.api.calibrations.calibration_content import Outcome, observations, result_of
+from service.api.calibrations.comparison import CalibrationWithControlPoints
+from service.api.calibrations.schema import CalibrationSummary, ControlPoint, State
+from service.api.devices.activation import (
+    Target,
+    active,
+    check_not_retired,
+    lock_device,
+    move_pointer,
+)
+from service.api.devices.sensor import Sensor
 from service.database.engine import insert
 from service.database.models import ActiveCalibrationRow, CalibrationRow
 from service.problems.errors import (
     CalibrationActive,
     CalibrationExists,
-    CalibrationRetired,
     UnknownCalibration,
 )
 
@@ -111,12 +119,7 @@ def usable(session: Session, calibration_id: str) -> CalibrationRow:
     row = get_calibration(session, calibration_id)
     lock_device(session, row.device_id)
     session.refresh(row)
-    if row.retired_at is not None:
-        raise CalibrationRetired(
-            f'calibration "{row.id}" was retired on {row.retired_at:%Y-%m-%d}; activate one that '
-            "is available",
-            calibration=row.id,
-        )
+    check_not_retired(row)
     return row
 
 
@@ -177,3 +180,21 @@ def _members(session: Session, row: CalibrationRow) -> dict[str, object]:
         "created_at": row.created_at,
         "retired_at": row.retired_at,
     }
+
+
+def with_control_points(row: CalibrationRow, sensors: list[Sensor]) -> CalibrationWithControlPoints:
+    """Return a calibration of these sensors with the points that it is judged on."""
+    points = [ControlPoint.model_validate(point) for point in row.content["points"]]
+    held = observations(points, sensors)
+    left_out = row.errors["leave_one_out"]
+    return CalibrationWithControlPoints(
+        result_of(row.content),
+        np.array([point.position_mm for point in points], dtype=np.float64).reshape(-1, 3),
+        held.readings_px,
+        None
+        if left_out is None
+        else np.array(
+            [(np.nan,) * 3 if row is None else row for row in left_out["differences_mm"]],
+            dtype=np.float64,
+        ).reshape(-1, 3),
+    )

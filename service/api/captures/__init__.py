@@ -1,1 +1,1 @@
-"""Captures: guided from target to target, what a device reads of a marker held at each."""
+"""Guided capture of control points: the readings of a marker held at each target in turn."""

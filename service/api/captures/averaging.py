@@ -1,4 +1,4 @@
-"""Frames of a marker at rest, averaged: its readings, and whether it did rest."""
+"""Mean readings of a stationary marker over frames, and the check that it was stationary."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -86,7 +86,7 @@ def average(
 
 
 def _check_rest(values: Array, stated_px: float, sensor: str, target: str, sensors: int) -> None:
-    """Check that readings in the order of the frames are of one place."""
+    """Check that readings, in the order of the frames, are of a stationary marker."""
     chance = _FALSE_ALARM_PROBABILITY / (2 * sensors)
     count = len(values)
     spread = float(values.std(ddof=1))

@@ -1,4 +1,4 @@
-"""Whether a marker was moved from one target to the next: their readings differ, or it was not."""
+"""Check that a marker was moved between two targets: their readings must differ."""
 
 from collections.abc import Sequence
 from typing import Final

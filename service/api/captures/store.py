@@ -131,7 +131,7 @@ def check_sensors_now(session: Session, row: CaptureRow) -> None:
 
 
 def keep(session: Session, capture_id: str, found: CapturedTarget) -> CaptureRow:
-    """Store what was read of a target, in place of what was before.
+    """Store the readings of a target in place of earlier ones.
 
     Raises:
         UnknownCapture: there is none.

@@ -1,4 +1,4 @@
-"""Correction tables as HDF5 files: written whole, and read as from a stranger."""
+"""Correction tables as HDF5 files; what is read is validated as untrusted input."""
 
 import io
 import json
@@ -213,7 +213,7 @@ def _number(file: h5py.File, name: str) -> NDArray[Any]:
 
 
 def _array(file: h5py.File, name: str, kind: str) -> NDArray[Any]:
-    """Return a dataset whose declared and whose stored sizes were looked at first."""
+    """Return a dataset's content after its declared and stored sizes were checked."""
     link = file.get(name, getlink=True)
     if link is None:
         raise InvalidTableFile(f"the file has no dataset {name}")
@@ -240,7 +240,7 @@ def _array(file: h5py.File, name: str, kind: str) -> NDArray[Any]:
 
 
 def _check_stored(dataset: h5py.Dataset, name: str) -> None:
-    """Check that the stored bytes are there, and unpack to what is declared and no more."""
+    """Check that the stored chunks exist and unpack to no more than the declared size."""
     filters = dataset.id.get_create_plist()
     known = [filters.get_filter(index)[0] for index in range(filters.get_nfilters())]
     if known not in ([], [_DEFLATE], [_SHUFFLE], [_SHUFFLE, _DEFLATE]):

@@ -13,7 +13,8 @@ from service.api.correction_tables import store
 from service.api.correction_tables.schema import CorrectionTableDocument
 from service.api.correction_tables.table_content import MEDIA_TYPE
 from service.api.correction_tables.upload_process import read_in_process
-from service.api.dependencies import DatabaseDep, DeviceServiceDep
+from service.api.dependencies import DatabaseDep
+from service.api.devices.device_service import DeviceServiceDep
 from service.api.openapi import problems
 from service.api.pagination import PagingDep, page_of
 from service.api.request_parameters import DeviceFilter, ExpectedActive
@@ -187,14 +188,22 @@ def download_table(table_id: TablePath, database: DatabaseDep) -> Response:
     ),
 )
 def activate_table(
-    table_id: TablePath, operation: DeviceServiceDep, expected: ExpectedActive = None
+    table_id: TablePath,
+    database: DatabaseDep,
+    device_service: DeviceServiceDep,
+    expected: ExpectedActive = None,
 ) -> CorrectionTableDocument:
     """Let the device correct its readings by this table, a running one from the next frame on.
 
     Its parent must be the active calibration. Activating another calibration ends its use. The
     move is written into the device's history of activations.
     """
-    return operation.activate_table(table_id, expected)
+    with database.read() as session:
+        device = store.get_table(session, table_id).device_id
+    with device_service.pointer_move(
+        device, lambda now: now.table_id == table_id, expected
+    ) as session:
+        return store.document(session, store.activate_table(session, table_id))
 
 
 @router.post(
@@ -203,6 +212,11 @@ def activate_table(
     summary="Stop using a correction table",
     responses=problems(UnknownCorrectionTable, SensorsChanged, ActivationConflict),
 )
-def deactivate_table(table_id: TablePath, operation: DeviceServiceDep) -> CorrectionTableDocument:
+def deactivate_table(
+    table_id: TablePath, database: DatabaseDep, device_service: DeviceServiceDep
+) -> CorrectionTableDocument:
     """Let the device go on without the table; one that is not in use stays as it is."""
-    return operation.deactivate_table(table_id)
+    with database.read() as session:
+        device = store.get_table(session, table_id).device_id
+    with device_service.pointer_move(device, lambda now: now.table_id != table_id) as session:
+        return store.document(session, store.deactivate_table(session, table_id))

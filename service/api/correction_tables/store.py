@@ -1,7 +1,6 @@
 """Correction tables in the database: stored, read, activated with their calibration."""
 
 import secrets
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Literal
 
@@ -9,10 +8,11 @@ import numpy as np
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 
-from service.api.calibrations.activation import Target, active, lock_device, move_pointer
+from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.store import get_calibration
 from service.api.correction_tables.schema import CorrectionTableDocument
 from service.api.correction_tables.table_content import TableContent, check_table
+from service.api.devices.activation import Target, active, lock_device, move_pointer
 from service.database.engine import insert
 from service.database.models import (
     ActivationRow,
@@ -21,6 +21,7 @@ from service.database.models import (
     CorrectionTableRow,
     ReconstructionRow,
 )
+from service.pipeline.active_calibration import ActiveCalibration
 from service.problems.errors import (
     CorrectionTableExists,
     CorrectionTableInUse,
@@ -30,14 +31,6 @@ from service.problems.errors import (
 )
 
 Origin = Literal["run", "upload"]
-
-
-@dataclass(frozen=True)
-class ParentCalibrationRef:
-    """The calibration that a table belongs to."""
-
-    calibration_id: str
-    device_id: str
 
 
 def get_table(session: Session, table_id: str) -> CorrectionTableRow:
@@ -263,6 +256,24 @@ def delete_table(session: Session, table_id: str) -> None:
         )
     session.delete(row)
     session.flush()
+
+
+def active_calibration(session: Session, device_id: str) -> ActiveCalibration:
+    """Return the calibration and the table that the device's pointer names, with their content."""
+    pointer = active(session, device_id)
+    if pointer is None:
+        return ActiveCalibration()
+    calibration = get_calibration(session, pointer.calibration_id)
+    table = None if pointer.table_id is None else get_table(session, pointer.table_id)
+    return ActiveCalibration(
+        calibration.id,
+        result_of(calibration.content),
+        pointer.table_id,
+        content_of(table).table if table else None,
+        calibration.content,
+        calibration.content_hash,
+        table.data if table else None,
+    )
 
 
 def document(session: Session, row: CorrectionTableRow) -> CorrectionTableDocument:

@@ -1,4 +1,4 @@
-"""TableContent: a correction table with where it comes from, checked, and its content hash."""
+"""TableContent: a validated correction table with its provenance and content hash."""
 
 import hashlib
 import json

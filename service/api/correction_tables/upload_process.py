@@ -1,17 +1,20 @@
-"""Reads an uploaded table in a process of its own, with bounds: the library never meets it here."""
+"""Reads an uploaded table in a separate process with limits of time and memory."""
 
-from threading import BoundedSemaphore
 from typing import Any, Final
 
+from service.api.concurrency_limit import ConcurrencyLimit
 from service.api.correction_tables.table_content import TableContent, check_signature, check_table
 from service.jobs.worker_process import call_in_process
-from service.problems.errors import Busy, InvalidTableFile, WorkerEnded
+from service.problems.errors import InvalidTableFile, WorkerEnded
 
 MAX_CONCURRENT: Final = 2
 TIMEOUT_S: Final = 60.0
 MEMORY_BYTES: Final = 2 * 1024**3
 
-_slots = BoundedSemaphore(MAX_CONCURRENT)
+_limit = ConcurrencyLimit(
+    MAX_CONCURRENT,
+    f"{MAX_CONCURRENT} uploads are being read; send this one again in a few seconds",
+)
 
 
 def read_in_process(data: bytes) -> TableContent:
@@ -23,19 +26,16 @@ def read_in_process(data: bytes) -> TableContent:
         InvalidParameter, NonFiniteValue, TableHasHoles: as ``read_table`` and ``check_table``.
     """
     check_signature(data)
-    if not _slots.acquire(blocking=False):
-        raise Busy(f"{MAX_CONCURRENT} uploads are being read; send this one again in a few seconds")
     try:
-        found: TableContent = call_in_process(
-            _read, data, timeout_s=TIMEOUT_S, memory_bytes=MEMORY_BYTES
-        )
+        with _limit:
+            found: TableContent = call_in_process(
+                _read, data, timeout_s=TIMEOUT_S, memory_bytes=MEMORY_BYTES
+            )
     except WorkerEnded as error:
         raise InvalidTableFile(
             f"the file could not be read within {TIMEOUT_S:g} s and {MEMORY_BYTES} bytes of "
             f"memory: {error.detail}"
         ) from error
-    finally:
-        _slots.release()
     return found
 
 

@@ -1,1 +1,1 @@
-"""Devices: what is read, by which driver, and what it is doing."""
+"""Devices: source, driver, state, and the pointer to the active calibration."""

@@ -1,43 +1,35 @@
-"""What needs the database and the running devices together, one change of a device at a time."""
+"""DeviceService: changes of a device in the database and in the running pipeline, one at a time."""
 
 import logging
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Final
+from dataclasses import dataclass
+from typing import Annotated, Final
 
+from fastapi import Depends, Request
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
 from hardware.driver import DeviceDescription
-from service.api.calibrations import store as calibrations
-from service.api.calibrations.activation import (
-    active,
+from service.api.devices import store
+from service.api.devices.activation import (
+    IsReached,
+    activation_precondition,
+    check_activation_precondition,
+    check_not_retired,
     lock_device,
     move_pointer,
     previous_activation,
 )
-from service.api.calibrations.activation_precondition import (
-    ActivationPrecondition,
-    IsReached,
-    activation_precondition,
-    check_activation_precondition,
-)
-from service.api.calibrations.calibration_content import result_of
-from service.api.calibrations.schema import CalibrationSummary
-from service.api.calibrations.sensor_check import check_sensors, listed, sensors_match
-from service.api.correction_tables import store as tables
-from service.api.correction_tables.schema import CorrectionTableDocument
-from service.api.devices import store
 from service.api.devices.driver_factory import make_driver, sensors_of
 from service.api.devices.schema import Device, DeviceChange, NewDevice
-from service.api.devices.sensor import Sensor
-from service.api.tools.tracking_config import tracking_config_of
+from service.api.devices.sensor import Sensor, check_sensors, listed, sensors_match
 from service.database.engine import Database
-from service.database.models import DeviceRow, HoldRow
+from service.database.models import CalibrationRow, DeviceRow, HoldRow
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.device_session import DeviceStatus
+from service.pipeline.device_status import DeviceStatus
 from service.pipeline.pipeline_manager import Accept, PipelineManager
 from service.pipeline.tracking_config import TrackingConfig
 from service.problems.errors import SensorsChanged
@@ -49,11 +41,31 @@ _RUNS: Final = ("starting", "running", "disconnected")
 """States in which a device's sensors do not change."""
 
 
+@dataclass(frozen=True)
+class StoredContent:
+    """Readers of what other resources store for a device.
+
+    Args:
+        active_calibration: the calibration and table that the device's pointer names.
+        tracking_config: its tools, beam holds and tracking settings.
+    """
+
+    active_calibration: Callable[[Session, str], ActiveCalibration]
+    tracking_config: Callable[[Session, DeviceRow], TrackingConfig]
+
+
 class DeviceService:
     """Starts, stops and recalibrates devices so that the database and the live side agree."""
 
-    def __init__(self, database: Database, live: PipelineManager, folders: DataFolders) -> None:
+    def __init__(
+        self,
+        database: Database,
+        live: PipelineManager,
+        folders: DataFolders,
+        stored: StoredContent,
+    ) -> None:
         self._database = database
+        self._stored = stored
         self._live = live
         self._folders = folders
         self._locks: dict[str, threading.Lock] = {}
@@ -94,7 +106,7 @@ class DeviceService:
             with self._database.write() as session:
                 row = store.change_device(session, device_id, change, sensors, running=running)
                 changed = store.document(session, row)
-                tracked = tracking_config_of(session, row)
+                tracked = self._stored.tracking_config(session, row)
             if "tracking" in change.model_fields_set:
                 self._follow(device_id, tracked)
             return changed
@@ -117,9 +129,9 @@ class DeviceService:
             with self._database.read() as session:
                 row = store.get_device(session, device_id)
                 source = store.source_of(row)
-                found = _in_force(session, device_id)
+                found = self._stored.active_calibration(session, device_id)
                 stored = store.sensors_of_row(row)
-                tracked = tracking_config_of(session, row)
+                tracked = self._stored.tracking_config(session, row)
             self._live.set_tracking_config(device_id, tracked)
             driver = make_driver(device_id, source, self._folders)
             self._live.start_device(device_id, driver, found, _only_with(device_id, stored))
@@ -140,49 +152,40 @@ class DeviceService:
             store.get_device(session, device_id)
         return self._live.status(device_id)
 
-    def activate(self, calibration_id: str, expected: str | None = None) -> CalibrationSummary:
-        """Make a calibration its device's active one, in the database and then live.
+    @contextmanager
+    def pointer_move(
+        self, device_id: str, reached: IsReached, expected: str | None = None
+    ) -> Iterator[Session]:
+        """Yield a transaction that moves the active pointer; after its commit the pipeline follows.
 
-        What is refused is refused before the database's commit. After it nothing is: where the
-        running device cannot take the calibration it keeps its own, until its next start.
-        ``expected`` is the calibration that is to be active until then.
+        What is refused is refused before the commit. After it nothing is: where the running device
+        cannot take the calibration it keeps its own, until its next start.
 
-        Raises:
-            UnknownCalibration, CalibrationRetired, SensorsChanged.
-            ActivationConflict: another is active than expected, or another move came first.
-        """
-        with self._database.read() as session:
-            device_id = calibrations.get_calibration(session, calibration_id).device_id
-            basis = activation_precondition(session, device_id, expected)
-        with self._moving(basis, lambda now: now.calibration_id == calibration_id) as session:
-            return calibrations.summary(session, calibrations.activate(session, calibration_id))
-
-    def activate_table(self, table_id: str, expected: str | None = None) -> CorrectionTableDocument:
-        """Let a correction table's device use it, in the database and then live.
+        Args:
+            device_id: the device.
+            reached: whether the pointer is already where the request wants it.
+            expected: the calibration that the client believes to be active; None: it did not say.
 
         Raises:
-            UnknownCorrectionTable, NoActiveCalibration, ForeignTable, SensorsChanged.
+            SensorsChanged: the device has other sensors than the calibration.
             ActivationConflict: another calibration is active than expected, or another move came
                 first.
         """
         with self._database.read() as session:
-            device_id = tables.get_table(session, table_id).device_id
-            basis = activation_precondition(session, device_id, expected)
-        with self._moving(basis, lambda now: now.table_id == table_id) as session:
-            return tables.document(session, tables.activate_table(session, table_id))
-
-    def deactivate_table(self, table_id: str) -> CorrectionTableDocument:
-        """Let a correction table's device go on without it.
-
-        Raises:
-            UnknownCorrectionTable, SensorsChanged.
-            ActivationConflict: another move came first.
-        """
-        with self._database.read() as session:
-            device_id = tables.get_table(session, table_id).device_id
-            basis = activation_precondition(session, device_id)
-        with self._moving(basis, lambda now: now.table_id != table_id) as session:
-            return tables.document(session, tables.deactivate_table(session, table_id))
+            precondition = activation_precondition(session, device_id, expected)
+        with self._exclusive(device_id):
+            with self._database.write() as session:
+                lock_device(session, device_id)
+                check_activation_precondition(session, precondition, reached)
+                yield session
+                found = self._stored.active_calibration(session, device_id)
+                if found.calibration is not None:
+                    device = store.get_device(session, device_id)
+                    check_sensors(device_id, store.sensors_of_row(device), found.calibration.models)
+            try:
+                self._live.set_calibration(device_id, found)
+            except Exception:  # noqa: BLE001 - committed: an error would say that it was not
+                _log.exception("device %s does not use %s yet", device_id, found.calibration_id)
 
     def roll_back(self, device_id: str, expected: str | None = None) -> Device:
         """Go back to what the device used before its last activation; again: further back.
@@ -194,34 +197,15 @@ class DeviceService:
         """
         with self._database.read() as session:
             store.get_device(session, device_id)
-            basis = activation_precondition(session, device_id, expected)
-        with self._moving(basis, lambda _: False) as session:
+        with self.pointer_move(device_id, lambda _: False, expected) as session:
             target = previous_activation(session, device_id)
-            calibrations.usable(session, target.calibration_id)
+            check_not_retired(session.get_one(CalibrationRow, target.calibration_id))
             move_pointer(session, device_id, target)
             return store.document(session, store.get_device(session, device_id))
 
     @contextmanager
-    def _moving(self, basis: ActivationPrecondition, reached: IsReached) -> Iterator[Session]:
-        """Yield a transaction that moves the device's pointer; after its commit tell the device."""
-        device_id = basis.device_id
-        with self._exclusive(device_id):
-            with self._database.write() as session:
-                lock_device(session, device_id)
-                check_activation_precondition(session, basis, reached)
-                yield session
-                found = _in_force(session, device_id)
-                if found.calibration is not None:
-                    device = store.get_device(session, device_id)
-                    check_sensors(device_id, store.sensors_of_row(device), found.calibration.models)
-            try:
-                self._live.set_calibration(device_id, found)
-            except Exception:  # noqa: BLE001 - committed: an error would say that it was not
-                _log.exception("device %s does not use %s yet", device_id, found.calibration_id)
-
-    @contextmanager
     def tools_change(self, device_id: str) -> Iterator[Session]:
-        """Yield a transaction that changes tools of a device; then the live side follows them.
+        """Yield a transaction that changes a device's tools; after its commit the pipeline follows.
 
         Raises:
             UnknownDevice.
@@ -230,7 +214,7 @@ class DeviceService:
             with self._database.write() as session:
                 device = store.get_device(session, device_id, lock=True)
                 yield session
-                tracked = tracking_config_of(session, device)
+                tracked = self._stored.tracking_config(session, device)
             self._follow(device_id, tracked)
 
     def _follow(self, device_id: str, tracked: TrackingConfig) -> None:
@@ -244,7 +228,7 @@ class DeviceService:
         with self._database.read() as session:
             having = select(DeviceRow).where(DeviceRow.id.in_(select(HoldRow.device_id)))
             rows = session.scalars(having.order_by(DeviceRow.id)).all()
-            known = [(row.id, tracking_config_of(session, row)) for row in rows]
+            known = [(row.id, self._stored.tracking_config(session, row)) for row in rows]
         for device_id, tracked in known:
             self._follow(device_id, tracked)
 
@@ -279,21 +263,9 @@ def _only_with(device_id: str, stored: Sequence[Sensor]) -> Accept:
     return accept
 
 
-def _in_force(session: Session, device_id: str) -> ActiveCalibration:
-    """Return the calibration and the table that the device's pointer names."""
-    pointer = active(session, device_id)
-    if pointer is None:
-        return ActiveCalibration()
-    calibration = calibrations.get_calibration(session, pointer.calibration_id)
-    table = None
-    if pointer.table_id is not None:
-        table = tables.get_table(session, pointer.table_id)
-    return ActiveCalibration(
-        calibration.id,
-        result_of(calibration.content),
-        pointer.table_id,
-        tables.content_of(table).table if table else None,
-        calibration.content,
-        calibration.content_hash,
-        table.data if table else None,
-    )
+def _device_service(request: Request) -> DeviceService:
+    service: DeviceService = request.app.state.device_service
+    return service
+
+
+DeviceServiceDep = Annotated[DeviceService, Depends(_device_service)]

@@ -8,9 +8,10 @@ from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 from compute.errors import InvalidParameter, InvalidRecording
 from hardware.errors import DeviceNotConnected
 from service.api.base_models import SLUG_PATTERN, Page
-from service.api.calibrations.activation import activations
-from service.api.dependencies import DatabaseDep, DeviceServiceDep
+from service.api.dependencies import DatabaseDep
 from service.api.devices import store
+from service.api.devices.activation import activations
+from service.api.devices.device_service import DeviceServiceDep
 from service.api.devices.examples import CHANGES, NEW_DEVICES
 from service.api.devices.schema import Activation, Device, DeviceChange, NewDevice, Status
 from service.api.json_body import JsonRoute, JsonTypes
@@ -60,13 +61,13 @@ def list_devices(database: DatabaseDep, paging: PagingDep) -> Page[Device]:
     ),
 )
 def create_device(
-    request: NewDeviceBody, operation: DeviceServiceDep, response: Response
+    request: NewDeviceBody, device_service: DeviceServiceDep, response: Response
 ) -> Device:
     """Create a device. It is not started; sensors are given for an external one only.
 
     A device on a port has to be connected, because it says itself which sensors it has.
     """
-    device = operation.create(request)
+    device = device_service.create(request)
     response.headers["Location"] = f"/api/v1/devices/{device.id}"
     return device
 
@@ -99,12 +100,12 @@ def get_device(device_id: DevicePath, database: DatabaseDep) -> Device:
     ),
 )
 def change_device(
-    device_id: DevicePath, request: ChangeBody, operation: DeviceServiceDep
+    device_id: DevicePath, request: ChangeBody, device_service: DeviceServiceDep
 ) -> Device:
     """Change what is given. A new source works from the next start of the device; sensors that
     calibrations refer to cannot change, nor can those of a running device.
     """
-    return operation.change(device_id, request)
+    return device_service.change(device_id, request)
 
 
 DeletedDevicePath = Annotated[
@@ -126,13 +127,13 @@ DeletedDevicePath = Annotated[
 )
 def delete_device(
     device_id: DeletedDevicePath,
-    operation: DeviceServiceDep,
+    device_service: DeviceServiceDep,
     cascade: Annotated[
         bool, Query(description="Delete its calibrations and reconstructions, too.")
     ] = False,
 ) -> None:
     """Stop and delete a device; refused while calibrations or reconstructions belong to it."""
-    operation.delete(device_id, cascade=cascade)
+    device_service.delete(device_id, cascade=cascade)
 
 
 @router.post(
@@ -149,12 +150,12 @@ def delete_device(
         InvalidRecording,
     ),
 )
-def start_device(device_id: DevicePath, operation: DeviceServiceDep) -> Status:
+def start_device(device_id: DevicePath, device_service: DeviceServiceDep) -> Status:
     """Start the device with its active calibration; one that is running starts anew.
 
     One that is unplugged is "disconnected", with the reason, and runs once it is connected.
     """
-    return Status(device=device_id, status=operation.start(device_id))
+    return Status(device=device_id, status=device_service.start(device_id))
 
 
 @router.post(
@@ -163,9 +164,9 @@ def start_device(device_id: DevicePath, operation: DeviceServiceDep) -> Status:
     summary="Stop a device",
     responses=problems(UnknownDevice),
 )
-def stop_device(device_id: DevicePath, operation: DeviceServiceDep) -> Status:
+def stop_device(device_id: DevicePath, device_service: DeviceServiceDep) -> Status:
     """Stop the device; nothing happens when it is not running."""
-    return Status(device=device_id, status=operation.stop(device_id))
+    return Status(device=device_id, status=device_service.stop(device_id))
 
 
 @router.get(
@@ -174,9 +175,9 @@ def stop_device(device_id: DevicePath, operation: DeviceServiceDep) -> Status:
     summary="What a device is doing",
     responses=problems(UnknownDevice),
 )
-def get_device_status(device_id: DevicePath, operation: DeviceServiceDep) -> Status:
+def get_device_status(device_id: DevicePath, device_service: DeviceServiceDep) -> Status:
     """State, frame counters and losses since the device was started."""
-    return Status(device=device_id, status=operation.status(device_id))
+    return Status(device=device_id, status=device_service.status(device_id))
 
 
 @router.post(
@@ -188,13 +189,13 @@ def get_device_status(device_id: DevicePath, operation: DeviceServiceDep) -> Sta
     ),
 )
 def roll_back_device(
-    device_id: DevicePath, operation: DeviceServiceDep, expected: ExpectedActive = None
+    device_id: DevicePath, device_service: DeviceServiceDep, expected: ExpectedActive = None
 ) -> Device:
     """Go back to the calibration and table before the last activation; again: further back.
 
     In a running device from the next frame on. The move is written into the history.
     """
-    return operation.roll_back(device_id, expected)
+    return device_service.roll_back(device_id, expected)
 
 
 @router.get(

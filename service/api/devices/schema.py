@@ -12,7 +12,7 @@ from hardware.tcd1304.settings import Tcd1304Settings
 from service.api.base_models import Moment, RequestModel, ResponseModel, Slug, Text200, absent
 from service.api.devices.sensor import Sensor
 from service.api.devices.tracking_settings import Tracking
-from service.pipeline.device_session import DeviceStatus
+from service.pipeline.device_status import DeviceStatus
 
 RECORDING_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
 PROFILE_PATTERN = r"^[a-z0-9]([a-z0-9.-]{0,61}[a-z0-9])?$"

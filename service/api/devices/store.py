@@ -9,10 +9,9 @@ from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
 from compute.tracking.thesis.settings import MIN_SENSORS
-from service.api.calibrations.activation import active
-from service.api.calibrations.sensor_check import sensors_match
+from service.api.devices.activation import active
 from service.api.devices.schema import Device, DeviceChange, NewDevice, Source
-from service.api.devices.sensor import Sensor
+from service.api.devices.sensor import Sensor, sensors_match
 from service.api.devices.tracking_settings import Tracking
 from service.database.engine import insert
 from service.database.models import (
@@ -208,7 +207,7 @@ def source_of(row: DeviceRow) -> Source:
 
 
 def tracking_of(row: DeviceRow) -> Tracking:
-    """Return how the device is tracked; by default while nobody has said."""
+    """Return the device's tracking settings; the defaults where none are stored."""
     return Tracking() if row.tracking is None else Tracking.model_validate(row.tracking)
 
 
@@ -219,7 +218,7 @@ def _merged(tracking: Tracking, change: Tracking) -> Tracking:
 
 
 def _stored(tracking: Tracking, sensors: int) -> dict[str, Any] | None:
-    """Return what is stored: nothing of the defaults, which may get better.
+    """Return the settings that differ from the defaults, as they are stored.
 
     Raises:
         InvalidParameter: the settings contradict one another, or cannot be of so many sensors.

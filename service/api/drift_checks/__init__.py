@@ -1,1 +1,1 @@
-"""Drift checks: is a calibration still good? Still markers are read again, and history is kept."""
+"""Drift checks: stationary markers are read again to test whether a calibration still holds."""

@@ -1,4 +1,4 @@
-"""From what a request names of still markers to what is stored of them, with earlier readings."""
+"""Resolves the stationary markers of a request: positions or earlier readings."""
 
 from collections.abc import Mapping
 
@@ -7,9 +7,9 @@ from sqlalchemy.orm import Session
 
 from compute.calibration.effective_readings import effective_readings
 from compute.errors import InvalidParameter
-from service.api.calibrations.observations import observations
+from service.api.calibrations.calibration_content import observations
 from service.api.calibrations.schema import ControlPoint, Reading
-from service.api.calibrations.with_control_points import with_control_points
+from service.api.calibrations.store import with_control_points
 from service.api.captures.store import captured_points
 from service.api.devices.sensor import Sensor
 from service.api.drift_checks.schema import (

@@ -1,4 +1,4 @@
-"""What a drift check found, as a verdict and in sentences."""
+"""Verdict and messages of a drift check."""
 
 from math import degrees
 
@@ -34,8 +34,8 @@ def in_words(check: DriftCheck) -> list[str]:
         assert check.translation_mm is not None
         said.append(
             f"The markers, or the device, moved as a whole: turned by "
-            f"{degrees(check.rotation_rad):.3g} degrees and shifted by {check.translation_mm:.3g} mm. "
-            "Put them back; no sensor need have moved in the device."
+            f"{degrees(check.rotation_rad):.3g} degrees and shifted by {check.translation_mm:.3g} "
+            "mm. Put them back; no sensor need have moved in the device."
         )
     elif verdict == "off":
         said.append("No single sensor stands out: are these the markers, at these positions?")
@@ -52,7 +52,7 @@ def _moved(sensor: SensorDrift) -> str:
 
 
 def _with_unit(parameter: str, change: float, sigma: float) -> str:
-    """Return a change with its deviation; angles in mrad."""
+    """Return a change with its sigma as text; angles in mrad."""
     unit = parameter.rpartition("_")[2]
     scale = 1e3 if unit == "rad" else 1.0
     name = "mrad" if unit == "rad" else unit

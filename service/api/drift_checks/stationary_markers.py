@@ -1,4 +1,4 @@
-"""Still markers as arrays for the computation."""
+"""Stationary markers as arrays for the computation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from compute.calibration.drift.stability_check import StationaryMarkers
 from compute.calibration.result import Calibration
 from compute.errors import InvalidParameter
 from hardware.driver import SensorDescription
-from service.api.calibrations.observations import observations
+from service.api.calibrations.calibration_content import observations
 from service.api.calibrations.schema import Reading
 from service.api.drift_checks.schema import StationaryMarker
 
@@ -68,7 +68,7 @@ def _arrays(
     sensors: Sequence[SensorDescription],
     calibration: Calibration,
 ) -> tuple[Array, Array]:
-    """Return readings and their deviations, shape (N, S) [px]."""
+    """Return readings and their sigma, shape (N, S) [px]."""
     found = observations(markers, sensors)
     own = np.array([fit.sigma_px for fit in calibration.sensors])
     return found.readings_px, np.where(np.isfinite(found.sigma_px), found.sigma_px, own)

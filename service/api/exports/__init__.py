@@ -1,1 +1,1 @@
-"""Points, tracks and tool poses of a recording or a captured stream, as files of other programs."""
+"""Exports of points, tracks and tool poses to the file formats of other programs."""

@@ -1,4 +1,4 @@
-"""The formats: which suffix is which, and what each holds."""
+"""Export formats: file suffixes and their writers."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,10 +6,9 @@ from typing import Final
 
 from compute.errors import InvalidParameter
 from service.api.exports.c3d_file import write_c3d
-from service.api.exports.csv_file import write_csv
 from service.api.exports.motion_table import MotionTable
-from service.api.exports.parquet_file import write_parquet
 from service.api.exports.sequence_file import write_sequence
+from service.api.exports.tabular_files import write_csv, write_parquet
 from service.api.exports.trajectories import Trajectory, trajectories
 from service.api.exports.trc_file import write_trc
 

@@ -1,4 +1,4 @@
-"""A recording as a motion table: points, tracks and poses as the live path makes them."""
+"""Motion table of a recording: points, tracks and poses as the live pipeline makes them."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final

@@ -1,4 +1,4 @@
-"""A captured stream as a motion table: the messages of a websocket client, one in each line."""
+"""Motion table of a captured stream: a file with one websocket message a line."""
 
 import json
 from collections.abc import Iterator

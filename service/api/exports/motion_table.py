@@ -1,4 +1,4 @@
-"""MotionTable: all that was found in a run of frames, as columns."""
+"""MotionTable: points, tracks and tool poses of a sequence of frames, in columns."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Libraries that only exports need, which come with the extra `export`."""
+"""Libraries of the extra `export`, imported when an export needs them."""
 
 from importlib import import_module
 from typing import Any

@@ -1,4 +1,4 @@
-"""Exports: the folder of files that export runs have made."""
+"""ExportRepository: the folder of files that export runs have made."""
 
 import re
 import shutil
@@ -48,7 +48,7 @@ class ExportRepository:
         return sorted(found, key=lambda one: (-one.created_at.timestamp(), one.id))
 
     def find(self, export_id: str) -> tuple[Path, ExportFile]:
-        """Return a file and what is known of it; raises UnknownExport."""
+        """Return an export's path and document; raises UnknownExport."""
         for kind in FORMATS:
             path = self._path(export_id, kind)
             try:

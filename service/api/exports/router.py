@@ -1,94 +1,42 @@
-"""REST resources /api/v1/export-runs and /api/v1/exports."""
+"""REST resource /api/v1/exports."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import APIRouter, Body, Path
+from fastapi import APIRouter, Depends, Path, Request
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from starlette.responses import FileResponse
-from starlette.status import HTTP_202_ACCEPTED, HTTP_204_NO_CONTENT
+from starlette.status import HTTP_204_NO_CONTENT
 
-from compute.errors import InvalidParameter
 from service.api.base_models import SLUG_PATTERN, Page
-from service.api.dependencies import DatabaseDep, ExportsDep, RecordingsDep
-from service.api.exports.examples import EXPORT_IDS, NEW_EXPORT_RUNS
-from service.api.exports.repository import MEDIA_TYPES
-from service.api.exports.schema import Export, ExportFile, NewExportRun
-from service.api.json_body import JsonRoute, JsonTypes
+from service.api.dependencies import DatabaseDep
+from service.api.exports.examples import EXPORT_IDS
+from service.api.exports.repository import MEDIA_TYPES, ExportRepository
+from service.api.exports.schema import Export, ExportFile
+from service.api.json_body import JsonRoute
 from service.api.openapi import problems
 from service.api.request_parameters import Limit, Offset
-from service.api.runs.kinds import export
-from service.api.runs.schema import Run
-from service.api.runs.submission import SubmissionDep
-from service.api.runs.tasks.export import check_length
-from service.database.models import DeviceRow, RunRow
+from service.database.models import RunRow
 from service.problems.errors import (
-    Busy,
-    ExportExists,
-    InsufficientStorage,
-    RecordingInProgress,
-    RunExists,
-    UnknownCalibration,
-    UnknownCorrectionTable,
-    UnknownDevice,
     UnknownExport,
-    UnknownRecording,
-    UnknownTool,
 )
 
 router = APIRouter(prefix="/api/v1", tags=["recordings"], route_class=JsonRoute)
 
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 _FILE = dict.fromkeys(dict.fromkeys(MEDIA_TYPES.values()), _BINARY)
-NewExportRunBody = Annotated[NewExportRun, JsonTypes(), Body(openapi_examples=NEW_EXPORT_RUNS)]
+
+
+def _exports(request: Request) -> ExportRepository:
+    exports: ExportRepository = request.app.state.exports
+    return exports
+
+
+ExportsDep = Annotated[ExportRepository, Depends(_exports)]
 ExportPath = Annotated[
     str,
     Path(pattern=SLUG_PATTERN, description="The export's id.", openapi_examples=EXPORT_IDS),
 ]
-
-
-@router.post(
-    "/export-runs",
-    operation_id="create-export-run",
-    summary="Export a recording beside the requests",
-    status_code=HTTP_202_ACCEPTED,
-    responses=problems(
-        UnknownDevice,
-        UnknownRecording,
-        UnknownTool,
-        UnknownCalibration,
-        UnknownCorrectionTable,
-        RunExists,
-        ExportExists,
-        RecordingInProgress,
-        InvalidParameter,
-        InsufficientStorage,
-        Busy,
-    ),
-)
-def create_export_run(
-    request: NewExportRunBody,
-    acceptance: SubmissionDep,
-    recordings: RecordingsDep,
-    exports: ExportsDep,
-) -> Run:
-    """Follow markers and tools through a recording, in a process of its own, and write a file.
-
-    Follow the run at the header `Location`; when it has succeeded, its `result` is the export, and
-    `result` with `/file` behind it the file. A calibration that is not the recording's makes its
-    points, tracks and poses anew.
-    """
-    recordings.finished_path(request.recording)
-    frames = recordings.get(request.recording).frames
-    if frames is not None:
-        check_length(request.recording, frames)
-    exports.check_space()
-
-    def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
-        exports.check_unused(request.result_id)
-        return export.request_of(session, device, request)
-
-    return acceptance.run("export", request, stored)
 
 
 @router.get("/exports", operation_id="list-exports", summary="List exports")
@@ -145,7 +93,7 @@ def delete_export(export_id: ExportPath, exports: ExportsDep) -> None:
 
 
 def _with_run(session: Session, found: ExportFile) -> Export:
-    """Return what is known of a file, with the newest run that made one of its id."""
+    """Return an export's document with the newest run that made a file of its id."""
     query = (
         select(RunRow)
         .where(RunRow.kind == "export", RunRow.result_id == found.id)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from compute.errors import InvalidParameter
 from compute.pose.tool_pose import PoseStatus
 from service.api.exports.motion_table import MotionTable
-from service.protocols.openigtlink.transform_names import wire_name
+from service.pipeline.transform_names import wire_name
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""TableBuilder: a motion table from batches of frames, as the live path makes them."""
+"""TableBuilder: a motion table from the pipeline's batches of frames."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -151,7 +151,7 @@ def standard_deviations(covariance: Array) -> Array:
 
 
 def measured_rate(sequence: NDArray[np.int64], device_ns: NDArray[np.int64]) -> float:
-    """Return the frames per second that numbers and times tell; 0: there are too few."""
+    """Return the frame rate [Hz] by sequence numbers and times; 0: too few frames."""
     if len(sequence) < 2 or device_ns[-1] <= device_ns[0]:
         return 0.0
     return float((sequence[-1] - sequence[0]) / ((device_ns[-1] - device_ns[0]) * 1e-9))

@@ -1,4 +1,4 @@
-"""Tidy columns: one row for each point, track and tool in each frame, as tables have it."""
+"""Columns of tabular files: one row for each point, track and tool in each frame."""
 
 from collections.abc import Callable
 from functools import lru_cache

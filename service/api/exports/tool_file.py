@@ -1,6 +1,7 @@
-"""Tools from a JSON file: as REST takes or sends them."""
+"""Tools and tracking settings from JSON files in the form of the REST API."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from compute.errors import InvalidParameter
 from compute.pose.acquisition.tool_geometry import check_distinguishable, check_tool
 from compute.pose.rigid_body import RigidBody
 from service.api.base_models import Position, Slug
+from service.api.devices.tracking_settings import Tracking
 from service.api.tools.schema import ToolLimits
 
 
@@ -89,3 +91,43 @@ def _body(tool: _Tool) -> RigidBody:
         tip,
         tool.limits.tip_sd_mm,
     )
+
+
+class _Device(BaseModel):
+    id: Slug
+    tracking: Tracking
+
+
+@dataclass(frozen=True)
+class DeviceTracking:
+    """A device as far as tracking goes.
+
+    Args:
+        id: its id.
+        tracking: how its markers and tools are followed.
+    """
+
+    id: str
+    tracking: Tracking
+
+
+def read_device(path: Path) -> DeviceTracking:
+    """Return what the answer of ``GET /api/v1/devices/{id}`` in a file says of tracking.
+
+    Raises:
+        InvalidParameter: the file cannot be read, or holds no device.
+    """
+    try:
+        found = _Device.model_validate(json.loads(path.read_bytes()))
+    except OSError as error:
+        raise InvalidParameter(f"{path} cannot be read: {error.strerror or error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "the whole"
+        raise InvalidParameter(
+            f"{path} holds no device: {place}: {first['msg']}; it must be the answer of "
+            "GET /api/v1/devices/{id}"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise InvalidParameter(f"{path} is not JSON: {error}") from error
+    return DeviceTracking(found.id, found.tracking)

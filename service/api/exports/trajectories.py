@@ -1,4 +1,4 @@
-"""Trajectories: one label, one position in each frame, as formats of motion capture have it."""
+"""Labelled trajectories, one position a frame, for motion-capture formats."""
 
 from collections import Counter
 from dataclasses import dataclass

@@ -1,1 +1,1 @@
-"""REST resource /api/v1/line-scans: what is in the line scans that are posted, and its picture."""
+"""REST resource /api/v1/line-scans: peaks of posted line scans, and their plot."""

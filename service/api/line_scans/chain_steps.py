@@ -1,4 +1,4 @@
-"""The thesis's chain as clients set it: compute's own steps, told apart by `kind`."""
+"""Steps of the thesis's signal chain in requests, discriminated by `kind`."""
 
 from dataclasses import field
 from typing import Annotated, Final, Literal

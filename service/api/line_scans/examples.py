@@ -1,4 +1,4 @@
-"""Examples of line scans to post: a line with three peaks, two of them close; a coded shadow."""
+"""Example requests: a scan with three peaks, two of them close; a coded shadow."""
 
 from typing import Any, Final
 

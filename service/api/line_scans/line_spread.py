@@ -1,4 +1,4 @@
-"""Shape: how the light of lines is spread, as clients measured it or traced it, for the fit."""
+"""Line spread function in requests: measured or traced, used by the fit."""
 
 from functools import cached_property
 from typing import Annotated, Final
@@ -49,7 +49,7 @@ class Shape:
 
     @cached_property
     def width_px(self) -> float:
-        """The deviation of the light about its middle, RMS over the rows [px].
+        """Standard deviation of the light about its centre, RMS over the rows [px].
 
         Raises:
             InvalidParameter: rows of different lengths, too many values, a row without light, or

@@ -1,4 +1,4 @@
-"""MaskMethod: how clients say which coded window's shadow is in their lines."""
+"""MaskMethod: the coded aperture whose shadow is sought in posted scans."""
 
 from dataclasses import replace
 from typing import Annotated, Final, Literal, Self
@@ -114,7 +114,7 @@ class MaskMethod(ShadowSettings):
         return self
 
     def templates(self, pixels: int, find_profile: FindProfile) -> tuple[ShadowTemplate, ...]:
-        """Return the templates of lines of so many pixels: line l's is the (l mod their number)-th.
+        """Return the templates for scans of this length; scan l has the (l mod count)-th.
 
         Raises:
             InvalidParameter: a template or profile that is not for these lines, or no such profile.

@@ -1,4 +1,4 @@
-"""How peaks are found in posted lines: compute's own settings, told apart by `method`."""
+"""Peak-finding methods in requests, discriminated by `method`."""
 
 from dataclasses import field, fields
 from typing import Annotated, Any, Final, Literal

@@ -1,4 +1,4 @@
-"""The noise that scans are reckoned with: as given, or guessed from the scans themselves."""
+"""Noise model of posted scans: given by the client or estimated from the scans."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Finds the peaks of posted lines with compute's plain methods, and tells what they did."""
+"""Finds the peaks of posted scans and reports what each method did."""
 
 from collections.abc import Sequence
 from dataclasses import asdict

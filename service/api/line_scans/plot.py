@@ -1,4 +1,4 @@
-"""The picture of a line: its peaks, what was fitted to them, and what the fit leaves over."""
+"""Plot of a line scan: peaks, fits and residuals."""
 
 import io
 from typing import Final
@@ -147,7 +147,7 @@ def _mark(axes: Axes, number: int, peak: LinePeak, height: float, count: int) ->
 
 
 def _last_stage(axes: Axes, stage: Stage, scan: LineScan, pixels: int) -> None:
-    """Draw what peaks were looked for in, where that is not the line itself."""
+    """Draw the last stage of processing, where peaks are not found in the scan itself."""
     answer = scan.limit_sigma is not None
     place = np.arange(len(stage.values)) - stage.shift_px
     axes.plot(place, stage.values, color=MODEL, lw=0.8)
@@ -173,7 +173,7 @@ def _last_stage(axes: Axes, stage: Stage, scan: LineScan, pixels: int) -> None:
 
 
 def _logarithmic(axes: Axes, values: list[float], limit: float) -> None:
-    """Show answers of a thousand deviations and noise on one axis."""
+    """Set a symmetric logarithmic axis: responses of 1000 sigma and noise on one axis."""
     axes.set_yscale("symlog", linthresh=2.0 * limit)
     decades = [sign * 10.0**power for sign in (-1, 1) for power in range(1, 6)]
     axes.set_yticks([0.0, *(one for one in decades if abs(one) > 1.5 * limit)])

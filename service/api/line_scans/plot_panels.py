@@ -1,4 +1,4 @@
-"""Panels of a line's picture: a few pixels large, with positions, fits and residuals."""
+"""Close-up panels of a line scan's plot: positions, fits and residuals."""
 
 from dataclasses import dataclass
 from math import floor, log10
@@ -43,7 +43,7 @@ class Panel:
 
 
 def panels_of(pixels: int, scan: LineScan, max_panels: int) -> list[Panel]:
-    """Return the panels of a line of so many pixels, those of the brightest peaks, in order."""
+    """Return the panels around a scan's brightest peaks, in order of pixels."""
     panels = _of_windows(scan) if scan.windows is not None else _of_peaks(pixels, scan.peaks)
 
     def brightness(panel: Panel) -> float:
@@ -134,7 +134,7 @@ def draw_panel(
 
 
 def draw_residuals(axes: Axes, panel: Panel) -> None:
-    """Draw what a fit leaves of each pixel, in standard deviations."""
+    """Draw a fit's residual of each pixel, in standard deviations."""
     window = panel.window
     axes.set_xlim(panel.first_px - 0.5, panel.last_px + 0.5)
     axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))

@@ -1,4 +1,4 @@
-"""Lines and noise of a request, checked."""
+"""Arrays of scans and noise from a request, validated."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,8 @@ def request_scans(request: LineScanRequest) -> Scans:
         max_values, how = CHAIN_TOTAL_PIXELS, "for the method chain"
     if values > max_values:
         raise InvalidParameter(
-            f"the scans have {values} values; {how} they may have {max_values}: send them in several "
-            "requests",
+            f"the scans have {values} values; {how} they may have {max_values}: send them in "
+            "several requests",
             values=values,
         )
     if isinstance(request.method, ChainMethod) and length > CHAIN_PIXELS:

@@ -1,13 +1,13 @@
 """REST resource /api/v1/line-scans: stateless, computed in the request's own thread."""
 
 from functools import partial
-from threading import BoundedSemaphore
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Body, Depends, Query, Request
 from starlette.responses import Response
 
 from compute.errors import InvalidParameter
+from service.api.concurrency_limit import ConcurrencyLimit
 from service.api.devices.profiles import find_profile
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.line_scans.examples import NEW_LINE_SCANS
@@ -24,7 +24,10 @@ router = APIRouter(prefix="/api/v1", tags=["line-scans"], route_class=JsonRoute)
 MAX_CONCURRENT: Final = 2
 """Requests computed at the same time: long scans take seconds, and threads are for all."""
 
-_slots = BoundedSemaphore(MAX_CONCURRENT)
+_limit = ConcurrencyLimit(
+    MAX_CONCURRENT,
+    f"the peaks of {MAX_CONCURRENT} requests are being found; send this one again in a few seconds",
+)
 
 _PNG = {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
 
@@ -59,7 +62,7 @@ def find_peaks_of_scans(request: NewLineScansBody, profile: ProfileFinder) -> Re
 
     Nothing is stored. With `detail`, for each pixel what the method made of it.
     """
-    with _Slot():
+    with _limit:
         found = find_peaks(
             request_scans(request),
             request.method,
@@ -86,7 +89,7 @@ def draw_peaks_of_scan(
     # Matplotlib is loaded by who wants a picture.
     from service.api.line_scans.plot import draw_scan
 
-    with _Slot():
+    with _limit:
         scans = request_scans(request)
         chosen = select_scan(scans, scan, getattr(request.method, "average", None) or 1)
         method = request.method
@@ -112,17 +115,3 @@ def select_scan(scans: Scans, scan: int, average: int) -> Scans:
         )
     first = scan // average * average
     return scans[first : first + average]
-
-
-class _Slot:
-    """One of the computations that may run at once."""
-
-    def __enter__(self) -> None:
-        if not _slots.acquire(blocking=False):
-            raise Busy(
-                f"the peaks of {MAX_CONCURRENT} requests are being found; send this one again in a few "
-                "seconds"
-            )
-
-    def __exit__(self, *_: object) -> None:
-        _slots.release()

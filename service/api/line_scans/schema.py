@@ -1,4 +1,4 @@
-"""Line scans as clients send them, and what was found in them."""
+"""Line scans and detected peaks as clients send and receive them."""
 
 from typing import Annotated, Final
 

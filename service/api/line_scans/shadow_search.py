@@ -1,4 +1,4 @@
-"""Shadows of coded windows in posted lines: what was read, and from what."""
+"""Shadows of coded apertures in posted scans: their readings and diagnostics."""
 
 from dataclasses import dataclass
 

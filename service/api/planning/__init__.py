@@ -1,1 +1,1 @@
-"""REST resource /api/v1/device-profiles: published devices, and what they would reach."""
+"""REST resource /api/v1/device-profiles: published devices and their predicted accuracy."""

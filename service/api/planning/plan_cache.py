@@ -1,14 +1,14 @@
-"""Works out plans for requests: a few at once, and each only once."""
+"""Cache of plans and their plots; few are computed at once, each only once."""
 
 from collections.abc import Callable, Hashable
 from pathlib import Path
-from threading import BoundedSemaphore, Lock
+from threading import Lock
 from typing import Final, Generic, TypeVar
 
 from compute.planning.plan import plan
 from compute.planning.plan_result import Plan
+from service.api.concurrency_limit import ConcurrencyLimit
 from service.api.devices.profiles import find_profile, profile_text
-from service.problems.errors import Busy
 
 MAX_CONCURRENT: Final = 2
 """Plans worked out at the same time: they are work of seconds, and threads are for all."""
@@ -19,15 +19,15 @@ Result = TypeVar("Result")
 
 
 class ResultCache(Generic[Result]):
-    """Results of work of seconds: the latest are kept, and few are worked out at once.
+    """The newest results of computations that take seconds; few are computed at once.
 
     Args:
-        slots: taken while a result is worked out.
+        limit: entered while a result is computed.
         kept: how many results.
     """
 
-    def __init__(self, slots: BoundedSemaphore, kept: int) -> None:
-        self._slots = slots
+    def __init__(self, limit: ConcurrencyLimit, kept: int) -> None:
+        self._limit = limit
         self._kept = kept
         self._found: dict[Hashable, Result] = {}
         self._lock = Lock()
@@ -36,19 +36,13 @@ class ResultCache(Generic[Result]):
         """Return what was worked out under a key, or work it out.
 
         Raises:
-            Busy: all slots are taken.
+            Busy: as many are being computed as may be.
         """
         with self._lock:
             if key in self._found:
                 return self._found[key]
-        if not self._slots.acquire(blocking=False):
-            raise Busy(
-                f"{MAX_CONCURRENT} plans are being worked out; ask for this one again in a few seconds"
-            )
-        try:
+        with self._limit:
             result = work()
-        finally:
-            self._slots.release()
         with self._lock:
             self._found[key] = result
             while len(self._found) > self._kept:
@@ -56,8 +50,9 @@ class ResultCache(Generic[Result]):
         return result
 
 
-_plans = ResultCache[Plan](BoundedSemaphore(MAX_CONCURRENT), MAX_CACHED)
-_pictures = ResultCache[bytes](BoundedSemaphore(MAX_CONCURRENT), MAX_CACHED)
+_BUSY: Final = f"{MAX_CONCURRENT} plans are being computed; ask for this one again in a few seconds"
+_plans = ResultCache[Plan](ConcurrencyLimit(MAX_CONCURRENT, _BUSY), MAX_CACHED)
+_pictures = ResultCache[bytes](ConcurrencyLimit(MAX_CONCURRENT, _BUSY), MAX_CACHED)
 
 
 def cached_plan(name: str, profiles_dir: Path, grid: int) -> Plan:

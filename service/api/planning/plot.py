@@ -1,4 +1,4 @@
-"""The picture of a plan: maps of the deviations, error against distance, readings, ghosts."""
+"""Plot of a plan: maps of sigma, error over distance, readings, ghosts."""
 
 import io
 from typing import Final
@@ -56,7 +56,7 @@ def _values(plan: Plan, name: str) -> Array:
 
 
 def _maps(axes: NDArray[np.object_], plan: Plan) -> None:
-    """Draw the deviations over a horizontal and a vertical section through the middle."""
+    """Draw sigma over a horizontal and a vertical section through the centre."""
     deviation = _values(plan, "sd_mm") * 1e3
     places = _values(plan, "position_mm")
     middle = [count // 2 for count in plan.grid]
@@ -111,7 +111,7 @@ def _device(panel: Axes, plan: Plan, across: int) -> None:
 
 
 def _against_distance(panel: Axes, plan: Plan) -> None:
-    """Draw the median deviations in each plane of the grid against its distance."""
+    """Draw the median sigma in each plane of the grid against its distance."""
     distance = _values(plan, "position_mm")[0, 0, :, 2]
     for name, style in (("sd_mm", "-"), ("centroid_sd_mm", "--")):
         for axis, values in enumerate(_medians(_values(plan, name))):

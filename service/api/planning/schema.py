@@ -71,7 +71,7 @@ class DeviceProfileDocument(DeviceProfileSummary):
 
 
 def summary_of(profile: DeviceProfile) -> DeviceProfileSummary:
-    """Return a profile in a few words."""
+    """Return the summary of a profile."""
     return DeviceProfileSummary(**_summary_members(profile))
 
 

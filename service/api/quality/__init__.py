@@ -1,1 +1,1 @@
-"""Is a device still as good as it was? Quick checks, a watch on drift, and charts of both."""
+"""Quality of a device over time: checks, drift monitor, control charts."""

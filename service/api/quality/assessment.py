@@ -1,4 +1,4 @@
-"""A device's quality: control charts of what the watch and the checks saw, and what to do."""
+"""Assessment of a device's quality from control charts, with recommended actions."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 from sqlalchemy.orm import Session
 
 from compute.quality.control_chart import ControlChart, ControlChartAlarm, control_chart
-from service.api.calibrations.activation import active
+from service.api.devices.activation import active
 from service.api.quality import store
 from service.api.quality.schema import Chart, ChartPoint, Quality
 from service.database.models import QualityCheckRow, WatchSampleRow

@@ -1,4 +1,4 @@
-"""The control charts of a device as a picture."""
+"""Plot of the control charts of a device."""
 
 import io
 from collections.abc import Sequence

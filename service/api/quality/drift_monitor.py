@@ -1,4 +1,4 @@
-"""The watch: a thread that taps every running device and stores what it saw of each interval."""
+"""DriftMonitor: a thread that taps running devices and stores statistics of each interval."""
 
 import logging
 from datetime import UTC, datetime
@@ -56,7 +56,7 @@ class DriftMonitor:
         self.sample(last=True)
 
     def sample(self, *, last: bool = False) -> None:
-        """Tap what began to run, store what is due; ``last``: store all."""
+        """Tap devices that have started and store intervals that are due; ``last``: store all."""
         for device_id in {*self._live.statuses(), *self._taps}:
             try:
                 self._sample_device(device_id, last=last)

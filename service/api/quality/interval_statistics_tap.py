@@ -1,4 +1,4 @@
-"""WatchTap: sums up what is seen of a running device, interval by interval."""
+"""Tap of a running device that sums up its observations interval by interval."""
 
 from dataclasses import dataclass, field
 from threading import Lock
@@ -103,7 +103,7 @@ class IntervalStatisticsTap:
 
     @property
     def seconds(self) -> float:
-        """How much time there is to take, of what is in force now."""
+        """Observed time with the now active calibration [s]."""
         now = self._now
         return 0.0 if now is None else now.seconds
 

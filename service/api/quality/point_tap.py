@@ -1,4 +1,4 @@
-"""PointTap: takes a running device's points of some seconds, each with its marker and time."""
+"""PointTap: collects a running device's points for some seconds, with marker and time."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from compute.quality.point_to_point import MarkerTrack
 from compute.reconstruction.point_batch import PointFlag
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.single_calibration_tap import SingleCalibrationTap
+from service.pipeline.taps import SingleCalibrationTap
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class _Rows:
 
 
 class PointTap(SingleCalibrationTap):
-    """Collects points by marker, with one calibration and table in force all the time.
+    """Collects points by marker while one calibration and table are active.
 
     Points of markers that are lit together have no name: frames with as many of them as asked
     for are taken, and their points are in the order in which they were found.
@@ -53,7 +53,7 @@ class PointTap(SingleCalibrationTap):
         self._taken = 0
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take what is wanted of a batch; called in the compute thread."""
+        """Collect from a batch; called in the compute thread."""
         if not self._goes_on(batch) or self._taken >= MAX_POINTS:
             return
         marker = np.array(

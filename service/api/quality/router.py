@@ -1,4 +1,4 @@
-"""REST resources of quality checks, the watch on drift, and what they say of a device."""
+"""REST resources of quality checks, drift monitors and assessments."""
 
 from typing import Annotated, Literal
 

@@ -1,4 +1,4 @@
-"""A quality check: some seconds of a running device's points, and what they say."""
+"""Runs a quality check on a running device's points of some seconds."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -10,8 +10,8 @@ from compute.quality.point_to_point import PointToPoint, point_to_point
 from compute.quality.single_point import SinglePoint, single_point
 from service.api.quality.point_tap import PointTap
 from service.api.quality.schema import NewPointToPoint, NewSinglePoint
-from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.taps import collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration
 
 _GAPS: Final = 2.5
@@ -54,7 +54,7 @@ def measure(
             "measured; check again",
             device=device_id,
         )
-    calibration_id, table_id = tap.in_force or (None, None)
+    calibration_id, table_id = tap.active_ids or (None, None)
     if calibration_id is None:
         raise NoActiveCalibration(
             f'device "{device_id}" has no active calibration, and so no points; activate one',

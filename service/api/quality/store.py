@@ -89,7 +89,7 @@ def add_check(
 
 
 def series_of(asked: NewSinglePoint | NewPointToPoint) -> str:
-    """Return what checks that can be compared with one another have in common, in words."""
+    """Return the name of a check's series: checks of one series can be compared."""
     if isinstance(asked, NewSinglePoint):
         which = "the marker" if asked.marker is None else f"marker {asked.marker}"
         at = asked.reference_position_mm
@@ -125,7 +125,7 @@ def document(row: QualityCheckRow) -> QualityCheck:
 
 
 def watch_of(session: Session, device_id: str) -> WatchSettings:
-    """Return how a device is watched; the default while nobody has said."""
+    """Return the settings of a device's drift monitor; the defaults where none are stored."""
     row = session.get(WatchRow, device_id)
     return WatchSettings() if row is None else WatchSettings.model_validate(row.settings)
 

@@ -1,24 +1,33 @@
 """REST resource /api/v1/reconstructions."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
+import numpy as np
 from fastapi import APIRouter, Body, Path, Response
 from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
+from compute.calibration.measurement_noise import measurement_sigma
+from compute.calibration.result import Calibration
 from compute.errors import DuplicatePoint, ReadingOutsideSensor, UnknownSensor
+from compute.mapping.table import CorrectionTable
+from compute.reconstruction.triangulation import reconstruct
+from hardware.driver import SensorDescription
 from service.api.base_models import SLUG_PATTERN, Page
-from service.api.calibrations.calibration_content import result_of
+from service.api.calibrations.calibration_content import observations, result_of
 from service.api.correction_tables.store import content_of
 from service.api.dependencies import DatabaseDep
+from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
 from service.api.pagination import PagingDep, page_of
 from service.api.reconstructions import store
 from service.api.reconstructions.examples import NEW_RECONSTRUCTIONS
-from service.api.reconstructions.reconstruct import run_reconstruction
 from service.api.reconstructions.schema import (
+    NamedEstimate,
     NewReconstruction,
+    ObservedPoint,
     Reconstruction,
     ReconstructionSummary,
 )
@@ -126,3 +135,36 @@ def delete_reconstruction(reconstruction_id: ReconstructionPath, database: Datab
     """Delete a reconstruction."""
     with database.write() as session:
         session.delete(store.get_reconstruction(session, reconstruction_id))
+
+
+def run_reconstruction(
+    device_id: str,
+    points: Sequence[ObservedPoint],
+    sensors: Sequence[SensorDescription],
+    calibration: Calibration,
+    table: CorrectionTable | None = None,
+) -> list[NamedEstimate]:
+    """Return the estimates, the calibration's covariance included.
+
+    With a correction table the readings are corrected by it: its variance holds what the
+    calibration's covariance and misfit are without it.
+
+    Readings without a standard deviation get the calibration's for their sensor; none is trusted
+    further than the calibration reproduced its control points.
+
+    Raises:
+        SensorsChanged: the calibration is of other sensors than the device's.
+        DuplicatePoint, UnknownSensor, ReadingOutsideSensor: what is wrong with the readings.
+    """
+    check_sensors(device_id, sensors, calibration.models)
+    observed = observations(points, sensors)
+    sigma = measurement_sigma(calibration, observed.readings_px, observed.sigma_px)
+    covariance = np.array(calibration.covariance) if table is None else None
+    if table is not None:
+        sigma = np.where(np.isfinite(observed.sigma_px), observed.sigma_px, sigma)
+    batch = reconstruct(calibration.models, observed.readings_px, sigma, covariance, table)
+    names = tuple(sensor.name for sensor in sensors)
+    return [
+        NamedEstimate(**vars(estimate), name=point.name)
+        for estimate, point in zip(batch.estimates(names), points, strict=True)
+    ]

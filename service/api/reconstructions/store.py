@@ -7,9 +7,9 @@ from pydantic import TypeAdapter
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session, defer
 
-from service.api.calibrations.activation import active
 from service.api.calibrations.store import active_id, get_calibration
 from service.api.correction_tables.store import get_table
+from service.api.devices.activation import active
 from service.api.reconstructions.schema import (
     NamedEstimate,
     NewReconstruction,

@@ -1,1 +1,1 @@
-"""Recordings: line scans and results of devices in files, and what is made of them again."""
+"""Recordings: line scans and results of devices in files, and their reprocessing."""

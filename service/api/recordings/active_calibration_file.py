@@ -1,4 +1,4 @@
-"""What was in force, as a recording keeps it: a calibration as JSON, its table as HDF5."""
+"""Active calibration in a recording: the calibration as JSON, its correction table as HDF5."""
 
 import json
 from datetime import UTC, datetime
@@ -47,7 +47,7 @@ def dump_active_calibration(found: ActiveCalibration) -> tuple[bytes, bytes]:
 
 
 def load_active_calibration(document: bytes, table: bytes, where: str) -> ActiveCalibration:
-    """Return what a recording says was in force.
+    """Return the active calibration that a recording holds.
 
     Args:
         document: as of ``dump_active_calibration``.

@@ -1,5 +1,6 @@
-"""Recorder: hands the batches of a running device to the process that writes them to a file."""
+"""Recorder: passes the batches of a running device to the process that writes the file."""
 
+from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
 
@@ -78,7 +79,7 @@ class Recorder:
 
     def _hand_over(self, batch: FrameBatch) -> None:
         rows = frame_rows(batch.frames)
-        rows["in_force"] = self._row(self.session.in_force)
+        rows["in_force"] = self._row(self.session.active_calibration)
         peaks, points = self._nothing
         if self.job.results:
             sensors = len(batch.sensor_names)
@@ -96,11 +97,11 @@ class Recorder:
         self._feed.stop(reason)
 
     def wait(self, timeout_s: float) -> bool:
-        """Return whether it has ended, after at most so long."""
+        """Wait for the end, at most this long; return whether it has ended."""
         return self._feed.wait(timeout_s)
 
     def _row(self, found: ActiveCalibration) -> int:
-        """Return the row of what is in force; made and sent, in another thread, when it is new."""
+        """Return the row of the active calibration; a new one is sent from another thread."""
         if found.calibration is None:
             return NO_CALIBRATION_ROW
         with self._lock:
@@ -110,3 +111,33 @@ class Recorder:
                     partial(dump_active_calibration, found)
                 )
             return row
+
+
+@dataclass(frozen=True)
+class WriteCounters:
+    """What was recorded of a device.
+
+    Args:
+        open: recordings that are being written.
+        frames: frames that are safe in files.
+        dropped: frames that the writer did not keep up with.
+        size_bytes: of the files.
+        failed: recordings that could not be written any more.
+    """
+
+    open: int = 0
+    frames: int = 0
+    dropped: int = 0
+    size_bytes: int = 0
+    failed: int = 0
+
+    def with_recorder(self, recorder: Recorder) -> "WriteCounters":
+        """Return this and what a recorder has written."""
+        return replace(
+            self,
+            open=self.open + (recorder.ended is None),
+            frames=self.frames + recorder.state.frames,
+            dropped=self.dropped + recorder.dropped_frames,
+            size_bytes=self.size_bytes + recorder.size_bytes,
+            failed=self.failed + recorder.failed,
+        )

@@ -1,4 +1,4 @@
-"""What a process is to record that is asked to record a running device."""
+"""RecordingJob of a running device: what its writer process is told."""
 
 from datetime import datetime
 from pathlib import Path
@@ -49,13 +49,13 @@ def writer_job(
 
 
 def _provenance(session: DeviceSession, request: NewRecording, begin: datetime) -> dict[str, Any]:
-    """Return what is to be known of how results were made."""
+    """Return the provenance of results: software versions and settings."""
     return {
         "program": "lumiline",
         "version": package_version(),
         "started_at": begin.isoformat(),
         "request": request.model_dump(mode="json"),
-        "peaks": session.processor.finding.settings(),
+        "peaks": session.processor.detection.settings(),
     }
 
 

@@ -1,4 +1,4 @@
-"""Recordings: begins and ends the recordings of running devices, and knows those in the folder."""
+"""RecordingManager: starts and stops recordings of running devices, and knows the stored ones."""
 
 import logging
 import shutil
@@ -7,13 +7,14 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Event, Lock, Thread
-from typing import Final
+from typing import Annotated, Final
 
-from service.api.recordings.recorder import Recorder
+from fastapi import Depends, Request
+
+from service.api.recordings.recorder import Recorder, WriteCounters
 from service.api.recordings.recording_job import writer_job
 from service.api.recordings.repository import RecordingRepository, unread
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
-from service.api.recordings.write_counters import WriteCounters
 from service.pipeline.device_session import DeviceSession
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.errors import (
@@ -305,3 +306,11 @@ def _exists(name: str) -> RecordingExists:
         f'recording "{name}" exists already and is never overwritten; choose another name',
         recording=name,
     )
+
+
+def _recordings(request: Request) -> RecordingManager:
+    recordings: RecordingManager = request.app.state.recordings
+    return recordings
+
+
+RecordingsDep = Annotated[RecordingManager, Depends(_recordings)]

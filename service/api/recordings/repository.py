@@ -1,15 +1,16 @@
-"""The folder of recordings: what is in it, as the files themselves tell."""
+"""RecordingRepository: the folder of recordings, described from the files themselves."""
 
 import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from sqlalchemy import select
 
 from compute.errors import InvalidRecording
 from service.api.devices.driver_factory import recording_path
@@ -21,6 +22,9 @@ from service.api.recordings.schema import (
     State,
     UsedCalibration,
 )
+from service.database.engine import Database
+from service.database.models import DeviceRow
+from service.pipeline.pipeline_manager import PipelineManager
 
 if TYPE_CHECKING:
     from hardware.recording.info import RecordingInfo
@@ -63,7 +67,7 @@ class RecordingRepository:
         return recording_path(name, self.folder)
 
     def document(self, name: str) -> RecordingDocument:
-        """Return what a file tells of itself; one that cannot be read says why.
+        """Return a recording's document from its file; for an unreadable one, the reason.
 
         Raises:
             UnknownRecording: there is no such file.
@@ -179,3 +183,19 @@ def _used(reader: "RecordingReader") -> list[UsedCalibration]:
         }  # fmt: skip
         used.append(UsedCalibration(**texts, from_frame=first[0] if first else None))
     return used
+
+
+_GONE = ("stopped", "ended", "failed")
+
+
+def replaying_device(database: Database, live: PipelineManager, name: str) -> str | None:
+    """Return the id of a device that replays the recording now, None without one."""
+    with database.read() as session:
+        sources = session.execute(select(DeviceRow.id, DeviceRow.source)).all()
+    for device_id, source in sources:
+        if source.get("kind") != "replay":
+            continue
+        same = PurePosixPath(str(source.get("recording"))) == PurePosixPath(name)
+        if same and live.status(device_id).state not in _GONE:
+            return str(device_id)
+    return None

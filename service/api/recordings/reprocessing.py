@@ -1,4 +1,4 @@
-"""A recording processed again: does it give the same bits?"""
+"""Reprocesses a recording through the pipeline; compares the results bit by bit."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
 
 @dataclass(frozen=True)
 class Comparison:
-    """What was recorded beside what its lines give now.
+    """Recorded results and those of reprocessing.
 
     Args:
         frames: frames compared.
@@ -46,7 +46,7 @@ class Comparison:
 
 
 def recorded_calibration(reader: RecordingReader, row: int) -> ActiveCalibration:
-    """Return what was in force, by its row in the recording; -1: nothing.
+    """Return the active calibration of a row in the recording; -1: none.
 
     Raises:
         InvalidRecording, InvalidTableFile: what is there is none, or was changed.
@@ -87,7 +87,7 @@ def reprocess(
 def calibration_intervals(
     reader: RecordingReader, given: ActiveCalibration | None = None
 ) -> Iterator[tuple[int, int, ActiveCalibration]]:
-    """Yield the runs of frames with the same in force: first, end, and what it was.
+    """Yield intervals of frames with one active calibration: first, end, row.
 
     Args:
         reader: the recording.
@@ -143,7 +143,7 @@ def compare(
         points += len(block.points)
         done(frames)
     then: dict[str, Any] = reader.info.provenance.get("peaks") or {}
-    now = processor.finding.settings()
+    now = processor.detection.settings()
     changed = tuple(f"{name} was {then.get(name)}, is {now[name]}"
                     for name in now if name in then and then[name] != now[name])  # fmt: skip
     return Comparison(frames, peaks, points, peaks_differ, points_differ, first_difference, changed)

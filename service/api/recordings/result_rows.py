@@ -1,4 +1,4 @@
-"""Peaks and points of a batch as the rows that a recording keeps."""
+"""Rows of peaks and points that a recording stores of a batch."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -7,13 +7,14 @@ from starlette.responses import FileResponse
 from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from service.api.base_models import Page
-from service.api.dependencies import DatabaseDep, LiveDep, RecordingsDep
+from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices import store
 from service.api.devices.schema import RECORDING_PATTERN
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
 from service.api.recordings.examples import BEGUN, FINISHED, NEW_RECORDINGS
-from service.api.recordings.replaying_device import replaying_device
+from service.api.recordings.recording_manager import RecordingsDep
+from service.api.recordings.repository import replaying_device
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
 from service.api.request_parameters import DeviceFilter, DevicePath, Limit, Offset
 from service.problems.errors import (

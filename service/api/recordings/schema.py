@@ -1,4 +1,4 @@
-"""Recordings as clients see them, and what they send to begin one."""
+"""Recordings as clients send and receive them."""
 
 from typing import Annotated, Literal
 

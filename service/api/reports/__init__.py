@@ -1,1 +1,1 @@
-"""Reports: what an engineer looks for in a calibration, as one HTML file."""
+"""Reports of calibrations: one HTML file with figures."""

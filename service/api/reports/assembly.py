@@ -1,4 +1,4 @@
-"""The report of a stored calibration, beside the one before it."""
+"""Collects the content of a report: a stored calibration and the one to compare it with."""
 
 import hashlib
 import json
@@ -8,14 +8,14 @@ import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from service.api.calibrations.calibration_content import result_of
+from service.api.calibrations.calibration_content import (
+    observations,
+    result_of,
+)
 from service.api.calibrations.comparison import compare
-from service.api.calibrations.observations import observations
 from service.api.calibrations.schema import ControlPoint
-from service.api.calibrations.sensor_check import sensors_match
-from service.api.calibrations.store import active_id, get_calibration
-from service.api.calibrations.with_control_points import with_control_points
-from service.api.devices.sensor import Sensor
+from service.api.calibrations.store import active_id, get_calibration, with_control_points
+from service.api.devices.sensor import Sensor, sensors_match
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.reports.content import ComparedCalibration, Relation, ReportContent
 from service.database.models import ActivationRow, CalibrationRow
@@ -31,7 +31,7 @@ _FROM: Final[dict[str, str]] = {
 
 
 def report_key(session: Session, calibration_id: str, previous_id: str | None = None) -> str:
-    """Return a hash of all that the report of a calibration is made of, without making it.
+    """Return a hash of all inputs of a report, without rendering it.
 
     Takes and raises what ``assemble_report`` does.
     """
@@ -50,7 +50,7 @@ def report_key(session: Session, calibration_id: str, previous_id: str | None = 
 def assemble_report(
     session: Session, calibration_id: str, previous_id: str | None = None
 ) -> ReportContent:
-    """Return what the report of a calibration is made of.
+    """Return the content of a calibration's report.
 
     Args:
         session: the session.
@@ -113,7 +113,7 @@ def _parent(row: CalibrationRow) -> str:
 def _other(
     session: Session, row: CalibrationRow, previous_id: str | None
 ) -> tuple[CalibrationRow, Relation] | None:
-    """Return the calibration to compare with, and what it is to this one."""
+    """Return the calibration to compare with and its relation to this one."""
     if previous_id is not None:
         found = get_calibration(session, previous_id)
         if found.device_id != row.device_id:

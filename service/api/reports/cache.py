@@ -1,4 +1,4 @@
-"""Reports that were drawn before, kept in memory within a bound: drawing takes seconds."""
+"""ReportCache: rendered pages and figures in memory, bounded, least recently used evicted."""
 
 from collections import OrderedDict
 from threading import Lock
@@ -24,7 +24,7 @@ class ReportCache:
         self._lock = Lock()
 
     def get(self, key: str) -> bytes | None:
-        """Return what is kept under a key, None without."""
+        """Return the rendered bytes of a key; None: not cached."""
         with self._lock:
             found = self._kept.get(key)
             if found is not None:
@@ -32,7 +32,7 @@ class ReportCache:
             return found
 
     def keep(self, key: str, drawn: bytes) -> None:
-        """Keep what was drawn, in place of what was not asked for the longest."""
+        """Cache rendered bytes; the least recently used are evicted."""
         if len(drawn) > self._max_bytes:
             return
         with self._lock:

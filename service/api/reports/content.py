@@ -1,4 +1,4 @@
-"""ReportContent: what a report is made of, whether the calibration is stored or from a file."""
+"""ReportContent: everything a report shows, of a stored calibration or one from a file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -131,7 +131,7 @@ class ReportContent:
         return self.points_mm.min(axis=0), self.points_mm.max(axis=0)
 
     def uncertainty_mm(self, points_mm: Array) -> Array:
-        """Return a point's deviations of noise and calibration along X, Y, Z, shape (N, 3) [mm]."""
+        """Return sigma of points by noise and calibration along X, Y, Z, shape (N, 3) [mm]."""
         from compute.reconstruction.triangulation import reconstruct
 
         readings = predicted_readings(self.calibration, points_mm)
@@ -154,7 +154,7 @@ class ReportContent:
 
     @cached_property
     def suspicious(self) -> list[tuple[str, str, float, float]]:
-        """Point, sensor, residual [px] and residual in deviations of the largest, largest first."""
+        """Largest residuals: point, sensor, residual [px], residual over sigma; largest first."""
         ratio = np.abs(self.residuals_px) / self.reading_sigma_px
         with np.errstate(invalid="ignore"):
             places = np.argwhere(ratio > SUSPICIOUS_SIGMA)

@@ -1,4 +1,4 @@
-"""The figures of a calibration's report: drawn once, written as SVG or PNG."""
+"""Figures of a calibration report, as SVG or PNG."""
 
 import io
 from collections.abc import Callable, Sequence
@@ -135,7 +135,7 @@ def residuals_pixels(content: ReportContent) -> Figure | None:
 
 
 def residuals_histogram(content: ReportContent) -> Figure | None:
-    """Residuals over their deviations beside the normal distribution."""
+    """Histogram of residuals over sigma, with the normal distribution."""
     ratio = content.residuals_px / content.reading_sigma_px
     found = ratio[np.isfinite(ratio)]
     if not len(found):
@@ -250,7 +250,7 @@ def uncertainty(content: ReportContent) -> Figure | None:
 
 
 def comparison(content: ReportContent) -> Figure | None:
-    """Differences of the parameters from another calibration, in deviations."""
+    """Differences of the parameters from another calibration, over sigma."""
     if content.compared is None:
         return None
     name, found = content.compared.name, content.compared.comparison

@@ -1,4 +1,4 @@
-"""Draws reports in a process of its own: seconds of drawing would hold up the live devices."""
+"""Renders reports in a separate process, so that live devices keep their cores."""
 
 from typing import Any, Final
 

@@ -1,15 +1,16 @@
-"""The reports of calibrations: /api/v1/calibrations/{id}/report.html and its figures."""
+"""REST resource /api/v1/calibrations/{id}/report.html and its figures."""
 
-from threading import BoundedSemaphore
 from typing import Annotated, Final, Literal
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Depends, Path, Query, Request
 from starlette.responses import HTMLResponse, Response
 
 from service.api.base_models import SLUG_PATTERN
-from service.api.dependencies import DatabaseDep, ReportsDep
+from service.api.concurrency_limit import ConcurrencyLimit
+from service.api.dependencies import DatabaseDep
 from service.api.openapi import problems
 from service.api.reports.assembly import assemble_report, report_key
+from service.api.reports.cache import ReportCache
 from service.api.reports.render_process import render_figure, render_page
 from service.api.request_parameters import CalibrationPath
 from service.problems.errors import (
@@ -24,7 +25,10 @@ router = APIRouter(prefix="/api/v1/calibrations", tags=["calibrations"])
 MAX_CONCURRENT: Final = 2
 """Reports made at the same time: each takes seconds, and threads are for all."""
 
-_slots = BoundedSemaphore(MAX_CONCURRENT)
+_limit = ConcurrencyLimit(
+    MAX_CONCURRENT,
+    f"{MAX_CONCURRENT} reports are being made; ask for this one again in a few seconds",
+)
 
 _PNG: Final = {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
 _HTML: Final = {"content": {"text/html": {"schema": {"type": "string"}}}}
@@ -47,6 +51,14 @@ FigurePath = Annotated[
         openapi_examples={"frame": {"summary": "of the example body", "value": "sim-frame"}},
     ),
 ]
+
+
+def _reports(request: Request) -> ReportCache:
+    reports: ReportCache = request.app.state.reports
+    return reports
+
+
+ReportsDep = Annotated[ReportCache, Depends(_reports)]
 PreviousQuery = Annotated[
     str | None,
     Query(
@@ -75,7 +87,7 @@ def get_report(
         key = report_key(session, calibration_id, previous)
     page = kept.get(key)
     if page is None:
-        with _Slot():
+        with _limit:
             with database.read() as session:
                 content = assemble_report(session, calibration_id, previous)
             page = render_page(content).encode()
@@ -106,7 +118,7 @@ def get_figure(
         key = f"{report_key(session, calibration_id, previous)}/{figure}"
     drawn = kept.get(key)
     if drawn is None:
-        with _Slot():
+        with _limit:
             with database.read() as session:
                 content = assemble_report(session, calibration_id, previous)
             drawn = render_figure(figure, content)
@@ -120,16 +132,3 @@ def get_figure(
             figure=figure,
         )
     return Response(drawn, media_type="image/png")
-
-
-class _Slot:
-    """One of the reports that may be made at once."""
-
-    def __enter__(self) -> None:
-        if not _slots.acquire(blocking=False):
-            raise Busy(
-                f"{MAX_CONCURRENT} reports are being made; ask for this one again in a few seconds"
-            )
-
-    def __exit__(self, *_: object) -> None:
-        _slots.release()

@@ -1,1 +1,1 @@
-"""Runs."""
+"""Runs: long computations submitted, followed and cancelled."""

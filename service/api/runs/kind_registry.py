@@ -1,37 +1,14 @@
-"""What each kind of run computes in its process, and what is stored of it."""
+"""The kinds of runs by name, and the resources that their results are."""
 
 from collections import ChainMap
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
-
-from sqlalchemy.orm import Session
+from typing import Final
 
 from service.api.exports.repository import ExportRepository
 from service.api.runs.kinds import calibration, export, mapping, self_calibration, update
-from service.database.models import RunRow
-
-Task = tuple[Callable[..., Any], tuple[Any, ...]]
-
-
-@dataclass(frozen=True)
-class RunKind:
-    """One kind of run.
-
-    Args:
-        task: returns the function to call in the process and its arguments, from a run's row.
-        store: stores its result and returns the id under which it is found.
-        results: path of the resource that the results are of.
-        ended: called with the id of a run that has ended in any way, whatever was stored.
-    """
-
-    task: Callable[[Session, RunRow], Task]
-    store: Callable[[Session, RunRow, Any], str]
-    results: str
-    ended: Callable[[str], None] = lambda _: None
-
+from service.jobs.run_kind import RunKind
 
 KINDS: Final[dict[str, RunKind]] = {
     "calibration": RunKind(calibration.task, calibration.store, "/api/v1/calibrations"),

@@ -1,11 +1,17 @@
-"""What requests name: control points or the capture that holds them, a calibration or none."""
+"""Resolves what run requests refer to: captures, calibrations, drift checks."""
 
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
+from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.schema import ControlPoint
 from service.api.calibrations.store import active_id, usable
 from service.api.captures.store import captured_points
+from service.api.devices.sensor import Sensor, check_sensors
+from service.api.drift_checks.marker_references import resolve_stationary_markers
+from service.api.drift_checks.schema import StationaryMarker
+from service.api.drift_checks.store import get_drift_check, markers_of
+from service.api.runs.schema import NewUpdateRun
 from service.database.models import CalibrationRow
 from service.problems.errors import CalibrationOfAnotherDevice, NoActiveCalibration
 
@@ -56,3 +62,38 @@ def resolve_calibration(session: Session, device_id: str, named: str | None) -> 
             device=device_id,
         )
     return row
+
+
+def resolve_markers(
+    session: Session, request: NewUpdateRun, sensors: list[Sensor]
+) -> tuple[CalibrationRow, list[StationaryMarker], float]:
+    """Return the calibration to update, its markers and the sigma of their positions [mm].
+
+    Raises:
+        InvalidParameter: the drift check is of another calibration, or markers are given beside it.
+        LumilineError: what is wrong with the markers.
+    """
+    if request.drift_check is None:
+        parent = resolve_calibration(session, request.device, request.calibration)
+        check_sensors(parent.device_id, sensors, result_of(parent.content).models)
+        return (
+            parent,
+            resolve_stationary_markers(session, parent, sensors, request),
+            request.position_sigma_mm,
+        )
+    other = {"points", "capture", "earlier_capture", "against", "position_sigma_mm"}
+    given = sorted(other & request.model_fields_set)
+    if given:
+        raise InvalidParameter(
+            f"{given[0]} is given with drift_check, which has its own markers; give one of them"
+        )
+    check = get_drift_check(session, request.drift_check)
+    if request.calibration not in (None, check.calibration_id):
+        raise InvalidParameter(
+            f'drift check "{check.id}" is of calibration "{check.calibration_id}", not of '
+            f'"{request.calibration}"; post its markers to compare them with another',
+            drift_check=check.id,
+            calibration=check.calibration_id,
+        )
+    parent = resolve_calibration(session, request.device, check.calibration_id)
+    return parent, markers_of(check), float(check.given["position_sigma_mm"])

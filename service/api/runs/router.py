@@ -1,4 +1,4 @@
-"""REST resource /api/v1/runs: how far runs are, cancelled, deleted; with those that take them."""
+"""REST resource /api/v1/runs: progress, cancelling, deleting."""
 
 from typing import Annotated
 
@@ -12,8 +12,7 @@ from service.api.openapi import problems
 from service.api.pagination import PagingDep, page_of
 from service.api.request_parameters import DeviceFilter
 from service.api.runs import submit_router
-from service.api.runs.document import run_document
-from service.api.runs.schema import Run
+from service.api.runs.schema import Run, run_document
 from service.jobs import store
 from service.jobs.store import Kind, State
 from service.problems.errors import RunNotEnded, UnknownRun

@@ -15,6 +15,8 @@ from service.api.calibrations.schema import (
     SensorName,
 )
 from service.api.drift_checks.schema import StationaryMarkersRequest
+from service.api.runs.kind_registry import RESULTS
+from service.database.models import RunRow
 from service.jobs.store import Kind, State
 
 Pitch = Annotated[float, Field(gt=0, le=1e6)]
@@ -169,3 +171,26 @@ class NewUpdateRun(StationaryMarkersRequest):
         "principal distance.",
     )
     note: Note = ""
+
+
+def run_document(row: RunRow) -> Run:
+    """Return the run."""
+    result = None
+    if row.result_id is not None:
+        result = f"{RESULTS[row.kind]}/{row.result_id}"
+    return Run.model_validate(
+        {
+            "id": row.id,
+            "kind": row.kind,
+            "device": row.device_id,
+            "state": row.state,
+            "progress": row.progress,
+            "stage": row.stage,
+            "result_id": row.result_id,
+            "result": result,
+            "problem": row.problem,
+            "created_at": row.created_at,
+            "started_at": row.started_at,
+            "finished_at": row.finished_at,
+        }
+    )

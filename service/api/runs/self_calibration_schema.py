@@ -1,4 +1,4 @@
-"""Self-calibration runs as clients send them: wands, bodies and frames at unknown places."""
+"""Self-calibration requests: wands, rigid bodies and frames at unknown positions."""
 
 from typing import Annotated, Literal
 

@@ -1,4 +1,4 @@
-"""How a run is accepted: checked and stored in one transaction, then told to the manager."""
+"""Submission: checks and stores a run in one transaction, then wakes the run manager."""
 
 from collections.abc import Callable
 from typing import Annotated, Any, Protocol
@@ -8,8 +8,7 @@ from sqlalchemy.orm import Session
 
 from service.api.dependencies import DatabaseDep, RunsDep, SettingsDep
 from service.api.devices.store import get_device
-from service.api.runs.document import run_document
-from service.api.runs.schema import Run
+from service.api.runs.schema import Run, run_document
 from service.database.models import DeviceRow
 from service.jobs import store
 from service.jobs.store import Kind
@@ -42,7 +41,7 @@ class Submission:
         request: SubmittedRun,
         stored: Callable[[Session, DeviceRow], dict[str, Any]],
     ) -> Run:
-        """Store a run, have it computed, and say where it is followed.
+        """Store a run, wake the run manager, and answer with the run's location.
 
         Args:
             kind: what is computed.

@@ -1,4 +1,4 @@
-"""REST resources that take runs: /api/v1/calibration-runs, /mapping-runs, ..."""
+"""REST resources that submit runs: /api/v1/calibration-runs, /mapping-runs, ..."""
 
 from typing import Annotated, Any
 
@@ -14,34 +14,32 @@ from compute.errors import (
     TooFewPoints,
     UnknownSensor,
 )
-from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.schema import ControlPoint
-from service.api.calibrations.sensor_check import check_sensors
 from service.api.calibrations.store import check_unused
 from service.api.correction_tables import store as tables
-from service.api.devices.sensor import Sensor
 from service.api.devices.store import sensors_of_row
-from service.api.drift_checks.marker_references import resolve_stationary_markers
-from service.api.drift_checks.schema import StationaryMarker
-from service.api.drift_checks.store import get_drift_check, markers_of
+from service.api.exports.examples import NEW_EXPORT_RUNS
+from service.api.exports.router import ExportsDep
+from service.api.exports.schema import NewExportRun
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
+from service.api.recordings.recording_manager import RecordingsDep
 from service.api.runs.examples import (
     NEW_CALIBRATION_RUNS,
     NEW_MAPPING_RUNS,
     NEW_SELF_CALIBRATION_RUNS,
     NEW_UPDATE_RUNS,
 )
-from service.api.runs.kinds import calibration, mapping, self_calibration, update
-from service.api.runs.references import resolve_calibration, resolve_points
+from service.api.runs.kinds import calibration, export, mapping, self_calibration, update
+from service.api.runs.kinds.calibration import Request as CalibrationRequest
+from service.api.runs.kinds.mapping import Request as MappingRequest
+from service.api.runs.kinds.self_calibration import Request as SelfCalibrationRequest
+from service.api.runs.kinds.update import Request as UpdateRequest
+from service.api.runs.references import resolve_calibration, resolve_markers, resolve_points
 from service.api.runs.schema import NewCalibrationRun, NewMappingRun, NewUpdateRun, Run
 from service.api.runs.self_calibration_schema import NewSelfCalibrationRun
 from service.api.runs.submission import SubmissionDep
-from service.api.runs.tasks.calibration import Request as CalibrationRequest
-from service.api.runs.tasks.mapping import Request as MappingRequest
-from service.api.runs.tasks.self_calibration import Request as SelfCalibrationRequest
-from service.api.runs.tasks.update import Request as UpdateRequest
-from service.database.models import CalibrationRow, DeviceRow
+from service.database.models import DeviceRow
 from service.problems.errors import (
     Busy,
     CalibrationExists,
@@ -50,22 +48,29 @@ from service.problems.errors import (
     CaptureIncomplete,
     CaptureOfAnotherDevice,
     CorrectionTableExists,
+    ExportExists,
+    InsufficientStorage,
     NoActiveCalibration,
+    RecordingInProgress,
     RunExists,
     SensorsChanged,
     UnknownCalibration,
     UnknownCapture,
+    UnknownCorrectionTable,
     UnknownDevice,
     UnknownDriftCheck,
+    UnknownRecording,
+    UnknownTool,
 )
 
-router = APIRouter(prefix="/api/v1", tags=["runs"], route_class=JsonRoute)
+router = APIRouter(prefix="/api/v1", route_class=JsonRoute)
 
 NewCalibrationRunBody = Annotated[
     NewCalibrationRun, JsonTypes(), Body(openapi_examples=NEW_CALIBRATION_RUNS)
 ]
 NewMappingRunBody = Annotated[NewMappingRun, JsonTypes(), Body(openapi_examples=NEW_MAPPING_RUNS)]
 NewUpdateRunBody = Annotated[NewUpdateRun, JsonTypes(), Body(openapi_examples=NEW_UPDATE_RUNS)]
+NewExportRunBody = Annotated[NewExportRun, JsonTypes(), Body(openapi_examples=NEW_EXPORT_RUNS)]
 NewSelfCalibrationRunBody = Annotated[
     NewSelfCalibrationRun, JsonTypes(), Body(openapi_examples=NEW_SELF_CALIBRATION_RUNS)
 ]
@@ -73,6 +78,7 @@ NewSelfCalibrationRunBody = Annotated[
 
 @router.post(
     "/calibration-runs",
+    tags=["runs"],
     operation_id="create-calibration-run",
     summary="Calibrate a device beside the requests",
     status_code=HTTP_202_ACCEPTED,
@@ -126,6 +132,7 @@ def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> lis
 
 @router.post(
     "/mapping-runs",
+    tags=["runs"],
     operation_id="create-mapping-run",
     summary="Map the volume beside the requests",
     status_code=HTTP_202_ACCEPTED,
@@ -178,6 +185,7 @@ def create_mapping_run(request: NewMappingRunBody, acceptance: SubmissionDep) ->
 
 @router.post(
     "/self-calibration-runs",
+    tags=["runs"],
     operation_id="create-self-calibration-run",
     summary="Calibrate a device without known coordinates",
     status_code=HTTP_202_ACCEPTED,
@@ -227,6 +235,7 @@ def create_self_calibration_run(
 
 @router.post(
     "/update-runs",
+    tags=["runs"],
     operation_id="create-update-run",
     summary="Bring a calibration up to date by still markers",
     status_code=HTTP_202_ACCEPTED,
@@ -261,7 +270,7 @@ def create_update_run(request: NewUpdateRunBody, acceptance: SubmissionDep) -> R
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
         check_unused(session, request.result_id)
         sensors = sensors_of_row(device)
-        parent, markers, sigma = _still(session, request, sensors)
+        parent, markers, sigma = resolve_markers(session, request, sensors)
         return update.request_of(
             UpdateRequest(
                 calibration=parent.id,
@@ -281,31 +290,46 @@ def create_update_run(request: NewUpdateRunBody, acceptance: SubmissionDep) -> R
     return acceptance.run("update", request, stored)
 
 
-def _still(
-    session: Session, request: NewUpdateRun, sensors: list[Sensor]
-) -> tuple[CalibrationRow, list[StationaryMarker], float]:
-    """Return the parent, the markers and the deviation of their positions [mm]."""
-    if request.drift_check is None:
-        parent = resolve_calibration(session, request.device, request.calibration)
-        check_sensors(parent.device_id, sensors, result_of(parent.content).models)
-        return (
-            parent,
-            resolve_stationary_markers(session, parent, sensors, request),
-            request.position_sigma_mm,
-        )
-    other = {"points", "capture", "earlier_capture", "against", "position_sigma_mm"}
-    given = sorted(other & request.model_fields_set)
-    if given:
-        raise InvalidParameter(
-            f"{given[0]} is given with drift_check, which has its own markers; give one of them"
-        )
-    check = get_drift_check(session, request.drift_check)
-    if request.calibration not in (None, check.calibration_id):
-        raise InvalidParameter(
-            f'drift check "{check.id}" is of calibration "{check.calibration_id}", not of '
-            f'"{request.calibration}"; post its markers to compare them with another',
-            drift_check=check.id,
-            calibration=check.calibration_id,
-        )
-    parent = resolve_calibration(session, request.device, check.calibration_id)
-    return parent, markers_of(check), float(check.given["position_sigma_mm"])
+@router.post(
+    "/export-runs",
+    tags=["recordings"],
+    operation_id="create-export-run",
+    summary="Export a recording beside the requests",
+    status_code=HTTP_202_ACCEPTED,
+    responses=problems(
+        UnknownDevice,
+        UnknownRecording,
+        UnknownTool,
+        UnknownCalibration,
+        UnknownCorrectionTable,
+        RunExists,
+        ExportExists,
+        RecordingInProgress,
+        InvalidParameter,
+        InsufficientStorage,
+        Busy,
+    ),
+)
+def create_export_run(
+    request: NewExportRunBody,
+    acceptance: SubmissionDep,
+    recordings: RecordingsDep,
+    exports: ExportsDep,
+) -> Run:
+    """Follow markers and tools through a recording, in a process of its own, and write a file.
+
+    Follow the run at the header `Location`; when it has succeeded, its `result` is the export, and
+    `result` with `/file` behind it the file. A calibration that is not the recording's makes its
+    points, tracks and poses anew.
+    """
+    recordings.finished_path(request.recording)
+    frames = recordings.get(request.recording).frames
+    if frames is not None:
+        export.check_length(request.recording, frames)
+    exports.check_space()
+
+    def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
+        exports.check_unused(request.result_id)
+        return export.request_of(session, device, request)
+
+    return acceptance.run("export", request, stored)

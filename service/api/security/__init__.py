@@ -1,1 +1,1 @@
-"""Security."""
+"""API keys as a REST resource."""

@@ -11,7 +11,7 @@ from service.api.dependencies import DatabaseDep
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
 from service.api.request_parameters import Limit, Offset
-from service.api.security.schema import ApiKey, CreatedApiKey, NewApiKey
+from service.api.security.schema import ApiKey, CreatedApiKey, NewApiKey, created_document, document
 from service.problems.errors import UnknownKey
 from service.security import store
 
@@ -47,7 +47,7 @@ def list_keys(database: DatabaseDep, limit: Limit = 50, offset: Offset = 0) -> P
     """Keys without their secrets, newest first; also those that are not valid any more."""
     with database.read() as session:
         rows, total = store.list_keys(session, limit, offset)
-        items = [store.document(row) for row in rows]
+        items = [document(row) for row in rows]
     return Page(items=items, total=total, limit=limit, offset=offset)
 
 
@@ -69,10 +69,10 @@ def create_key(
     """
     with database.write() as session:
         row, made = store.add_key(session, request)
-        document = CreatedApiKey.model_validate(store.members(row) | {"key": made.text})
-    response.headers["Location"] = f"/api/v1/keys/{document.id}"
+        created = created_document(row, made.text)
+    response.headers["Location"] = f"/api/v1/keys/{created.id}"
     response.headers["Cache-Control"] = "no-store"
-    return document
+    return created
 
 
 @router.get(
@@ -81,7 +81,7 @@ def create_key(
 def get_key(key_id: KeyPath, database: DatabaseDep) -> ApiKey:
     """One key, without its secret."""
     with database.read() as session:
-        return store.document(store.get_key(session, key_id))
+        return document(store.get_key(session, key_id))
 
 
 @router.post(
@@ -93,6 +93,6 @@ def get_key(key_id: KeyPath, database: DatabaseDep) -> ApiKey:
 def revoke_key(request: Request, key_id: KeyPath, database: DatabaseDep) -> ApiKey:
     """Take a key back for good: at once for requests, within seconds for open streams."""
     with database.write() as session:
-        document = store.document(store.revoke_key(session, key_id))
+        revoked = document(store.revoke_key(session, key_id))
     request.app.state.authenticator.remembered.forget(key_id)
-    return document
+    return revoked

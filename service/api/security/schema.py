@@ -1,13 +1,13 @@
-"""API keys at the edge: what a client sends and receives."""
+"""API keys as clients send and receive them."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from service.api.base_models import Moment, RequestModel, RequestMoment, ResponseModel, Text200
-from service.security.scopes import Scope
-
-KeyState = Literal["valid", "expired", "revoked"]
+from service.database.models import ApiKeyRow
+from service.principal import Scope
+from service.security.store import KeyState, state_of
 
 
 class NewApiKey(RequestModel):
@@ -40,3 +40,19 @@ class CreatedApiKey(ApiKey):
     """A key that was just made."""
 
     key: str = Field(description="Send it as `Authorization: Bearer ...`. It is shown here only.")
+
+
+def document(row: ApiKeyRow) -> ApiKey:
+    """Return a key as clients see it."""
+    return ApiKey.model_validate(_members(row))
+
+
+def created_document(row: ApiKeyRow, text: str) -> CreatedApiKey:
+    """Return a key that was just made, with its text."""
+    return CreatedApiKey.model_validate(_members(row) | {"key": text})
+
+
+def _members(row: ApiKeyRow) -> dict[str, object]:
+    names = ("id", "name", "scopes", "created_by", "created_at", "expires_at", "revoked_at")
+    found: dict[str, object] = {name: getattr(row, name) for name in names}
+    return found | {"state": state_of(row), "last_used_at": row.last_used_at}

@@ -1,4 +1,4 @@
-"""What a measurement relies on by name: still the same when it ends?"""
+"""Checks at the end of a measurement that the tools and frames it names are unchanged."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Digitising: where a tool's tip is held still, measured from the live poses."""
+"""Digitises the position of a tool's stationary tip from its live poses."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -15,10 +15,10 @@ from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.api.tools.frame_conversion import pose_in_frame
 from service.api.tools.point_schema import NewPoint
 from service.api.tools.pose_query import Frame
+from service.api.tools.pose_taps import TipTap
 from service.api.tools.tip_limit import TipLimit
-from service.api.tools.tip_tap import TipTap
-from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.taps import collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ def digitise_point(
     gap_s = max(_LEAST_GAP_S, _GAP_FRAMES / rate) if rate > 0.0 else _LEAST_GAP_S
     waiting = _Digitiser(pointer, frame, asked, gap_s)
     collect(live, session, waiting.tap, asked.timeout_s, waiting.tap.ended, waiting.look)
-    calibration, table = waiting.tap.in_force or ("", None)
+    calibration, table = waiting.tap.active_ids or ("", None)
     if calibration is None:
         raise NoActiveCalibration(
             f'device "{pointer.device}" has no active calibration, and so no poses; activate one',
@@ -110,8 +110,8 @@ class _Digitiser:
             CalibrationSwitched: the frame is not one of what is in force.
         """
         of = self._frame.provenance
-        if of is not None and self.tap.in_force is not None:
-            why = of.invalid_reason(*self.tap.in_force)
+        if of is not None and self.tap.active_ids is not None:
+            why = of.invalid_reason(*self.tap.active_ids)
             if why is not None:
                 raise CalibrationSwitched(why, frame=self._frame.name)
         for pose, reference in self.tap.drained():
@@ -145,14 +145,14 @@ class _Digitiser:
         raise type(error)(f"{told}: {error.detail}{self._others()}", **error.context)
 
     def _others(self) -> str:
-        """Return how many frames had no pose to use, in words."""
+        """Return a message with the number of frames without a usable pose."""
         without = sum(count for status, count in self._statuses.items() if status != "OK")
         if not without:
             return ""
         return f"; {without} frames had no pose to use, the last: {self._reason}"
 
     def _shared(self, moved: ToolPose) -> Array:
-        """Return what all places have in common: the errors of the tip and of the registration."""
+        """Return the covariance common to all positions: of the tip and of the registration."""
         assert moved.rotation is not None
         assert moved.tip_mm is not None
         shared = np.zeros((3, 3))

@@ -1,4 +1,4 @@
-"""Poses in other frames than the tracker's: relative to a tool, or in a registered frame."""
+"""Poses relative to a reference tool or in a registered frame."""
 
 from dataclasses import replace
 from typing import Final
@@ -12,7 +12,7 @@ from service.api.tools.tip_limit import exceeded_reason
 
 Array = NDArray[np.float64]
 
-_BEST_FIRST: Final = (PoseStatus.OK, PoseStatus.OUT_OF_VOLUME, PoseStatus.HIGH_ERROR)
+POSE_STATUSES: Final = (PoseStatus.OK, PoseStatus.OUT_OF_VOLUME, PoseStatus.HIGH_ERROR)
 """The statuses that have a pose; what is made of two is worth no more than the worse."""
 
 
@@ -54,14 +54,14 @@ def pose_in_frame(
     if frame_from is not None:
         found = frame_from @ found
     status, reason = pose.status, pose.reason
-    if reference is not None and _rank(reference.status) > _rank(status):
+    if reference is not None and status_rank(reference.status) > status_rank(status):
         status, reason = reference.status, f'its reference "{reference.tool}": {reference.reason}'
     tip = spread = None
     if pose.tip_mm is not None:
         tip = own.rotation.T @ (pose.tip_mm - own.translation_mm)
         if found.covariance is not None:
             spread = found.point_covariance(tip, tip_covariance_mm2)
-    if spread is not None and max_tip_sd_mm is not None and status in _BEST_FIRST[:-1]:
+    if spread is not None and max_tip_sd_mm is not None and status in POSE_STATUSES[:-1]:
         above = exceeded_reason(float(np.sqrt(np.trace(spread))), max_tip_sd_mm)
         if above is not None:
             status, reason = PoseStatus.HIGH_ERROR, above
@@ -77,8 +77,9 @@ def pose_in_frame(
     )
 
 
-def _rank(status: PoseStatus) -> int:
-    return _BEST_FIRST.index(status) if status in _BEST_FIRST else len(_BEST_FIRST)
+def status_rank(status: PoseStatus) -> int:
+    """Return how little a status is worth: of two poses the worse counts."""
+    return POSE_STATUSES.index(status) if status in POSE_STATUSES else len(POSE_STATUSES)
 
 
 def _nothing(pose: ToolPose, status: PoseStatus, reason: str) -> ToolPose:

@@ -1,8 +1,8 @@
-"""The frames of a device and what connects them at its newest frame."""
+"""Transform graph of a device's frames at its newest exposure."""
 
 import time
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 from sqlalchemy.orm import Session
@@ -12,6 +12,7 @@ from compute.errors import UnknownFrame
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import Transform
 from compute.pose.transform_graph import TransformGraph
+from service.api.tools.frame_conversion import POSE_STATUSES
 from service.api.tools.pose_query import board_pose
 from service.api.tools.provenance import active_ids, provenance
 from service.api.tools.registrations import frame_from_measured, registrations
@@ -19,9 +20,6 @@ from service.api.tools.schema import TRACKER
 from service.api.tools.store import tools
 from service.pipeline.latest_poses import PoseEntry
 from service.pipeline.pipeline_manager import PipelineManager
-
-_BEST_FIRST: Final = (PoseStatus.OK, PoseStatus.OUT_OF_VOLUME, PoseStatus.HIGH_ERROR)
-"""Statuses that have a transform; a way over several is worth no more than the worst."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +102,7 @@ class DeviceFrames:
         transform, path = found
         # Of a path every link is that of one of its frames, up to another one of them.
         over = [self.nodes[one] for one in path if self.nodes[one].to in path]
-        worst = max(over, key=lambda one: _BEST_FIRST.index(one.status), default=None)
+        worst = max(over, key=lambda one: POSE_STATUSES.index(one.status), default=None)
         covariance = transform.covariance
         return members | {
             "status": PoseStatus.OK if worst is None else worst.status,

@@ -1,4 +1,4 @@
-"""A tool's geometry from the points that a running device sees of it while it is held still."""
+"""Captures a tool's geometry from the points of a running device while the tool is held still."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -16,8 +16,8 @@ from compute.pose.tool_calibration.digitising import (
 from compute.quality.point_to_point import MarkerTrack
 from service.api.quality.point_tap import PointTap
 from service.api.tools.schema import NewCapturedTool, Origin
-from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.taps import collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ def capture_geometry(live: PipelineManager, asked: NewCapturedTool) -> tuple[Rig
             "tool was captured; capture it again",
             device=asked.device,
         )
-    calibration_id = (tap.in_force or (None, None))[0]
+    calibration_id = (tap.active_ids or (None, None))[0]
     if calibration_id is None:
         raise NoActiveCalibration(
             f'device "{asked.device}" has no active calibration, and so no points; activate one',
@@ -69,7 +69,7 @@ def capture_geometry(live: PipelineManager, asked: NewCapturedTool) -> tuple[Rig
             frames=min(one.poses for one in still),
             sigma_mm=[float(np.sqrt(np.trace(one.covariance_mm2))) for one in still],
             calibration=calibration_id,
-            table=(tap.in_force or (None, None))[1],
+            table=(tap.active_ids or (None, None))[1],
         ),
     )
 
@@ -94,7 +94,7 @@ def _wanted(asked: NewCapturedTool, strobes: int) -> tuple[tuple[int, ...] | Non
 
 
 def check_strobed(device_id: str, numbers: Sequence[int], strobes: int) -> None:
-    """Raise InvalidParameter when a device that strobes so many markers has not got these."""
+    """Raise InvalidParameter when a marker's number exceeds the device's strobed markers."""
     unknown = next((number for number in numbers if number >= strobes), None)
     if unknown is not None:
         known = f"0 to {strobes - 1}" if strobes else "none: they are lit together"

@@ -1,4 +1,4 @@
-"""MarkerTap: takes where strobed markers of a running device are, beside a reference tool."""
+"""MarkerTap: collects positions of strobed markers, relative to a reference tool."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -10,7 +10,7 @@ from compute.pose.tool_pose import ToolPose
 from compute.pose.transform import Transform
 from compute.reconstruction.point_batch import PointFlag
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.single_calibration_tap import SingleCalibrationTap
+from service.pipeline.taps import SingleCalibrationTap
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class MarkerObservation:
 
 
 class MarkerTap(SingleCalibrationTap):
-    """Collects exposures of strobed markers, with one calibration and table in force all the time.
+    """Collects exposures of strobed markers while one calibration and table are active.
 
     Args:
         markers: the strobed markers.
@@ -65,7 +65,7 @@ class MarkerTap(SingleCalibrationTap):
         self._left = MAX_OBSERVATIONS
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take what is wanted of a batch; called in the compute thread."""
+        """Collect from a batch; called in the compute thread."""
         if not self._goes_on(batch):
             return
         good = np.isfinite(batch.points.position_mm[:, 0])

@@ -1,4 +1,4 @@
-"""REST resource /api/v1/tools/{id}/points: where a tool's tip is held still."""
+"""REST resource /api/v1/tools/{id}/points: positions digitised with a tool's tip."""
 
 from typing import Annotated
 
@@ -9,7 +9,7 @@ from service.api.base_models import SLUG_PATTERN
 from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
-from service.api.tools.concurrency_limits import digitise_slot
+from service.api.tools import concurrency_limits
 from service.api.tools.dependency_check import dependencies
 from service.api.tools.examples import NEW_POINTS, TOOL_IDS
 from service.api.tools.point_schema import MeasuredPoint, NewPoint
@@ -81,7 +81,7 @@ def measure_point(
         relied = dependencies(
             session, [tool_id, frame.reference], [] if registered is None else [registered]
         )
-    with digitise_slot():
+    with concurrency_limits.digitisations:
         found = digitise_point(live, pointer, frame, request)
     with database.read() as session:
         relied.check(session)

@@ -17,10 +17,10 @@ from service.api.tools.registrations import frame_from_measured
 from service.api.tools.rigid_bodies import tip_of
 from service.api.tools.schema import TRACKER, Pose
 from service.database.models import RegistrationRow, ToolRow
+from service.pipeline.frame_batch import pose_members
 from service.pipeline.latest_poses import PoseEntry
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.errors import UnknownTool
-from service.protocols.stream.tracking_messages import pose_message
 
 STALE_S: Final = 1.0
 """A pose older than this is none, or than this many frames where they come more slowly:"""
@@ -29,7 +29,7 @@ STALE_FRAMES: Final = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame that poses may be given in.
+    """A frame of reference in which poses can be expressed.
 
     Args:
         name: of it.
@@ -81,7 +81,7 @@ def frame_of(session: Session, tool: ToolRow, wanted: str | None) -> Frame:
 
 
 def newest_pose(live: PipelineManager, tool: ToolRow, frame: Frame, max_tip_sd_mm: float) -> Pose:
-    """Return the newest pose of a tool, or why there is none; what is stale is none.
+    """Return the newest pose of a tool, or the reason why there is none; a stale one is none.
 
     Args:
         live: the running devices.
@@ -108,7 +108,7 @@ def newest_pose(live: PipelineManager, tool: ToolRow, frame: Frame, max_tip_sd_m
         if why is not None:
             moved = ToolPose(tool.id, PoseStatus.INVALID, why, moved.exposure_ns, moved.sequence)
     seen = entry is not None
-    members: dict[str, Any] = pose_message(moved) | {
+    members: dict[str, Any] = pose_members(moved) | {
         "device": tool.device_id,
         "frame": frame.name,
         "exposure_ns": moved.exposure_ns if seen else None,

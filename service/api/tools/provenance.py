@@ -1,10 +1,10 @@
-"""Provenance: what a frame was measured with, and whether it holds with what is in force."""
+"""Provenance of a frame: the calibration it was measured with, and whether that is still active."""
 
 from dataclasses import dataclass
 
 from sqlalchemy.orm import Session
 
-from service.api.calibrations.activation import active, active_at
+from service.api.devices.activation import active, active_at
 from service.database.models import RegistrationRow
 
 
@@ -25,7 +25,7 @@ class Provenance:
     table: str | None
 
     def invalid_reason(self, calibration: str | None, table: str | None) -> str | None:
-        """Return why nothing can be given in the frame with these in force; None: it can.
+        """Return why the frame is invalid with this active calibration; None: it is valid.
 
         A frame that goes with a tool outlives another calibration, whose error is in the
         covariance of every pose. It does not outlive another table: what a table corrects was
@@ -57,7 +57,7 @@ class Provenance:
 
 
 def active_ids(session: Session, device_id: str) -> dict[str, str | None]:
-    """Return the members ``calibration`` and ``table`` of what is stored of a measurement."""
+    """Return the ids of the active calibration and table, as measurements store them."""
     pointer = active(session, device_id)
     return {
         "calibration": None if pointer is None else pointer.calibration_id,

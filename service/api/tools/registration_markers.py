@@ -1,4 +1,4 @@
-"""Registration by three markers: given, or measured while a running device strobes them."""
+"""Registration by three markers: given, or measured on a running device."""
 
 from typing import Final
 
@@ -17,8 +17,8 @@ from service.api.tools.marker_tap import MarkerObservation, MarkerTap
 from service.api.tools.registration_schema import NewThreeMarkers
 from service.api.tools.registrations import NewRegistrationRecord
 from service.api.tools.target_errors import target_errors
-from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.taps import collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ _TOLD_TURN_RAD: Final = float(np.radians(0.5))
 
 
 def of_markers(live: PipelineManager, request: NewThreeMarkers) -> NewRegistrationRecord:
-    """Return the frame of three markers that were given, or are looked at now.
+    """Return the frame of three markers, whose positions are given or measured now.
 
     Raises:
         CollinearPoints, DuplicatePoint, UndeterminedParameters: they make no frame.
@@ -98,7 +98,7 @@ def _given_covariances(request: NewThreeMarkers) -> Array:
 def _looked_at(
     live: PipelineManager, request: NewThreeMarkers
 ) -> tuple[list[StationaryPoint], tuple[str | None, str | None]]:
-    """Return the markers' places, and the calibration and table that they were measured with."""
+    """Return the markers' measured positions with the active calibration and table."""
     numbers = request.strobe_markers
     assert numbers is not None
     if request.measured_sigma_mm is not None or request.measured_covariance_mm2 is not None:
@@ -118,7 +118,7 @@ def _looked_at(
             "markers were measured; do it again",
             device=request.device,
         )
-    if tap.in_force is None or tap.in_force[0] is None:
+    if tap.active_ids is None or tap.active_ids[0] is None:
         raise NoActiveCalibration(
             f'device "{request.device}" has no active calibration, and so no points; activate one',
             device=request.device,
@@ -137,7 +137,7 @@ def _looked_at(
             f"must be in at least {MIN_FRAMES}{without}",
             frames=min(counts),
         )
-    return [_still(tap.observations[number]) for number in numbers], tap.in_force
+    return [_still(tap.observations[number]) for number in numbers], tap.active_ids
 
 
 def _still(observations: list[MarkerObservation]) -> StationaryPoint:

@@ -1,4 +1,4 @@
-"""Registration by paired points, from the request to what is stored."""
+"""Registration by paired points."""
 
 from typing import Any
 

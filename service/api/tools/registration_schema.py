@@ -143,7 +143,7 @@ class StoredSurfaceRequest(_SurfaceOptions):
 
 
 def _kind_of(given: Any) -> Any:
-    """Return which registration is given; without a ``kind`` it is one of paired points."""
+    """Return the kind of a registration request; the default is paired points."""
     if isinstance(given, dict):
         return given.get("kind", "paired-points")
     return getattr(given, "kind", "paired-points")

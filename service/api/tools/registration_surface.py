@@ -1,4 +1,4 @@
-"""Registration by a surface: an earlier one refined by points measured on it."""
+"""Registration by a surface (ICP): refines an earlier one by points on the surface."""
 
 import hashlib
 import time
@@ -113,7 +113,7 @@ def refine_by_surface(
 
 
 def _within(max_s: float) -> Callable[[], None]:
-    """Return what raises InvalidParameter when it is called after so long [s]."""
+    """Return a callable that raises InvalidParameter once a time limit [s] has passed."""
     end = time.monotonic() + max_s
 
     def check() -> None:
@@ -127,7 +127,7 @@ def _within(max_s: float) -> Callable[[], None]:
 
 
 def stored_request(request: NewSurface) -> dict[str, Any]:
-    """Return what is kept of a request: the surface as its size and hash."""
+    """Return the request as it is stored: the surface replaced by its size and hash."""
     given = request.surface
     arrays = _arrays(given)
     summary = {
@@ -140,7 +140,7 @@ def stored_request(request: NewSurface) -> dict[str, Any]:
 
 
 def _arrays(given: MeshInput | PointCloudInput) -> list[NDArray[Any]]:
-    """Return the numbers of a surface: places, then triangles or normals."""
+    """Return a surface's arrays: vertices, then triangles or normals."""
     if isinstance(given, MeshInput):
         return [np.array(given.vertices_mm, "<f8"), np.array(given.triangles, "<i8")]
     points = np.array(given.points_mm, "<f8")
@@ -161,8 +161,8 @@ def _warnings(found: IcpRegistration) -> list[str]:
     if found.stiffness_ratio < _LOOSE:
         told.append(
             f"the points hardly hold {found.weakest_motion}: its deviation is "
-            f"{found.stiffness_ratio**-0.5:.0f} times that of the best held motion; take points where the "
-            "surface bends another way"
+            f"{found.stiffness_ratio**-0.5:.0f} times that of the best held motion; take points "
+            "where the surface bends another way"
         )
     if found.other is not None and found.other_rms_mm is not None:
         told.append(

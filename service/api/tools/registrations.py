@@ -1,4 +1,4 @@
-"""Registrations in the database, kept as named frames."""
+"""Registrations in the database: named frames."""
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -70,7 +70,7 @@ class NewRegistrationRecord:
 
 
 def check_new(session: Session, request: NewAny, reference: str | None) -> None:
-    """Check the name of a new registration and what it is relative to.
+    """Check the name and the reference of a new registration.
 
     Raises:
         RegistrationExists: the id is taken, by a registration or by a tool.
@@ -160,7 +160,7 @@ def frame_from_measured(row: RegistrationRow) -> Transform:
 
 
 def measured_points(row: RegistrationRow) -> list[tuple[str, Position]]:
-    """Return the names and places of the points that a registration was measured at.
+    """Return the names and positions of the points of a registration.
 
     In the tracker's frame, or that of its reference tool; points on a surface have no names.
     """

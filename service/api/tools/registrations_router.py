@@ -24,8 +24,8 @@ from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
 from service.api.pagination import PagingDep, page_of
 from service.api.request_parameters import DeviceFilter
+from service.api.tools import concurrency_limits
 from service.api.tools import registrations as store
-from service.api.tools.concurrency_limits import capture_slot, surface_slot
 from service.api.tools.dependency_check import dependencies
 from service.api.tools.examples import NEW_REGISTRATIONS, REGISTRATION_IDS
 from service.api.tools.provenance import active_ids
@@ -158,7 +158,7 @@ def _of_markers(
         relied = dependencies(session, [asked.reference])
     if asked.strobe_markers is None:
         return replace(of_markers(live, asked), dependencies=relied)
-    with capture_slot():
+    with concurrency_limits.captures:
         return replace(of_markers(live, asked), dependencies=relied)
 
 
@@ -176,7 +176,7 @@ def _of_surface(
         active = active_ids(session, asked.device)
         reference, created = parent.reference_id, parent.created_at
         relied = dependencies(session, [reference], [parent])
-    with surface_slot():
+    with concurrency_limits.surfaces:
         result = refine_by_surface(asked, start)
     of = {"parent": asked.parent, "parent_created_at": created.isoformat()}
     with_these = (active["calibration"], active["table"])

@@ -1,16 +1,20 @@
-"""Stored tools as rigid bodies."""
+"""Stored tools as rigid bodies, and the check of a new one."""
+
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from compute.errors import DegenerateTool, IndistinguishableTools
 from compute.pose.rigid_body import RigidBody
 from service.api.tools.schema import Tip, ToolLimits
 from service.database.models import ToolRow
 
 
 def body_of(row: ToolRow) -> RigidBody:
-    """Return a tool as what is tracked; its name is its id."""
+    """Return a stored tool as a rigid body; its name is the tool's id."""
     return RigidBody(
         name=row.id,
         markers_mm=np.array(row.markers_mm, dtype=np.float64),
@@ -29,3 +33,21 @@ def tools_of(session: Session, device_id: str) -> tuple[RigidBody, ...]:
     """Return all tools of a device, by id."""
     rows = select(ToolRow).where(ToolRow.device_id == device_id).order_by(ToolRow.id)
     return tuple(body_of(row) for row in session.scalars(rows))
+
+
+GEOMETRY: Final = (DegenerateTool, IndistinguishableTools)
+"""What ``check_geometry`` raises."""
+
+
+def check_geometry(tool: RigidBody, others: Sequence[RigidBody]) -> None:
+    """Check a new tool.
+
+    Raises:
+        DegenerateTool: its markers do not tell its pose.
+        IndistinguishableTools: it looks like one of the others.
+    """
+    from compute.pose.acquisition.tool_geometry import check_distinguishable, check_tool
+
+    check_tool(tool)
+    for other in others:
+        check_distinguishable((other, tool))

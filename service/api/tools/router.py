@@ -18,15 +18,14 @@ from compute.errors import (
 )
 from compute.pose.rigid_body import RigidBody
 from service.api.base_models import SLUG_PATTERN, Page
-from service.api.dependencies import DatabaseDep, DeviceServiceDep, LiveDep
-from service.api.devices.device_service import DeviceService
+from service.api.dependencies import DatabaseDep, LiveDep
+from service.api.devices.device_service import DeviceService, DeviceServiceDep
 from service.api.devices.store import get_device
 from service.api.json_body import JsonRoute, JsonTypes
 from service.api.openapi import problems
 from service.api.pagination import PagingDep, page_of
 from service.api.request_parameters import DeviceFilter
-from service.api.tools import store
-from service.api.tools.concurrency_limits import capture_slot
+from service.api.tools import concurrency_limits, store
 from service.api.tools.examples import (
     CALIBRATIONS,
     CAPTURED_TOOLS,
@@ -35,8 +34,8 @@ from service.api.tools.examples import (
     SPUN_IDS,
     TOOL_IDS,
 )
-from service.api.tools.geometry_check import GEOMETRY, check_geometry
 from service.api.tools.pose_query import frame_of, newest_pose
+from service.api.tools.rigid_bodies import GEOMETRY, check_geometry
 from service.api.tools.schema import (
     NewCapturedTool,
     NewTool,
@@ -101,14 +100,14 @@ def list_tools(database: DatabaseDep, paging: PagingDep, device: DeviceFilter = 
         *GEOMETRY,
     ),
 )
-def create_tool(request: NewToolBody, operation: DeviceServiceDep, response: Response) -> Tool:
+def create_tool(request: NewToolBody, device_service: DeviceServiceDep, response: Response) -> Tool:
     """Markers must not be collinear, and the tool must not look like another one of the device.
 
     A running device tracks it from its next frames on.
     """
     strobed = None if request.strobe_markers is None else tuple(request.strobe_markers)
     body = _body(request, strobed)
-    return _add(operation, request, body, Origin(kind="given"), response)
+    return _add(device_service, request, body, Origin(kind="given"), response)
 
 
 @router.post(
@@ -137,7 +136,7 @@ def capture_tool(
     request: CapturedBody,
     database: DatabaseDep,
     live: LiveDep,
-    operation: DeviceServiceDep,
+    device_service: DeviceServiceDep,
     response: Response,
 ) -> Tool:
     """Average what a running device sees of the tool while it is held still.
@@ -149,9 +148,9 @@ def capture_tool(
     with database.read() as session:
         get_device(session, request.device)
         store.check_new(session, request, request.strobe_markers)
-    with capture_slot():
+    with concurrency_limits.captures:
         body, origin = capture_geometry(live, request)
-    return _add(operation, request, body, origin, response)
+    return _add(device_service, request, body, origin, response)
 
 
 def _body(request: NewTool, strobed: tuple[int, ...] | None) -> RigidBody:
@@ -164,13 +163,13 @@ def _body(request: NewTool, strobed: tuple[int, ...] | None) -> RigidBody:
 
 
 def _add(
-    operation: DeviceService,
+    device_service: DeviceService,
     request: NewTool | NewCapturedTool,
     body: RigidBody,
     origin: Origin,
     response: Response,
 ) -> Tool:
-    with operation.tools_change(request.device) as session:
+    with device_service.tools_change(request.device) as session:
         store.check_new(session, request, body.strobe_markers)
         check_geometry(body, store.tools_of(session, request.device))
         made = store.document(store.add_tool(session, request, body, origin))
@@ -197,10 +196,10 @@ def get_tool(tool_id: ToolPath, database: DatabaseDep) -> Tool:
     responses=problems(UnknownTool, InvalidParameter),
 )
 def change_tool(
-    tool_id: ToolPath, request: ChangeBody, database: DatabaseDep, operation: DeviceServiceDep
+    tool_id: ToolPath, request: ChangeBody, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> Tool:
     """Change what is given. Markers never change: delete the tool and create another."""
-    with operation.tools_change(_device_of(database, tool_id)) as session:
+    with device_service.tools_change(_device_of(database, tool_id)) as session:
         row = store.change_tool(session, store.get_tool(session, tool_id), request)
         return store.document(row)
 
@@ -212,9 +211,9 @@ def change_tool(
     status_code=HTTP_204_NO_CONTENT,
     responses=problems(UnknownTool, ToolInUse),
 )
-def delete_tool(tool_id: ToolPath, database: DatabaseDep, operation: DeviceServiceDep) -> None:
+def delete_tool(tool_id: ToolPath, database: DatabaseDep, device_service: DeviceServiceDep) -> None:
     """Delete a tool and its calibrations; refused while something is relative to it."""
-    with operation.tools_change(_device_of(database, tool_id)) as session:
+    with device_service.tools_change(_device_of(database, tool_id)) as session:
         store.delete_tool(session, store.get_tool(session, tool_id))
 
 
@@ -272,14 +271,14 @@ def calibrate_pivot(
     request: CalibrationBody,
     database: DatabaseDep,
     live: LiveDep,
-    operation: DeviceServiceDep,
+    device_service: DeviceServiceDep,
 ) -> ToolCalibration:
     """Hold the tip in a dimple and turn the tool about it, in all directions, until this answers.
 
     What was found is kept, and given to the tool unless `apply` is false. What does not do says
     why: too few poses, too little rotation, an error too large.
     """
-    return _calibrated(tool_id, "pivot", request, database, live, operation)
+    return _calibrated(tool_id, "pivot", request, database, live, device_service)
 
 
 @router.post(
@@ -294,10 +293,10 @@ def calibrate_spin(
     request: CalibrationBody,
     database: DatabaseDep,
     live: LiveDep,
-    operation: DeviceServiceDep,
+    device_service: DeviceServiceDep,
 ) -> ToolCalibration:
     """Turn the tool about its long axis, in a hole or between fingers, until this answers."""
-    return _calibrated(tool_id, "spin", request, database, live, operation)
+    return _calibrated(tool_id, "spin", request, database, live, device_service)
 
 
 def _calibrated(
@@ -306,16 +305,16 @@ def _calibrated(
     request: NewToolCalibration,
     database: DatabaseDep,
     live: LiveDep,
-    operation: DeviceServiceDep,
+    device_service: DeviceServiceDep,
 ) -> ToolCalibration:
     from service.api.tools.tip_calibration import calibrate_tip
 
     with database.read() as session:
         tool = store.get_tool(session, tool_id)
         device, reference, created = tool.device_id, tool.reference_id, tool.created_at
-    with capture_slot():
+    with concurrency_limits.captures:
         result = calibrate_tip(live, device, tool_id, reference, kind, request)
-    with operation.tools_change(device) as session:
+    with device_service.tools_change(device) as session:
         tool = store.get_same_tool(session, tool_id, created)
         made = store.add_calibration(session, tool, kind, request, result)
         return store.calibration_document(made)

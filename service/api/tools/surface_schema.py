@@ -1,4 +1,4 @@
-"""Surfaces of registrations, and how points lie on them, as clients send and receive them."""
+"""Surfaces in registrations and residuals of points on them, as clients send and receive them."""
 
 from typing import Annotated, Literal
 

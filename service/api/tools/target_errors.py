@@ -1,4 +1,4 @@
-"""What to expect at targets of a registration, as it is stored."""
+"""Target registration errors of a stored registration."""
 
 from collections.abc import Sequence
 from typing import Any

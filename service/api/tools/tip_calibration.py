@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from compute.errors import TooFewPoses
 from compute.pose.tool_pose import ToolPose
-from service.api.tools.pose_tap import PoseTap
+from service.api.tools.pose_taps import PoseTap
 from service.api.tools.schema import NewToolCalibration
-from service.pipeline.collect import collect
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.taps import collect
 from service.problems.errors import CalibrationSwitched
 
 Array = NDArray[np.float64]
@@ -51,12 +51,12 @@ def calibrate_tip(
             f"({seen or 'no frame came'}{f'; {tap.reason}' if tap.reason else ''})",
             poses=0,
         )
-    calibration_id, table_id = tap.in_force or (None, None)
+    calibration_id, table_id = tap.active_ids or (None, None)
     return _found(kind, chosen) | {"calibration": calibration_id, "table": table_id}
 
 
 def subsample(poses: list[ToolPose], max_poses: int) -> list[ToolPose]:
-    """Return at most so many poses, evenly from all."""
+    """Return at most ``max_poses`` poses, evenly spaced."""
     if len(poses) <= max_poses:
         return poses
     return [

@@ -1,4 +1,4 @@
-"""TipLimit: what a tool's pose is worth in a frame, by the standard deviation of its tip there."""
+"""TipLimit: status of a tool's pose by the standard deviation of its tip."""
 
 import math
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class TipLimit:
-    """What decides whether a pose is HIGH_ERROR, for those who give poses frame by frame.
+    """Limit of the tip's standard deviation above which a pose is HIGH_ERROR.
 
     The same rule as ``pose_in_frame`` has, without the poses' covariances in the other frame: some
     microseconds a tool.
@@ -34,7 +34,7 @@ class TipLimit:
     reference: str | None = None
 
     def exceeded_reason(self, pose: ToolPose, reference: ToolPose | None = None) -> str | None:
-        """Return why a pose is HIGH_ERROR in a frame, in words; None: it is not.
+        """Return why a pose is HIGH_ERROR in a frame; None: it is not.
 
         Args:
             pose: of the tool, in the tracker's frame.
@@ -45,7 +45,7 @@ class TipLimit:
 
 
 def exceeded_reason(sd_mm: float, max_sd_mm: float) -> str | None:
-    """Return that a tip's standard deviation [mm] is above its limit; None: it is not."""
+    """Return the reason when a tip's sigma [mm] exceeds its limit; else None."""
     if sd_mm <= max_sd_mm:
         return None
     return (
@@ -57,7 +57,7 @@ def exceeded_reason(sd_mm: float, max_sd_mm: float) -> str | None:
 def tip_sd_mm(
     pose: ToolPose, reference: ToolPose | None = None, tip_covariance_mm2: Array | None = None
 ) -> float | None:
-    """Return the standard deviation of a tip's place in a frame, all directions together [mm].
+    """Return the sigma of a tip's position in a frame, root of the covariance's trace [mm].
 
     Turning a place into the frame changes no lengths, so its square is the trace of the place's
     covariance by the tool's pose, and of the same place's by the reference's.

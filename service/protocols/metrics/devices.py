@@ -1,4 +1,4 @@
-"""Devices and their streams, read from the live side when Prometheus asks."""
+"""LiveCollector: metrics of devices and their streams, read when Prometheus asks."""
 
 import time
 from collections.abc import Iterator
@@ -8,23 +8,26 @@ from prometheus_client import Metric
 from prometheus_client.registry import Collector
 
 from compute.pose.tool_pose import PoseStatus
-from service.pipeline.device_session import DeviceState, DeviceStatus
-from service.pipeline.latency_histogram import BOUNDS_S
+from service.pipeline.device_session import BOUNDS_S
+from service.pipeline.device_status import DeviceState, DeviceStatus
 from service.pipeline.pipeline_manager import PipelineManager
 from service.protocols.metrics.families import Labelled, counter, gauge, histogram, single
+from service.protocols.stream.hub import Hub
 
 _STATES: Final[tuple[str, ...]] = get_args(DeviceState)
 
 
 class LiveCollector(Collector):
-    """Costs the live side nothing between two scrapes. Counters begin anew with a device's start.
+    """Reads the pipeline's counters, which begin anew with a device's start.
 
     Args:
         live: the running devices.
+        hub: their streams.
     """
 
-    def __init__(self, live: PipelineManager) -> None:
+    def __init__(self, live: PipelineManager, hub: Hub) -> None:
         self._live = live
+        self._hub = hub
 
     def collect(self) -> Iterator[Metric]:
         """Yield what there is."""
@@ -93,12 +96,11 @@ class LiveCollector(Collector):
         )
 
     def _streams(self) -> Iterator[Metric]:
-        hub = self._live.hub
-        logs = hub.logs()
+        logs = self._hub.logs()
         yield gauge(
             "stream_clients",
             "Connected streams.",
-            (((name,), hub.subscribers(name)) for name in logs),
+            (((name,), self._hub.subscribers(name)) for name in logs),
         )
         yield counter(
             "stream_messages",

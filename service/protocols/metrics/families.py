@@ -1,4 +1,4 @@
-"""Short ways to build what a collector yields."""
+"""Helpers that build metric families: gauge, counter, histogram."""
 
 from collections.abc import Iterable, Mapping
 

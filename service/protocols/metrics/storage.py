@@ -1,4 +1,4 @@
-"""The database and what it knows of runs; recordings and the room for them."""
+"""DatabaseCollector, RecordingsCollector: metrics of the database, its runs, and recordings."""
 
 import shutil
 from collections.abc import Iterator

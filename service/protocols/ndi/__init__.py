@@ -1,1 +1,1 @@
-"""An answerer for the common API of NDI's trackers: software with an NDI driver gets our poses."""
+"""Server for the common API of NDI's trackers: software with an NDI driver gets our poses."""

@@ -1,4 +1,4 @@
-"""State: what the common API keeps for one client."""
+"""ClientState: state that the common API keeps for one client."""
 
 from collections.abc import Mapping
 from enum import Enum, auto

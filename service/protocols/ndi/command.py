@@ -1,4 +1,4 @@
-"""Commands of the common API: how they come out of a stream of bytes."""
+"""CommandReader: commands of the common API, read from a stream of bytes."""
 
 import re
 from collections.abc import Iterator

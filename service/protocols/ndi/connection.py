@@ -1,4 +1,4 @@
-"""Client: one connection, from its first command until it ends."""
+"""Connection of one client, from its first command until it ends."""
 
 import asyncio
 import logging

@@ -1,4 +1,4 @@
-"""Why a command is refused: the common API's error codes, as far as they occur here."""
+"""Error codes of the common API that this server sends."""
 
 from enum import IntEnum
 

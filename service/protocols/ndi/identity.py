@@ -1,4 +1,4 @@
-"""Identity: what the answerer says of itself."""
+"""Identity: model, serial number and versions that the server reports."""
 
 from dataclasses import dataclass
 from typing import Final

@@ -1,4 +1,4 @@
-"""Runs the NDI answerer as long as the application, where settings say so."""
+"""Runs the NDI server as long as the application, where settings ask for it."""
 
 import logging
 from collections.abc import AsyncIterator
@@ -9,8 +9,8 @@ import numpy as np
 from fastapi import FastAPI
 from numpy.typing import NDArray
 
-from service.protocols.allow_list import AllowList
-from service.protocols.metrics.ndi import NdiCollector
+from service.allow_list import AllowList
+from service.protocols.ndi.metrics_collector import NdiCollector
 from service.protocols.ndi.pose_feed import PoseFeed
 from service.protocols.ndi.server import NdiOptions, NdiServer
 from service.protocols.ndi.tool_cache import ToolCache

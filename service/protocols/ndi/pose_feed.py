@@ -1,4 +1,4 @@
-"""PoseFeed: the newest poses on the board as sessions want them, and the wait for newer ones."""
+"""PoseFeed: the newest poses for sessions, and waiting for newer ones."""
 
 import asyncio
 import time

@@ -1,4 +1,4 @@
-"""View: what one client's session sees of the poses at an instant."""
+"""PoseView: the poses of one instant as one client's session gets them."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""NdiServer: the answerer on a TCP port, in the asyncio loop."""
+"""NdiServer: serves NDI clients on a TCP port, in the asyncio loop."""
 
 import asyncio
 import logging
@@ -6,7 +6,7 @@ import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from service.protocols.allow_list import AllowList
+from service.allow_list import AllowList
 from service.protocols.ndi.connection import READ_BYTES, ClientConnection
 from service.protocols.ndi.identity import Identity
 from service.protocols.ndi.pose_feed import PoseFeed

@@ -1,4 +1,4 @@
-"""ToolCache: the tools of all devices as the database has them, asked for now and then."""
+"""ToolCache: the tools of all devices, read from the database from time to time."""
 
 import asyncio
 import logging

@@ -1,4 +1,4 @@
-"""ToolReport: what a client is told of one tool, whatever the form of the reply."""
+"""ToolReport: pose and status of one tool, for text and binary replies."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""ServiceHost: what OpenIGTLink clients get of this application's tools and recordings."""
+"""ApplicationHost: tools, landmarks and recordings of this application for OpenIGTLink."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -13,21 +13,21 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
-from service.api.audit.audited_session import entry
 from service.api.recordings.recording_manager import RecordingManager
 from service.api.recordings.schema import NewRecording
 from service.api.tools.provenance import provenance
 from service.api.tools.registrations import measured_points
 from service.api.tools.rigid_bodies import body_of
 from service.api.tools.tip_limit import tip_limit_of
+from service.database.audited_session import entry
 from service.database.engine import Database
 from service.database.models import RegistrationRow, ToolRow
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.transform_names import frame_name
+from service.principal import Act, Principal, current_act
 from service.problems.errors import UnknownRecording
 from service.protocols.openigtlink.host import Caller, Landmark, WireTool
-from service.protocols.openigtlink.transform_names import frame_name
 from service.security.audit_entry import record_repeats
-from service.security.principal import Act, Principal, current_act
 from service.security.refusal_aggregation import RefusalAggregator
 
 _log = logging.getLogger(__name__)

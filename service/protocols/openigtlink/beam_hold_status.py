@@ -1,4 +1,4 @@
-"""BeamHoldStatusSender: beam holds as STATUS, told to all clients in the order in which they change."""
+"""BeamHoldStatusSender: sends changes of beam holds to all clients as STATUS, in their order."""
 
 import asyncio
 import logging
@@ -11,8 +11,8 @@ from typing import Final
 from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.pipeline.beam_hold_state import BeamHoldState
+from service.pipeline.transform_names import NAME_BYTES
 from service.protocols.openigtlink.connection import ClientConnection
-from service.protocols.openigtlink.header import NAME_BYTES
 from service.protocols.openigtlink.message import Message
 from service.protocols.openigtlink.session import Session
 from service.protocols.openigtlink.snapshot import FULL_NAME

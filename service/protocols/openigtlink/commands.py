@@ -1,4 +1,4 @@
-"""What clients may command, in the words of PLUS: versions, names, recordings, transforms."""
+"""Commands of clients as PLUS defines them: versions, names, recordings, transforms."""
 
 import logging
 import re

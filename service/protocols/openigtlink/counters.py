@@ -1,4 +1,4 @@
-"""What the server counts, for the metrics."""
+"""Counters of the OpenIGTLink server, for the metrics."""
 
 from collections import Counter
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Errors of the protocol: told to the client by STATUS or RTS_COMMAND, never a problem document."""
+"""Errors of the protocol, sent to the client as STATUS or RTS_COMMAND."""
 
 from compute.errors import LumilineError
 

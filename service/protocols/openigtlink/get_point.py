@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.pipeline.transform_names import frame_name
 from service.protocols.openigtlink.host import Landmark, WireTool
 from service.protocols.openigtlink.pose_bodies import Point
 from service.protocols.openigtlink.snapshot import Snapshot, WirePose
-from service.protocols.openigtlink.transform_names import frame_name
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ class PointReply:
     Args:
         points: that can be given.
         void: why landmarks are not given any more, each registration once.
-        bound: whether landmarks are given that hold only as long as nothing else is in force.
+        bound: whether landmarks are given that hold only as long as nothing else is active.
     """
 
     points: tuple[Point, ...]
@@ -45,7 +45,7 @@ def find_points(
         name: of a tool, its transform, ``Landmarks``, ``Markers``; empty: all.
         snapshot: the newest poses; markers of tools that are not seen have no place.
         tools: of the device.
-        landmarks: likewise; those that were measured with what is not in force are withheld.
+        landmarks: likewise; those that were measured with what is not active are withheld.
     """
     points: list[Point] = []
     by_id = {tool.id: tool for tool in tools}

@@ -1,4 +1,4 @@
-"""What a client's message is answered with."""
+"""MessageHandlers: the answer to each type of message."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -5,12 +5,12 @@ import struct
 from dataclasses import dataclass
 from typing import Final
 
+from service.pipeline.transform_names import NAME_BYTES
 from service.protocols.openigtlink.errors import BadMessage
 
 HEADER_BYTES: Final = 58
 VERSIONS: Final = (1, 2)
 """Header version 1: protocol versions 1 and 2. Header version 2: protocol version 3."""
-NAME_BYTES: Final = 20
 TYPE_BYTES: Final = 12
 
 _HEADER: Final = struct.Struct(">H12s20sIIQQ")

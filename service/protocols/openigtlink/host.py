@@ -1,4 +1,4 @@
-"""What the server needs of the application around it: its tools, landmarks and recordings."""
+"""Host: interface of the server to the application: tools, landmarks, recordings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Landmark:
         position_mm: in the coordinates of ``owner`` [mm].
         owner: the tool, or the device, that it is fixed to.
         made_with: the registration that it is of, and what that was measured with; None: it
-            holds with whatever is in force.
+            holds with whatever is active.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Runs the OpenIGTLink server as long as the application, where settings say so."""
+"""Runs the OpenIGTLink server as long as the application, where settings ask for it."""
 
 import logging
 from collections.abc import AsyncIterator
@@ -7,8 +7,8 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 
 from service.api.recordings.recording_manager import RecordingManager
-from service.protocols.metrics.openigtlink import OpenIGTLinkCollector
 from service.protocols.openigtlink.application_host import ApplicationHost
+from service.protocols.openigtlink.metrics_collector import OpenIGTLinkCollector
 from service.protocols.openigtlink.server import OpenIGTLinkServer
 from service.protocols.openigtlink.settings import server_settings
 from service.settings import Settings

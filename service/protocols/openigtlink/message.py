@@ -1,4 +1,4 @@
-"""A message: its content in its envelope, with metadata where the header's version has them."""
+"""Message: header, content and metadata (header version 2) of an OpenIGTLink message."""
 
 import struct
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from typing import Final
 from fastcrc import crc64
 
 from service.protocols.openigtlink.errors import BadMessage, WrongChecksum
-from service.protocols.openigtlink.header import HEADER_BYTES, Header, write_header
+from service.protocols.openigtlink.header import Header, write_header
 
 _EXTENDED: Final = struct.Struct(">HHII")
 _COUNT: Final = struct.Struct(">H")
@@ -92,11 +92,6 @@ def read_body(header: Header, body: bytes) -> Message:
     metadata = _read_metadata(header.type, body[end : end + head], body[end + head :])
     content = body[extended:end]
     return Message(header.type, header.device, content, header.time_ns, 2, metadata, number)
-
-
-def message_bytes(header: Header) -> int:
-    """Return the size of the whole message."""
-    return HEADER_BYTES + header.body_bytes
 
 
 def encoded(text: str) -> tuple[int, bytes]:

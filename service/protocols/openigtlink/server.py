@@ -9,9 +9,9 @@ from collections.abc import Coroutine, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from compute.errors import LumilineError
+from service.allow_list import AllowList
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.pipeline.latest_poses import LatestPoses, PoseEntry
-from service.protocols.allow_list import AllowList
 from service.protocols.openigtlink.beam_hold_status import BeamHoldStatusSender
 from service.protocols.openigtlink.connection import ClientConnection
 from service.protocols.openigtlink.counters import Counters

@@ -1,4 +1,4 @@
-"""What is known of one client: its header version, what it wants, what it has been told."""
+"""Session: state of one client: header version, subscriptions, what it was sent."""
 
 from dataclasses import dataclass, field
 from typing import Final, Literal
@@ -96,7 +96,7 @@ class Session:
         return b"".join(parts)
 
     def landmarks_sent(self, snapshot: Snapshot) -> None:
-        """Take note that the client has landmarks, with what is in force in a frame."""
+        """Take note that the client has landmarks, with what is active in a frame."""
         self._landmarks = _in_force(snapshot)
 
     def stale(self, device_id: str, age_s: float) -> bytes:
@@ -142,7 +142,7 @@ class Session:
         if self._landmarks is not None and self._landmarks != _in_force(snapshot):
             self._landmarks = None
             text = (
-                "another calibration or correction table is in force than when landmarks were "
+                "another calibration or correction table is active than when landmarks were "
                 "asked for: those do not hold any more; ask again"
             )
             found.append(self.status(StatusCode.UNKNOWN_ERROR, "INVALID", text, LANDMARKS))

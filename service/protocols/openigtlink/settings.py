@@ -1,4 +1,4 @@
-"""What an administrator may set of the OpenIGTLink server."""
+"""ServerSettings: settings of the OpenIGTLink server."""
 
 from dataclasses import dataclass
 

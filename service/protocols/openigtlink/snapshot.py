@@ -1,4 +1,4 @@
-"""All poses of one instant as clients get them: named, relative, encoded once for all clients."""
+"""Snapshot: all poses of one instant: named, relative, encoded once for all clients."""
 
 import time
 from collections.abc import Mapping
@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.pose.tool_pose import PoseStatus, ToolPose
+from service.api.tools.frame_conversion import POSE_STATUSES, status_rank
 from service.api.tools.tip_limit import TipLimit, exceeded_reason, tip_sd_mm
 from service.pipeline.latest_poses import PoseEntry
+from service.pipeline.transform_names import TRACKER, TransformName, frame_name
 from service.protocols.openigtlink.errors import BadMessage
 from service.protocols.openigtlink.message import Message, write_message
 from service.protocols.openigtlink.named_transforms import inverse_of
@@ -23,12 +25,7 @@ from service.protocols.openigtlink.pose_bodies import (
     write_tracking,
     write_transform,
 )
-from service.protocols.openigtlink.transform_names import (
-    TRACKER,
-    ToolNames,
-    TransformName,
-    frame_name,
-)
+from service.protocols.openigtlink.transform_names import ToolNames
 
 Array = NDArray[np.float64]
 
@@ -38,7 +35,6 @@ STALE_S: Final = 1.0
 """A pose that is older is not sent, and clients are told that no newer one comes."""
 _MISSED: Final = 5.0
 """Of slower devices, after so many frames that did not come."""
-_BEST_FIRST: Final = (PoseStatus.OK, PoseStatus.OUT_OF_VOLUME, PoseStatus.HIGH_ERROR)
 _NUMBERS: Final = 2**32
 FULL_NAME: Final = "IGTL_DEVICE_NAME"
 """Metadata by which PLUS tells a name that is longer than its field."""
@@ -243,7 +239,7 @@ class Snapshot:
                 found = PoseStatus.MISSING if frame is None else _not_ok(frame.status)
                 why = "is not tracked" if frame is None else frame.reason
                 return WirePose(name, found, f'reference "{name.frame}": {why}', None, tool)
-            if _rank(frame.status) > _rank(status):
+            if status_rank(frame.status) > status_rank(status):
                 status, reason = frame.status, f'reference "{name.frame}": {frame.reason}'
             translation = frame.rotation.T @ (translation - frame.translation_mm)
             rotation = frame.rotation.T @ rotation
@@ -253,7 +249,7 @@ class Snapshot:
             return WirePose(name, PoseStatus.INVALID, why, None, tool)
         limit = self._limits.get(tool.tool)
         sd_mm = tip_sd_mm(tool, frame, None if limit is None else limit.tip_covariance_mm2)
-        if limit is not None and sd_mm is not None and status in _BEST_FIRST[:-1]:
+        if limit is not None and sd_mm is not None and status in POSE_STATUSES[:-1]:
             above = exceeded_reason(sd_mm, limit.max_sd_mm)
             if above is not None:
                 status, reason = PoseStatus.HIGH_ERROR, above
@@ -279,11 +275,6 @@ class Snapshot:
     def _of_frame(self) -> dict[str, str]:
         late_ms = (time.time_ns() - self.entry.exposure_ns) / 1e6
         return {"FrameNumber": str(self.entry.sequence), "LatencyMs": f"{late_ms:.3f}"}
-
-
-def _rank(status: PoseStatus) -> int:
-    """Return how little a status is worth: of two poses it is the worse that counts."""
-    return _BEST_FIRST.index(status) if status in _BEST_FIRST else len(_BEST_FIRST)
 
 
 def _not_ok(status: PoseStatus) -> PoseStatus:

@@ -1,1 +1,1 @@
-"""Stream."""
+"""The websocket stream: hub, message log, subscriptions, wire encoding."""

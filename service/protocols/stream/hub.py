@@ -1,13 +1,16 @@
-"""The hub: one log for each device, and the clients that read it."""
+"""Hub: publishes to the streams; one message log for each device, and the clients that read it."""
 
 from collections.abc import Callable
 from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
+from hardware.driver import DeviceDescription
+from service.pipeline.beam_hold_state import BeamHoldState
+from service.pipeline.detection_stage import peak_method
 from service.pipeline.frame_batch import FrameBatch
-from service.protocols.stream.encoding import Content
-from service.protocols.stream.message_log import StreamLog
+from service.protocols.stream.encoding import Content, status_message
+from service.protocols.stream.message_log import BeamHoldMessage, StreamLog
 from service.protocols.stream.stream_batch import StreamBatch
 from service.protocols.stream.subscription import StreamRequest, Subscription
 
@@ -21,7 +24,7 @@ LAG_S = 1.0
 
 
 class Hub:
-    """Publishing appends to the device's log; nothing that a client does holds it up."""
+    """StreamPublisher of the service: appends to the device's log, and never waits for a client."""
 
     def __init__(self, kept_messages: int = KEPT_MESSAGES, lag_s: float = LAG_S) -> None:
         """Make a hub; see KEPT_MESSAGES and LAG_S."""
@@ -75,15 +78,33 @@ class Hub:
         self.log(device_id).append(message, content)
         self._tell(device_id, _wake)
 
-    def end(self, device_id: str, message: dict[str, Any]) -> None:
-        """Send all clients of a device a last message, end their streams and forget the log."""
+    def publish_status(
+        self,
+        device_id: str,
+        state: str,
+        reason: str | None = None,
+        link: str | None = None,
+        description: DeviceDescription | None = None,
+    ) -> None:
+        """Tell all clients of a device its state, with the description of one that runs."""
+        message = status_message(device_id, state, reason, link)
+        if description is not None:
+            message |= describe_message(description)
         self.publish(device_id, message)
+
+    def publish_hold(self, device_id: str, now: BeamHoldState) -> None:
+        """Tell the clients who asked for beam holds of a change of one."""
+        self.publish(device_id, BeamHoldMessage(device_id, now), "holds")
+
+    def end(self, device_id: str) -> None:
+        """Tell all clients of a device that it was deleted, end their streams, forget the log."""
+        self.publish_status(device_id, "deleted")
         self._tell(device_id, partial(_end, "the device was deleted", False))
         with self._lock:
             self._logs.pop(device_id, None)
 
     def close(self, reason: str) -> None:
-        """End all streams at once: their devices go on and would never come to an end."""
+        """End all streams at once, though their devices go on."""
         self.closed = reason
         for device_id in tuple(self._clients):
             self._tell(device_id, partial(_end, reason, True))
@@ -109,6 +130,17 @@ class Hub:
             except RuntimeError:
                 # The loop is closed: the service is ending and its clients are gone.
                 continue
+
+
+def describe_message(description: DeviceDescription) -> dict[str, Any]:
+    """Return what a client needs to know of a running device, for hello and status messages."""
+    return {
+        "sensors": [sensor.name for sensor in description.sensors],
+        "frame_rate_hz": description.frame_rate_hz,
+        "markers": description.markers,
+        "readout": description.readout,
+        "method": peak_method(description),
+    }
 
 
 def _wake_for_frames(clients: tuple[Subscription, ...]) -> None:

@@ -10,12 +10,33 @@ from itertools import islice
 from threading import Lock
 from typing import Any
 
-from service.pipeline.beam_hold_state import BeamEnableToken, BeamHoldMessage
+from service.pipeline.beam_hold_state import BeamEnableToken, BeamHoldState
 from service.protocols.stream.encoding import Content, Encoding, Payload, encode, frame_messages
-from service.protocols.stream.stream_batch import StreamBatch
+from service.protocols.stream.stream_batch import StreamBatch, hold_members
 
 Variant = tuple[frozenset[Content], Encoding]
 """What messages hold, and how they are written: clients of the same variant share the work."""
+
+
+class BeamHoldMessage(dict[str, Any]):
+    """Message about a change of a beam hold; ``sent`` is what it says at the time of sending."""
+
+    def __init__(self, device_id: str, now: BeamHoldState) -> None:
+        super().__init__(
+            {
+                "type": "hold",
+                "device": device_id,
+                **hold_members(now),
+                "exposure_ns": now.exposure_ns,
+                "sequence": now.sequence,
+            }
+        )
+        self.now = now
+
+    @property
+    def sent(self) -> dict[str, Any]:
+        """Its members; held, where the beam was held since the change."""
+        return {**self, **hold_members(self.now)}
 
 
 @dataclass(eq=False, slots=True)

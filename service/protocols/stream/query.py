@@ -1,4 +1,4 @@
-"""What a client of the stream asks for, in the query of its websocket."""
+"""Query of the websocket: parameters of a stream, parsed and checked."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 
 def parse_stream_request(query: Mapping[str, str]) -> StreamRequest:
-    """Return what a query asks for.
+    """Return the stream that a query asks for.
 
     Raises:
         InvalidParameter: it has something that is not known, or that contradicts itself.

@@ -1,4 +1,4 @@
-"""The websocket stream: points and peaks of one device, as they are made."""
+"""The websocket endpoint: results of one device's frames, as they are made."""
 
 import asyncio
 from contextlib import ExitStack
@@ -9,17 +9,18 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from starlette.datastructures import State
 
 from compute.errors import LumilineError
-from service.pipeline.beam_hold_state import hold_part
 from service.pipeline.pipeline_manager import PipelineManager
+from service.principal import Principal
 from service.problems.catalogue import problem_type_of
 from service.problems.errors import NotReady, UpgradeRequired
 from service.problems.handlers import problem_response
-from service.protocols.stream.encoding import describe_message, encode
+from service.protocols.stream.encoding import encode
+from service.protocols.stream.hub import Hub, describe_message
 from service.protocols.stream.query import parse_stream_request
+from service.protocols.stream.stream_batch import hold_members
 from service.protocols.stream.subscription import StreamEnded, StreamRequest, Subscription
 from service.security.credential import SUBPROTOCOL, subprotocols
 from service.security.guard import ACT
-from service.security.principal import Principal
 
 if TYPE_CHECKING:
     from service.security.authenticator import Authenticator
@@ -42,7 +43,7 @@ async def stream(websocket: WebSocket) -> None:
     with ExitStack() as stack:
         try:
             request = parse_stream_request(websocket.query_params)
-            await run_sync(websocket.app.state.operation.status, request.device_id)
+            await run_sync(websocket.app.state.device_service.status, request.device_id)
             stack.enter_context(websocket.app.state.open_streams.opened(principal))
         except LumilineError as error:
             path = websocket.url.path
@@ -54,9 +55,10 @@ async def stream(websocket: WebSocket) -> None:
 
 async def _serve(websocket: WebSocket, request: StreamRequest, principal: Principal) -> None:
     live: PipelineManager = websocket.app.state.live
+    hub: Hub = websocket.app.state.streams
     offered = subprotocols(websocket.headers)
     await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
-    subscription = live.hub.subscribe(request)
+    subscription = hub.subscribe(request)
     try:
         await _send(websocket, encode(_greeting(live, subscription), request.encoding))
         async with asyncio.TaskGroup() as tasks:
@@ -70,12 +72,12 @@ async def _serve(websocket: WebSocket, request: StreamRequest, principal: Princi
     except* StreamEnded as ended:
         await websocket.close(1001, str(ended.exceptions[0]))
     finally:
-        live.hub.unsubscribe(subscription)
+        hub.unsubscribe(subscription)
 
 
 @router.get("/api/v1/stream", include_in_schema=False)
 def stream_by_http() -> None:
-    """Tell a plain HTTP client what is here."""
+    """Answer a plain HTTP request: 426, this is a websocket."""
     raise UpgradeRequired(
         "this is a websocket: open it as ws://HOST:PORT/api/v1/stream?device=ID, "
         "not as http:// (docs/reference/stream.md describes its messages)"
@@ -116,7 +118,7 @@ def _holds(live: PipelineManager, request: StreamRequest) -> dict[str, Any]:
     """Return how beam holds stand, for who asked for them: frames may never come."""
     if "holds" not in request.content:
         return {}
-    return {"holds": [hold_part(now) for now in live.holds.of_device(request.device_id)]}
+    return {"holds": [hold_members(now) for now in live.holds.of_device(request.device_id)]}
 
 
 async def _forward(websocket: WebSocket, subscription: Subscription) -> None:

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from service.application.cross_origin import same_host
+from service.application.middleware import same_host
 from tests.service.fake_pipeline import FakePipeline, WebSocketDenialResponse
 
 OWN = "http://localhost"

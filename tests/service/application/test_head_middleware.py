@@ -7,7 +7,7 @@ import pytest
 from starlette.responses import PlainTextResponse
 from starlette.types import Message, Receive, Scope, Send
 
-from service.application.head_middleware import HeadMiddleware
+from service.application.middleware import HeadMiddleware
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from sqlalchemy import text
 from service.application.app import create_app
 from service.application.readiness import MIN_FREE_BYTES, STUCK_AFTER_S
 from service.pipeline.compute_thread import ComputeThread
-from service.pipeline.device_session import DeviceStatus
+from service.pipeline.device_status import DeviceStatus
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 

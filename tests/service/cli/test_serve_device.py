@@ -44,7 +44,7 @@ def test_the_optics_are_ready_before_devices_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A device of lenses is calibrated and its optics traced, as its settings say, once each."""
-    from service.api.devices import profile_device
+    from service.application import profile_device
 
     traced: list[tuple[str, str]] = []
     optics = profile_device.profile_optics

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 from sqlalchemy import make_url, text
 
-from service.database import connection_options, query_timeout
+from service.database import connection_options
 from service.database.engine import Database
 from service.database.server_lock import exclusive_lock, server_lock
 from service.problems.errors import DatabaseInUse, NotReady
@@ -32,7 +32,7 @@ def test_one_that_hangs(database_url: str, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(connection_options, "_STATEMENT_MS", 0)  # none, as of one that hangs
     served = Database(database_url, query_timeout=True)
     served.check()
-    monkeypatch.setattr(query_timeout, "ANSWER_S", 0.2)
+    monkeypatch.setattr(connection_options, "ANSWER_S", 0.2)
     for _ in range(2):
         with pytest.raises(NotReady):
             sleep(served, 3.0)

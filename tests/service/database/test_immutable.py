@@ -6,7 +6,7 @@ import pytest
 from sqlalchemy import text, update
 from sqlalchemy.exc import DBAPIError
 
-from service.database.consistency import find_inconsistencies
+from service.backup.consistency import find_inconsistencies
 from service.database.engine import Database
 from service.database.models import (
     ActivationRow,

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 from alembic import command
+from service.database.consistency import find_inconsistencies
 from sqlalchemy import text
 from sqlalchemy.orm import Session
 
@@ -22,7 +23,6 @@ from service.api.correction_tables.hdf5_file import read_table
 from service.api.correction_tables.store import add_table
 from service.api.devices.tracking_settings import Tracking
 from service.application.initial_content import nominal_calibration
-from service.database.consistency import find_inconsistencies
 from service.database.engine import Database
 from service.database.migration import alembic_config
 from service.database.models import CalibrationRow, CorrectionTableRow, DeviceRow, HoldRow

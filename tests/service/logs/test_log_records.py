@@ -12,10 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.application.app import create_app
-from service.logs.context import REFUSED, set_device_id, set_request_id
+from service.application.request_log import RequestLog
+from service.logs.context import (
+    REFUSED,
+    RequestRecord,
+    request_record,
+    set_device_id,
+    set_request_id,
+)
 from service.logs.formatter import JsonFormatter, TextFormatter
-from service.logs.request_middleware import RequestLog
-from service.logs.request_record import RequestRecord, request_record
 from service.logs.setup import configured_logging, is_server_record
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
@@ -189,7 +194,7 @@ def test_a_failure_has_a_line_and_its_id(
     def broken(*_: Any) -> None:
         raise RuntimeError("unforeseen")
 
-    monkeypatch.setattr(sqlite_client.app.state.operation, "status", broken)
+    monkeypatch.setattr(sqlite_client.app.state.device_service, "status", broken)
     answer = sqlite_client.get("/api/v1/devices/sim/status", headers={"x-request-id": "f1"})
     assert (answer.status_code, answer.headers["x-request-id"]) == (500, "f1")
     assert vars(accesses(caplog)[-1])["status"] == 500

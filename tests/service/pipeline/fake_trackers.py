@@ -12,7 +12,7 @@ from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.reconstruction.point_batch import PointBatch
 from compute.tracking.track_batch import TrackBatch, TrackState
-from service.pipeline.point_stage import CalibrationSolver
+from service.pipeline.active_calibration import PreparedCalibration
 from service.pipeline.tracker_factory import ToolTrackerProtocol
 from service.pipeline.tracking_config import TrackingConfig
 
@@ -106,13 +106,13 @@ class Making:
     made_tools: list[Tools] = field(default_factory=list)
     before: list[ToolTrackerProtocol | None] = field(default_factory=list)
 
-    def markers(self, active: CalibrationSolver, tracked: TrackingConfig) -> Markers:
+    def markers(self, active: PreparedCalibration, tracked: TrackingConfig) -> Markers:
         self.made_markers.append(Markers(self.fails_at))
         return self.made_markers[-1]
 
     def tools(
         self,
-        active: CalibrationSolver,
+        active: PreparedCalibration,
         tracked: TrackingConfig,
         tools: Sequence[RigidBody],
         before: ToolTrackerProtocol | None,

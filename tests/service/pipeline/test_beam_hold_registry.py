@@ -15,10 +15,10 @@ from compute.pose.beam_hold.beam_hold_state import BeamHoldCause, BeamHoldTiming
 from compute.pose.tool_pose import PoseStatus
 from compute.reconstruction.point_batch import PointFlag
 from compute.signal.peaks import PeakBatch
-from service.pipeline.beam_hold_registry import BeamHoldRegistry
+from service.pipeline.beam_hold_registry import BeamHoldRegistry, BeamHoldWatchdog
 from service.pipeline.beam_hold_spec import Spec
-from service.pipeline.beam_hold_state import BeamHoldState, hold_part
-from service.pipeline.beam_hold_watchdog import BeamHoldWatchdog
+from service.pipeline.beam_hold_state import BeamHoldState
+from service.protocols.stream.message_log import BeamHoldMessage
 from tests.service.api.beam_holds.batches import (
     CHEST,
     HEAD,
@@ -60,7 +60,7 @@ class Bench:
         self.clock = Clock()
         self.told: list[dict[str, Any]] = []
         self.board = BeamHoldRegistry(
-            lambda device, message: self.told.append(message | {"to": device}),
+            lambda device, now: self.told.append(BeamHoldMessage(device, now) | {"to": device}),
             self.clock.monotonic_s,
             self.clock.wall_ns,
         )
@@ -130,7 +130,7 @@ def test_each_frame_of_a_batch_has_its_own_state(bench: Bench):
     first = [(one["held"], one["sequence"]) for one in bench.told if one["hold"] == "watch"][1:]
     # The first release was over before anybody could be told of it.
     assert first == [(True, 1), (False, 2)]
-    assert [hold_part(after[0])["held"] for after in states] == [True, True, False]
+    assert [after[0].standing.held for after in states] == [True, True, False]
 
 
 def test_silence_holds_at_the_deadline_and_not_before(released: Bench):
@@ -235,7 +235,7 @@ def test_frames_that_are_passed_over_between_others_hold_nothing(released: Bench
 @pytest.mark.parametrize(
     ("world", "words"),
     [
-        ({"calibration": "other"}, 'was taken with calibration "cal", and "other" is in force'),
+        ({"calibration": "other"}, 'was taken with calibration "cal", and "other" is active'),
         ({"calibration": None}, "no active calibration"),
         ({"table": "map"}, 'without a correction table, and readings are corrected by table "map"'),
     ],
@@ -333,8 +333,9 @@ def test_what_could_not_be_taken_over_holds_until_it_is(released: Bench):
 def test_a_live_side_that_fails_holds(tmp_path: Any, monkeypatch: pytest.MonkeyPatch):
     from service.pipeline.pipeline_manager import PipelineManager
     from service.pipeline.tracking_config import TrackingConfig
+    from service.protocols.stream.hub import Hub
 
-    live = PipelineManager()
+    live = PipelineManager(Hub())
     try:
         live.set_tracking_config("sim", TrackingConfig(holds=(hold(),)))
 
@@ -568,8 +569,8 @@ def test_the_watchdog_holds_when_nobody_asks(watchdog: Any):
 
     told, silent = [], threading.Event()
 
-    def publish(_: str, message: dict[str, Any]) -> None:
-        told.append((message["held"], message["cause"]))
+    def publish(_: str, now: BeamHoldState) -> None:
+        told.append((now.standing.held, now.standing.cause.value))
         if told[-1] == (True, "no-data") and (False, "none") in told:
             silent.set()
 

@@ -134,7 +134,7 @@ def test_another_calibration_holds_until_it_is_back(client: Client, hold: str) -
         wait_for(client, held=True)
         state = client.beam_hold_state("chest")
         assert state.cause == "no-data"
-        assert f'taken with calibration "{active}", and "again" is in force' in str(state.reason)
+        assert f'taken with calibration "{active}", and "again" is active' in str(state.reason)
     finally:
         client.activate(str(active))
     wait_for(client, held=False)

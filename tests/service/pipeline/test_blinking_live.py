@@ -11,7 +11,7 @@ from hardware.blink_schedule import BlinkSchedule
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings
-from service.api.devices.blink_codes import Blinking
+from service.api.devices.tracking_settings import Blinking
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.tracking_config import TrackingConfig
 from tests.service.pipeline.test_pipeline_manager import nominal

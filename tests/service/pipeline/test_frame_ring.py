@@ -2,13 +2,14 @@
 
 import threading
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hardware.line_frame import LineFrame
-from service.pipeline.frame_ring import FrameRing
+from service.pipeline.reader_thread import FrameRing
 
 LINES = np.zeros((1, 64), np.uint16)
 
@@ -37,22 +38,23 @@ def test_behaves_as_a_bounded_queue(capacity: int, steps: list[int | None]) -> N
     assert (ring.received, ring.dropped, ring.lost) == (put, dropped, 0)
 
 
-def test_frames_that_are_put_back_come_first_as_far_as_there_is_room() -> None:
+def test_take_chosen_leaves_frames_without_an_answer_in_the_ring() -> None:
     ring = FrameRing(4, lambda: None)
-    for number in range(4):
+    assert ring.take_chosen(3, lambda *_: [True]) == ([], [])
+    for number in range(5):  # one too many
         ring.put(frame(number))
-    taken = ring.take(3)
-    ring.put(frame(4))
-    ring.put_back(taken[1:])
-    assert [one.sequence for one in ring.take(2)] == [1, 2]
-    ring.put_back([frame(1), frame(2)])
-    ring.put(frame(5))  # one too many
-    assert [one.sequence for one in ring.take(9)] == [2, 3, 4, 5]
-    assert (ring.received, ring.dropped, ring.lost) == (6, 1, 0)
-    more = [frame(number) for number in range(6, 12)]
-    ring.put_back(more)
-    assert [one.sequence for one in ring.take(9)] == [8, 9, 10, 11]
-    assert ring.dropped == 3
+    shown: list[tuple[list[int], int]] = []
+
+    def choose(frames: Sequence[LineFrame], waiting: int) -> list[str]:
+        shown.append(([one.sequence for one in frames], waiting))
+        return ["first", "second"][: len(frames)]
+
+    taken, answers = ring.take_chosen(3, choose)
+    assert ([one.sequence for one in taken], answers) == ([1, 2], ["first", "second"])
+    assert (len(ring), ring.dropped) == (2, 1)
+    assert [one.sequence for one in ring.take_chosen(3, choose)[0]] == [3, 4]
+    assert shown == [([1, 2, 3], 1), ([3, 4], 0)]
+    assert (ring.received, ring.lost, len(ring)) == (5, 0, 0)
 
 
 @given(st.lists(st.integers(1, 5), max_size=30))

@@ -87,15 +87,15 @@ def frame(sequence: int) -> LineFrame:
 
 @pytest.fixture
 def live() -> Iterator[PipelineManager]:
-    manager = PipelineManager("cpu")
-    manager.hub = Told()
+    manager = PipelineManager(Hub(), "cpu")
+    manager.streams = Told()
     yield manager
     manager.close()
 
 
 def states(live: PipelineManager) -> list[tuple[str, str | None, str | None]]:
-    assert isinstance(live.hub, Told)
-    return [(one["state"], one["reason"], one["link"]) for one in live.hub.messages]
+    assert isinstance(live.streams, Told)
+    return [(one["state"], one["reason"], one["link"]) for one in live.streams.messages]
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
@@ -169,7 +169,7 @@ def test_a_capture_ends_when_the_device_is_lost_meanwhile(live: PipelineManager)
 def test_a_device_that_is_not_there_is_waited_for(
     live: PipelineManager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.pipeline.connect.RETRY_S", (0.01,))
+    monkeypatch.setattr("service.pipeline.device_connector.RETRY_S", (0.01,))
     cable = Cable(plugged=False)
     assert live.start_device("cable", cable) is None
     status = live.status("cable")
@@ -204,7 +204,7 @@ def test_a_device_that_is_waited_for_can_be_stopped_and_started_anew(live: Pipel
 def test_a_device_that_comes_up_as_another_one_is_refused(
     live: PipelineManager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.pipeline.connect.RETRY_S", (0.01,))
+    monkeypatch.setattr("service.pipeline.device_connector.RETRY_S", (0.01,))
 
     def accept(description: DeviceDescription) -> None:
         if len(description.sensors) != 4:

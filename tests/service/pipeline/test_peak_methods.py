@@ -26,12 +26,13 @@ from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
-from service.api.devices.profile_device import nominal_calibration
+from service.application.profile_device import nominal_calibration
 from service.pipeline.detection_stage import FREE_WIDTH_FIT, DetectionStage, peak_method
 from service.pipeline.expected_scans import ExpectedScans, expected_scans
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
-from service.protocols.stream.encoding import describe_message, encode, frame_messages
+from service.protocols.stream.encoding import encode, frame_messages
+from service.protocols.stream.hub import describe_message
 from service.protocols.stream.stream_batch import StreamBatch
 from tests.service.pipeline.test_pipeline_manager import nominal
 

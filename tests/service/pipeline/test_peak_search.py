@@ -17,7 +17,7 @@ from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
-from service.api.devices.profile_device import nominal_calibration
+from service.application.profile_device import nominal_calibration
 from service.pipeline.detection_stage import DetectionStage
 from service.pipeline.expected_scans import ExpectedScans
 from service.pipeline.frame_processor import FrameProcessor

@@ -22,7 +22,8 @@ from hardware.simulated.scenes import RotatingBar, StillPoints
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import simulated_rig
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.device_session import BATCH_SECONDS, DeviceStatus
+from service.pipeline.device_session import BATCH_SECONDS
+from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.pipeline_manager import PipelineManager
@@ -69,8 +70,8 @@ def nominal(offset_mm: float = 0.0) -> Calibration:
 
 @pytest.fixture
 def live() -> Iterator[PipelineManager]:
-    manager = PipelineManager("cpu")
-    manager.hub = RecordingHub()
+    manager = PipelineManager(Hub(), "cpu")
+    manager.streams = RecordingHub()
     yield manager
     manager.close()
 
@@ -90,7 +91,7 @@ def run_to_the_end(
     live: PipelineManager, settings: SimulationSettings, calibration: Calibration | None
 ) -> list[dict[str, Any]]:
     """Run a simulation; returns its frame messages."""
-    hub = live.hub
+    hub = live.streams
     assert isinstance(hub, RecordingHub)
     identity = None if calibration is None else "c1"
     live.start_device(
@@ -137,9 +138,9 @@ def test_every_frame_becomes_a_message_with_a_point_where_the_marker_is(
 def test_the_same_frames_give_the_same_messages(live: PipelineManager) -> None:
     settings = simulation(duration_s=0.05)
     first = run_to_the_end(live, settings, nominal())
-    assert isinstance(live.hub, RecordingHub)
-    live.hub.batches.clear()
-    live.hub.messages.clear()
+    assert isinstance(live.streams, RecordingHub)
+    live.streams.batches.clear()
+    live.streams.messages.clear()
     second = run_to_the_end(live, settings, nominal())
     for message in (*first, *second):
         del message["exposure_ns"]
@@ -155,7 +156,7 @@ def test_a_replay_gives_the_same_bits(live: PipelineManager, tmp_path: Path) -> 
         for frame in driver.frames():
             writer.append(frame)
     direct = run_to_the_end(live, settings, nominal())
-    hub = live.hub
+    hub = live.streams
     assert isinstance(hub, RecordingHub)
     hub.batches.clear()
     hub.messages.clear()
@@ -219,7 +220,7 @@ def test_the_misfit_counts_once_however_markers_are_lit(live: PipelineManager) -
     scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
     found = []
     for illumination in ("strobed", "simultaneous"):
-        hub = live.hub
+        hub = live.streams
         assert isinstance(hub, RecordingHub)
         hub.batches.clear()
         hub.messages.clear()
@@ -232,7 +233,7 @@ def test_the_misfit_counts_once_however_markers_are_lit(live: PipelineManager) -
 def test_a_saturated_peak_makes_a_doubtful_point(live: PipelineManager) -> None:
     scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
     for electrons, flagged in ((1e5, False), (5e6, True)):
-        hub = live.hub
+        hub = live.streams
         assert isinstance(hub, RecordingHub)
         hub.batches.clear()
         hub.messages.clear()
@@ -263,7 +264,7 @@ def test_a_hidden_marker_is_a_point_without_position_and_with_a_reason(
 
 def test_calibrations_are_switched_between_two_frames(live: PipelineManager) -> None:
     """No frame is lost, and each message's point belongs to the calibration that it names."""
-    hub = live.hub
+    hub = live.streams
     assert isinstance(hub, RecordingHub)
     scene = StillPoints(points_mm=((0.0, 0.0, 1500.0),))
     settings = SimulationSettings(scene=scene, frame_rate_hz=500.0)
@@ -310,7 +311,7 @@ class FaultyDriver(SimulatedDriver):
 def test_a_failing_driver_is_a_state_with_a_reason(
     live: PipelineManager, error: Exception, reason: str
 ) -> None:
-    hub = live.hub
+    hub = live.streams
     assert isinstance(hub, RecordingHub)
     live.start_device("sim", FaultyDriver(error), ActiveCalibration("c1", nominal()))
     wait_for(lambda: any(message["state"] == "failed" for message in hub.messages))
@@ -395,7 +396,7 @@ def test_a_calibration_of_other_sensors_is_refused(live: PipelineManager) -> Non
 def test_a_failure_of_the_processing_ends_the_device(
     live: PipelineManager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    hub = live.hub
+    hub = live.streams
     assert isinstance(hub, RecordingHub)
     process = FrameProcessor.process
 
@@ -425,7 +426,7 @@ def test_a_device_with_slow_frames_takes_few_at_a_time(
     live: PipelineManager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Other devices wait for one batch: 64 slow frames would be seconds."""
-    hub = live.hub
+    hub = live.streams
     assert isinstance(hub, RecordingHub)
     process = FrameProcessor.process
 
@@ -457,7 +458,7 @@ def test_status_never_waits(live: PipelineManager) -> None:
 
 
 def test_a_closed_manager_starts_nothing_and_does_not_hang() -> None:
-    manager = PipelineManager("cpu")
+    manager = PipelineManager(Hub(), "cpu")
     manager.start_device("sim", SimulatedDriver("sim", SimulationSettings()))
     manager.close()
     assert not manager.ready

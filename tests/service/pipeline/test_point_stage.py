@@ -31,7 +31,7 @@ from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.measurements import PeakFlagPolicy
 from service.pipeline.point_stage import (
     MAX_SIMULTANEOUS_MARKERS,
-    CalibrationSolver,
+    PreparedCalibration,
     reconstruct_points,
 )
 from tests.compute.rig import control_points, geometry, project, rig
@@ -66,14 +66,14 @@ def flat_table(
     )
 
 
-def active_of(table: CorrectionTable | None = None) -> CalibrationSolver:
+def active_of(table: CorrectionTable | None = None) -> PreparedCalibration:
     known = calibration()
     covariance = None if table is not None else np.array(known.covariance)
     solver = PointSolver(known.models, covariance, table, "cpu")
-    return CalibrationSolver("c", known, None if table is None else "t", solver)
+    return PreparedCalibration("c", known, None if table is None else "t", solver)
 
 
-def by_reference(active: CalibrationSolver, table: CorrectionTable | None) -> CalibrationSolver:
+def by_reference(active: PreparedCalibration, table: CorrectionTable | None) -> PreparedCalibration:
     """The same, with NumPy in the kernel's place."""
     known = active.calibration
     covariance = None if table is not None else np.array(known.covariance)

@@ -17,8 +17,8 @@ from hardware.replay import ReplayDriver
 from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import StillPoints
-from service.api.devices.profile_device import nominal_calibration
 from service.application.bootstrap import prepare
+from service.application.profile_device import nominal_calibration
 from service.cli import app
 from service.cli.calibration_file import DOCUMENT
 from service.database.engine import Database

@@ -23,15 +23,13 @@ from service.application.initial_content import nominal_calibration
 from service.pipeline import device_session
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.device_session import DeviceSession
-from service.pipeline.frame_batch import FrameBatch
+from service.pipeline.frame_batch import FrameBatch, TrackingResult
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.frame_ring import FrameRing
 from service.pipeline.latest_poses import PoseEntry
 from service.pipeline.load_shedding import LoadShedding
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.reader_thread import ReaderThread
+from service.pipeline.reader_thread import FrameRing, ReaderThread
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
-from service.pipeline.tracking_result import TrackingResult
 from service.pipeline.tracking_stage import FRAME_SKIPPED
 from service.protocols.stream.hub import Hub
 
@@ -181,7 +179,7 @@ def test_a_device_that_follows_nothing_makes_no_motion():
 
 @pytest.fixture
 def live() -> Iterator[PipelineManager]:
-    manager = PipelineManager("cpu")
+    manager = PipelineManager(Hub(), "cpu")
     yield manager
     manager.close()
 

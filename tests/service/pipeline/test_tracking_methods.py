@@ -18,10 +18,9 @@ from hardware.simulated.settings import SimulationSettings
 from service.api.devices.tracking_settings import Tracking
 from service.api.exports.from_recording import table_from_recording
 from service.api.exports.table_builder import TableBuilder
-from service.pipeline.frame_batch import FrameBatch
+from service.pipeline.frame_batch import FrameBatch, TrackingResult
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.tracking_config import TrackingConfig
-from service.pipeline.tracking_result import TrackingResult
 from service.protocols.stream.encoding import encode, frame_messages
 from service.protocols.stream.stream_batch import StreamBatch
 from tests.service.api.exports.test_from_stream_and_recording import (

@@ -8,10 +8,11 @@ from compute.pose.tool_pose import PoseStatus
 from compute.reconstruction.solver import PointSolver
 from hardware.line_frame import LineFrame
 from service.application.initial_content import nominal_calibration
+from service.pipeline.active_calibration import PreparedCalibration
+from service.pipeline.frame_batch import TrackingResult
 from service.pipeline.measurements import PipelineMeasurements
-from service.pipeline.point_stage import CalibrationSolver, no_points
+from service.pipeline.point_stage import no_points
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
-from service.pipeline.tracking_result import TrackingResult
 from service.pipeline.tracking_stage import FRAME_SKIPPED, TrackingStage
 from tests.service.pipeline.fake_trackers import Making, some_tracks
 
@@ -23,10 +24,10 @@ def tool(name: str) -> RigidBody:
 
 
 @pytest.fixture(scope="module")
-def active() -> CalibrationSolver:
+def active() -> PreparedCalibration:
     calibration = nominal_calibration()
     solver = PointSolver(calibration.models, None, None, "cpu", threads=1)
-    return CalibrationSolver("nominal", calibration, None, solver)
+    return PreparedCalibration("nominal", calibration, None, solver)
 
 
 def frames(
@@ -53,7 +54,7 @@ def found(finding: TrackingStage, given: tuple[LineFrame, ...], visible: int = 2
     return finding.find(given, peaks(len(given), visible), no_points(SENSORS), nothing)
 
 
-def following(making: Making, active: CalibrationSolver | None, *names: str) -> TrackingStage:
+def following(making: Making, active: PreparedCalibration | None, *names: str) -> TrackingStage:
     finding = TrackingStage("sim", SENSORS, reads=True, make=making)
     finding.set_tracking_config(TrackingConfig(True, tuple(map(tool, names))))
     finding.set_calibration(active)
@@ -64,7 +65,7 @@ def statuses(motion: TrackingResult, frame: int) -> dict[str, tuple[PoseStatus, 
     return {pose.tool: (pose.status, pose.reason) for pose in motion.poses_of(frame)}
 
 
-def test_frames_go_to_the_trackers_one_by_one(active: CalibrationSolver):
+def test_frames_go_to_the_trackers_one_by_one(active: PreparedCalibration):
     making = Making()
     finding = following(making, active, "a", "b")
     motion = found(finding, frames(3))
@@ -82,7 +83,7 @@ def test_frames_go_to_the_trackers_one_by_one(active: CalibrationSolver):
 
 
 def test_frames_that_are_not_followed_show_nothing_and_reach_no_tracker(
-    active: CalibrationSolver,
+    active: PreparedCalibration,
 ):
     making = Making()
     finding = following(making, active, "a", "b")
@@ -100,7 +101,7 @@ def test_frames_that_are_not_followed_show_nothing_and_reach_no_tracker(
 
 
 def test_a_clock_that_goes_back_in_a_frame_that_is_not_followed_is_noticed(
-    active: CalibrationSolver,
+    active: PreparedCalibration,
 ):
     making = Making()
     finding = following(making, active, "a")
@@ -111,7 +112,7 @@ def test_a_clock_that_goes_back_in_a_frame_that_is_not_followed_is_noticed(
     assert making.made_tools[0].resets == making.made_markers[0].resets == 1
 
 
-def test_a_frame_without_tracks_is_none_of_another(active: CalibrationSolver):
+def test_a_frame_without_tracks_is_none_of_another(active: PreparedCalibration):
     motion = found(following(Making(), active), frames(2), visible=0)
     assert len(motion.tracks) == 0
     assert motion.tracks.peaks.shape == (0, SENSORS)
@@ -122,7 +123,7 @@ def test_a_frame_without_tracks_is_none_of_another(active: CalibrationSolver):
     assert joined.track_owner.tolist() == [1, 1, 3]
 
 
-def test_without_a_calibration_poses_say_so(active: CalibrationSolver):
+def test_without_a_calibration_poses_say_so(active: PreparedCalibration):
     making = Making()
     finding = following(making, None, "a")
     nothing = no_points(SENSORS), np.empty(0, np.intp)
@@ -142,7 +143,7 @@ def test_without_a_calibration_poses_say_so(active: CalibrationSolver):
 
 
 def test_a_tool_that_cannot_be_tracked_leaves_the_others_alone(
-    active: CalibrationSolver, caplog: pytest.LogCaptureFixture
+    active: PreparedCalibration, caplog: pytest.LogCaptureFixture
 ):
     finding = following(Making(), active, "a", "wrong", "z")
     for first in (0, 1):
@@ -158,7 +159,7 @@ def test_a_tool_that_cannot_be_tracked_leaves_the_others_alone(
 
 
 def test_a_tool_whose_tracking_fails_is_found_out(
-    active: CalibrationSolver, caplog: pytest.LogCaptureFixture
+    active: PreparedCalibration, caplog: pytest.LogCaptureFixture
 ):
     finding = following(Making(), active, "a", "late", "z")
     motion = found(finding, frames(8))
@@ -173,7 +174,7 @@ def test_a_tool_whose_tracking_fails_is_found_out(
 
 
 def test_a_tool_whose_tracking_failed_begins_anew_and_more_rarely_each_time(
-    active: CalibrationSolver, caplog: pytest.LogCaptureFixture
+    active: PreparedCalibration, caplog: pytest.LogCaptureFixture
 ):
     finding = following(Making(), active, "late")
     tenth_s = 100_000_000
@@ -189,7 +190,7 @@ def test_a_tool_whose_tracking_failed_begins_anew_and_more_rarely_each_time(
     assert statuses(motion, 0) == {"late": (PoseStatus.OK, None)}
 
 
-def test_other_tools_are_followed_from_the_next_batch_on(active: CalibrationSolver):
+def test_other_tools_are_followed_from_the_next_batch_on(active: PreparedCalibration):
     making = Making()
     finding = following(making, active, "a")
     found(finding, frames(1))
@@ -204,7 +205,7 @@ def test_other_tools_are_followed_from_the_next_batch_on(active: CalibrationSolv
     assert not finding.is_enabled
 
 
-def test_numbers_of_tracks_are_not_used_again(active: CalibrationSolver):
+def test_numbers_of_tracks_are_not_used_again(active: PreparedCalibration):
     making = Making(fails_at=2)
     finding = following(making, active)
     motion = found(finding, frames(4))
@@ -216,7 +217,7 @@ def test_numbers_of_tracks_are_not_used_again(active: CalibrationSolver):
 
 
 def test_tracking_of_markers_that_fails_again_and_again_ends(
-    active: CalibrationSolver, caplog: pytest.LogCaptureFixture
+    active: PreparedCalibration, caplog: pytest.LogCaptureFixture
 ):
     making = Making(fails_at=0)
     finding = following(making, active, "a")
@@ -227,7 +228,7 @@ def test_tracking_of_markers_that_fails_again_and_again_ends(
     assert statuses(motion, 9) == {"a": (PoseStatus.OK, None)}
 
 
-def test_a_clock_that_goes_back_begins_anew(active: CalibrationSolver):
+def test_a_clock_that_goes_back_begins_anew(active: PreparedCalibration):
     making = Making()
     finding = following(making, active, "a")
     found(finding, frames(2, start_ns=10**9))

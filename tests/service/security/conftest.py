@@ -10,8 +10,8 @@ from sqlalchemy import update
 from service.api.security.schema import NewApiKey
 from service.application.app import create_app
 from service.database.models import ApiKeyRow
+from service.principal import Scope
 from service.security import store
-from service.security.scopes import Scope
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 

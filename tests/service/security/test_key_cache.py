@@ -10,9 +10,9 @@ from sqlalchemy import update
 from service.api.security.schema import NewApiKey
 from service.application.app import create_app
 from service.database.models import ApiKeyRow
+from service.principal import Principal
 from service.security import store
 from service.security.key_cache import CACHE_LIFETIME_S, KeyCache
-from service.security.principal import Principal
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.security.conftest import Secured, bearer, key_id

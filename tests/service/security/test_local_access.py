@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from starlette.datastructures import Headers
 
-from service.security.local_access import is_loopback, keys_required, why_not_local
+from service.security.credential import is_loopback, keys_required, why_not_local
 from service.settings import Settings
 from tests.service.fake_pipeline import TestClient
 

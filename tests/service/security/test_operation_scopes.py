@@ -8,10 +8,10 @@ import pytest
 from fastapi import FastAPI
 
 from service.application.app import create_app
-from service.security import operation_scopes
-from service.security.guard import Guard
-from service.security.operation_scopes import OPERATION_SCOPES, check_complete
-from service.security.scopes import SCOPE_MEANINGS, SCOPES
+from service.principal import SCOPE_MEANINGS, SCOPES
+from service.security import guard
+from service.security.guard import Guard, check_complete
+from service.security.operation_scopes import OPERATION_SCOPES
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.security.conftest import Secured
@@ -61,15 +61,13 @@ def test_a_route_without_an_entry_keeps_the_server_from_starting(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     less = {name: scope for name, scope in OPERATION_SCOPES.items() if name != "stop-device"}
-    monkeypatch.setattr(operation_scopes, "OPERATION_SCOPES", less)
+    monkeypatch.setattr(guard, "OPERATION_SCOPES", less)
     with pytest.raises(ValueError, match='"stop-device" is not in'):
         create_app(Settings())
 
 
 def test_an_entry_without_a_route_does_so_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        operation_scopes, "OPERATION_SCOPES", {**OPERATION_SCOPES, "gone": "public"}
-    )
+    monkeypatch.setattr(guard, "OPERATION_SCOPES", {**OPERATION_SCOPES, "gone": "public"})
     with pytest.raises(ValueError, match='"gone", which no route has'):
         create_app(Settings())
 

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from service.application.app import create_app
+from service.principal import Act, Principal
 from service.security.guard import Guard
 from service.security.key_format import make_key
-from service.security.principal import Act, Principal
 from service.security.refusal_aggregation import RefusalAggregator
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from starlette.websockets import WebSocketDisconnect
 
+from service.principal import SCOPES
 from service.security.credential import BEARER_SUBPROTOCOL, SUBPROTOCOL
-from service.security.scopes import SCOPES
 from tests.service.fake_pipeline import WebSocketDenialResponse
 from tests.service.security.conftest import Secured
 from tests.service.security.documented_scopes import Row, documented

@@ -15,9 +15,9 @@ from sqlalchemy.engine import make_url
 from service.api.security.schema import NewApiKey
 from service.database.engine import Database
 from service.database.migration import migrate
+from service.principal import SCOPES
 from service.security import store
 from service.security.key_format import make_key
-from service.security.scopes import SCOPES
 from tests.service.conftest import postgres_schema
 
 PASSWORD = "s3cret-of-the-database"

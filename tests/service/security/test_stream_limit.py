@@ -10,9 +10,9 @@ from sqlalchemy import update
 from starlette.websockets import WebSocketDisconnect
 
 from service.database.models import ApiKeyRow
+from service.principal import LOCAL, Principal
 from service.problems.errors import NotReady, TooManyStreams
 from service.security import store
-from service.security.principal import LOCAL, Principal
 from service.security.stream_limit import StreamLimit
 from tests.service.fake_pipeline import WebSocketDenialResponse
 from tests.service.security.conftest import Secured, bearer, key_id

@@ -105,7 +105,7 @@ class StrobedStepKernel:
         self._kept: list[Any] = [step]
         for name, values in (
             ("columns", columns),
-            ("persistence", imm.states),
+            ("persistence", imm.state_mask),
             ("initial_covariance", imm.initial_covariance),
             ("renewal", imm.constant_velocity),
             ("terms", imm.noise_terms),

@@ -1,18 +1,36 @@
-"""Calibration runs: checked when posted, stored when done."""
+"""Calibration runs: control points in, a calibration out; the request is checked when posted."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sqlalchemy.orm import Session
-
+from compute.calibration.calibrate import Progress
 from compute.calibration.control_data_checks import check_observations
-from service.api.calibrations.calibration_content import Outcome, control_arrays
-from service.api.calibrations.observations import geometry
-from service.api.calibrations.sensor_check import check_sensors
-from service.api.calibrations.store import add_calibration
-from service.api.devices.store import get_device, sensors_of_row
-from service.api.runs.tasks.calibration import Request, compute
-from service.database.models import RunRow
+from compute.calibration.settings import CalibrationSettings
+from service.api.base_models import ResponseModel
+from service.api.calibrations.calibration_content import (
+    Outcome,
+    calibration_outcome,
+    control_arrays,
+    geometry,
+)
+from service.api.calibrations.schema import ControlPoint
+from service.api.devices.sensor import Sensor, check_sensors
+
+if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
+
+    from service.database.models import RunRow
+
+
+class Request(ResponseModel):
+    """What a run keeps of its request."""
+
+    points: list[ControlPoint]
+    sensors: list[Sensor]
+    settings: CalibrationSettings
+    result_id: str | None
+    capture: str | None
+    note: str
 
 
 def request_of(request: Request) -> dict[str, Any]:
@@ -26,20 +44,30 @@ def request_of(request: Request) -> dict[str, Any]:
     return request.model_dump(mode="json")
 
 
-def task(_session: Session, row: RunRow) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+def task(_session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[Any, ...]]:
     """Return what the run's process calls, with its arguments."""
     return compute, (row.device_id, Request.model_validate(row.request))
 
 
-def store(session: Session, row: RunRow, outcome: Outcome) -> str:
+def store(session: "Session", row: "RunRow", outcome: Outcome) -> str:
     """Store the calibration and return its id.
 
     Raises:
         SensorsChanged: the device has other sensors meanwhile.
         CalibrationExists: the id was taken meanwhile.
     """
+    from service.api.calibrations.store import add_calibration
+    from service.api.devices.store import get_device, sensors_of_row
+
     request = Request.model_validate(row.request)
     device = get_device(session, row.device_id, lock=True)
     check_sensors(device.id, sensors_of_row(device), outcome.result.models)
     made = add_calibration(session, row.device_id, outcome, request.note, request.result_id)
     return made.id
+
+
+def compute(report_progress: Progress, device_id: str, request: Request) -> Outcome:
+    """Calibrate; raises what ``calibration_outcome`` does."""
+    return calibration_outcome(
+        report_progress, device_id, request.points, request.sensors, request.settings
+    )

@@ -1,34 +1,76 @@
-"""Export runs: checked when posted, their file kept when done."""
+"""Export runs: a recording in, a file of another program's format out."""
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
-from sqlalchemy import select
-from sqlalchemy.orm import Session
+import numpy as np
 
 from compute.errors import InvalidParameter
+from compute.pose.rigid_body import RigidBody
+from service.api.base_models import Position, ResponseModel
 from service.api.calibrations.calibration_content import result_of
-from service.api.calibrations.store import get_calibration
-from service.api.correction_tables.store import content_of, get_table
 from service.api.devices.driver_factory import recording_path
-from service.api.devices.store import tracking_of
-from service.api.exports.repository import ExportRepository
-from service.api.exports.schema import NewExportRun
-from service.api.runs.tasks.export import Request, StoredTool, compute
-from service.api.tools.rigid_bodies import body_of
-from service.api.tools.store import get_tool
-from service.database.models import DeviceRow, RunRow, ToolRow
+from service.api.devices.tracking_settings import Tracking
+from service.api.exports.repository import ExportRepository, check_space
+from service.api.exports.schema import Format, NewExportRun
 from service.pipeline.active_calibration import ActiveCalibration
 
+if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
 
-def request_of(session: Session, device: DeviceRow, request: NewExportRun) -> dict[str, Any]:
+    from service.database.models import DeviceRow, RunRow, ToolRow
+
+MAX_FRAMES: Final = 1_000_000
+"""They are held in memory, about half a kilobyte for each point and track in each frame."""
+_WRITING: Final = 0.95
+"""Share of the progress before the file is written."""
+_TELL_FRAMES: Final = 500
+
+
+class StoredTool(ResponseModel):
+    """A tool as it was when the run was posted."""
+
+    name: str
+    markers_mm: list[Position]
+    strobe_markers: list[int] | None
+    tip_mm: Position | None
+    max_tip_sd_mm: float | None
+
+    def body(self) -> RigidBody:
+        """Return the tool as a rigid body."""
+        return RigidBody(
+            self.name,
+            np.array(self.markers_mm, dtype=np.float64),
+            None if self.strobe_markers is None else tuple(self.strobe_markers),
+            self.tip_mm,
+            self.max_tip_sd_mm,
+        )
+
+
+class Request(ResponseModel):
+    """What a run keeps of its request, with tools and tracking as they were then."""
+
+    recording: str
+    format: Format
+    result_id: str | None
+    tools: list[StoredTool]
+    tracking: Tracking
+    calibration: str | None
+    table: str | None
+    predicted: bool
+    points: bool
+
+
+def request_of(session: "Session", device: "DeviceRow", request: NewExportRun) -> dict[str, Any]:
     """Return the request as it is stored, with the device's tools and tracking as they are now.
 
     Raises:
         UnknownTool, UnknownCalibration, UnknownCorrectionTable: as they say.
         InvalidParameter: a tool is another device's, or a table of another calibration.
     """
+    from service.api.devices.store import tracking_of
+
     kept = Request(
         recording=request.recording,
         format=request.format,
@@ -45,7 +87,7 @@ def request_of(session: Session, device: DeviceRow, request: NewExportRun) -> di
 
 
 def task(
-    exports: ExportRepository, recordings: Path, session: Session, row: RunRow
+    exports: ExportRepository, recordings: Path, session: "Session", row: "RunRow"
 ) -> tuple[Callable[..., Any], tuple[Any, ...]]:
     """Return what the run's process calls, with its arguments.
 
@@ -65,7 +107,7 @@ def task(
     return compute, (request, recording, output, given, exports.free_bytes)
 
 
-def store(exports: ExportRepository, _session: Session, row: RunRow, _result: None) -> str:
+def store(exports: ExportRepository, _session: "Session", row: "RunRow", _result: None) -> str:
     """Keep the file and return its id; raises ExportExists when the id was taken meanwhile."""
     request = Request.model_validate(row.request)
     export_id = request.result_id or row.id
@@ -73,7 +115,12 @@ def store(exports: ExportRepository, _session: Session, row: RunRow, _result: No
     return export_id
 
 
-def _tools(session: Session, device_id: str, wanted: list[str] | None) -> list[ToolRow]:
+def _tools(session: "Session", device_id: str, wanted: list[str] | None) -> "list[ToolRow]":
+    from sqlalchemy import select
+
+    from service.api.tools.store import get_tool
+    from service.database.models import ToolRow
+
     if wanted is None:
         query = select(ToolRow).where(ToolRow.device_id == device_id).order_by(ToolRow.id)
         return list(session.scalars(query))
@@ -88,7 +135,9 @@ def _tools(session: Session, device_id: str, wanted: list[str] | None) -> list[T
     return found
 
 
-def _kept(row: ToolRow) -> StoredTool:
+def _kept(row: "ToolRow") -> StoredTool:
+    from service.api.tools.rigid_bodies import body_of
+
     body = body_of(row)
     return StoredTool(
         name=body.name,
@@ -99,7 +148,10 @@ def _kept(row: ToolRow) -> StoredTool:
     )
 
 
-def _check_given(session: Session, request: Request) -> None:
+def _check_given(session: "Session", request: Request) -> None:
+    from service.api.calibrations.store import get_calibration
+    from service.api.correction_tables.store import get_table
+
     if request.calibration is not None:
         get_calibration(session, request.calibration)
     if request.table is None:
@@ -116,7 +168,10 @@ def _check_given(session: Session, request: Request) -> None:
         )
 
 
-def _given(session: Session, request: Request) -> ActiveCalibration | None:
+def _given(session: "Session", request: Request) -> ActiveCalibration | None:
+    from service.api.calibrations.store import get_calibration
+    from service.api.correction_tables.store import content_of, get_table
+
     if request.calibration is None:
         return None
     calibration = get_calibration(session, request.calibration)
@@ -124,3 +179,53 @@ def _given(session: Session, request: Request) -> ActiveCalibration | None:
     if request.table is not None:
         table = content_of(get_table(session, request.table)).table
     return ActiveCalibration(calibration.id, result_of(calibration.content), request.table, table)
+
+
+def compute(
+    report_progress: Callable[[float, str], None],
+    request: Request,
+    recording: Path,
+    output: Path,
+    given: ActiveCalibration | None,
+    free_bytes: int,
+) -> None:
+    """Follow markers and tools through a recording and write the file.
+
+    Raises:
+        InvalidRecording: it cannot be read, or holds no calibration and none is given.
+        InvalidParameter: it is too long, or has nothing that the format holds.
+        MissingLibrary: the format needs a library that is not installed.
+        InsufficientStorage: the disk is full, or would be.
+    """
+    from hardware.recording.reader import RecordingReader
+    from service.api.exports.formats import write_export
+    from service.api.exports.from_recording import table_from_recording
+
+    with RecordingReader(recording) as reader:
+        frames = reader.info.frames
+        check_length(request.recording, frames)
+        told = -_TELL_FRAMES
+
+        def done(count: int) -> None:
+            nonlocal told
+            if count - told >= _TELL_FRAMES:
+                told = count
+                report_progress(_WRITING * count / max(frames, 1), f"frame {count} of {frames}")
+
+        tools = [tool.body() for tool in request.tools]
+        table = table_from_recording(reader, tools, given, done, request.tracking)
+    report_progress(_WRITING, "writes the file")
+    check_space(output.parent, free_bytes)
+    output.unlink(missing_ok=True)
+    write_export(table, output, predicted=request.predicted, points=request.points)
+    check_space(output.parent, free_bytes)
+
+
+def check_length(recording: str, frames: int) -> None:
+    """Raise InvalidParameter when a recording is longer than runs export."""
+    if frames > MAX_FRAMES:
+        raise InvalidParameter(
+            f'recording "{recording}" has {frames} frames; {MAX_FRAMES} are the most that are '
+            "exported here: `lumiline export` does it where it lies",
+            frames=frames,
+        )

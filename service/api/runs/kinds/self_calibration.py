@@ -1,22 +1,35 @@
-"""Self-calibration runs: checked when posted, stored when done."""
+"""Self-calibration runs: recordings of targets at unknown positions in, a calibration out."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from sqlalchemy.orm import Session
-
+from compute.calibration.calibrate import Progress
 from compute.calibration.result import Calibration
+from compute.camera.model import SensorModel
+from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import Outcome, calibration_content, result_of
 from service.api.calibrations.schema import ControlPointErrors
-from service.api.calibrations.sensor_check import check_sensors
-from service.api.calibrations.store import add_calibration, get_calibration
-from service.api.devices.store import get_device, sensors_of_row
-from service.api.runs.self_calibration_schema import recording_of
-from service.api.runs.tasks.self_calibration import Request, compute
-from service.database.models import CalibrationRow, RunRow
+from service.api.devices.sensor import Sensor, check_sensors
+from service.api.runs.self_calibration_schema import NewRecording, recording_of
+
+if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
+
+    from service.database.models import CalibrationRow, RunRow
 
 
-def request_of(request: Request, start: CalibrationRow) -> dict[str, Any]:
+class Request(ResponseModel):
+    """What a run keeps of its request."""
+
+    start: str
+    recordings: list[NewRecording]
+    sensors: list[Sensor]
+    datum: Literal["start", "first-pose"]
+    result_id: str | None
+    note: str
+
+
+def request_of(request: Request, start: "CalibrationRow") -> dict[str, Any]:
     """Return the request as it is stored, checked as far as that takes no time.
 
     Raises:
@@ -31,20 +44,25 @@ def request_of(request: Request, start: CalibrationRow) -> dict[str, Any]:
     return request.model_dump(mode="json")
 
 
-def task(session: Session, row: RunRow) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+def task(session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[Any, ...]]:
     """Return what the run's process calls, with its arguments."""
+    from service.api.calibrations.store import get_calibration
+
     request = Request.model_validate(row.request)
     start = get_calibration(session, request.start)
     return compute, (request, result_of(start.content).models)
 
 
-def store(session: Session, row: RunRow, result: Calibration) -> str:
+def store(session: "Session", row: "RunRow", result: Calibration) -> str:
     """Store the calibration and return its id.
 
     Raises:
         SensorsChanged: the device has other sensors meanwhile.
         CalibrationExists: the id was taken meanwhile.
     """
+    from service.api.calibrations.store import add_calibration
+    from service.api.devices.store import get_device, sensors_of_row
+
     request = Request.model_validate(row.request)
     device = get_device(session, row.device_id, lock=True)
     check_sensors(device.id, sensors_of_row(device), result.models)
@@ -52,3 +70,14 @@ def store(session: Session, row: RunRow, result: Calibration) -> str:
     errors = ControlPointErrors(fitted=None, leave_one_out=None)
     outcome = Outcome(result, content, errors.model_dump(mode="json"))
     return add_calibration(session, device.id, outcome, request.note, request.result_id).id
+
+
+def compute(
+    report_progress: Progress, request: Request, start: tuple[SensorModel, ...]
+) -> Calibration:
+    """Calibrate; raises what ``self_calibrate`` does."""
+    from compute.calibration.self_calibration.self_calibrate import self_calibrate
+
+    recordings = [recording_of(given, list(request.sensors)) for given in request.recordings]
+    found = self_calibrate(start, recordings, datum=request.datum, progress=report_progress)
+    return found.calibration

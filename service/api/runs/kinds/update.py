@@ -1,16 +1,17 @@
-"""Update runs: checked when posted; a new calibration that names its parent when done."""
+"""Update runs: readings of stationary markers in, an adjusted calibration out."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from sqlalchemy.orm import Session
 
 from compute.calibration.assessment.cross_validation import fitted_errors
+from compute.calibration.calibrate import Progress
 from compute.calibration.drift.calibration_update import check_update
 from compute.calibration.drift.stability_check import prediction_residuals
 from compute.calibration.effective_readings import count_readings
 from compute.calibration.result import Calibration
+from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import (
     Outcome,
     calibration_content,
@@ -18,15 +19,32 @@ from service.api.calibrations.calibration_content import (
     result_of,
 )
 from service.api.calibrations.schema import ControlPoint, ControlPointErrors
-from service.api.calibrations.sensor_check import check_sensors
-from service.api.calibrations.store import add_calibration, get_calibration
-from service.api.devices.store import get_device, sensors_of_row
+from service.api.devices.sensor import Sensor, check_sensors
+from service.api.drift_checks.schema import StationaryMarker
 from service.api.drift_checks.stationary_markers import still_set
-from service.api.runs.tasks.update import Request, compute
-from service.database.models import CalibrationRow, RunRow
+
+if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
+
+    from service.database.models import CalibrationRow, RunRow
 
 
-def request_of(request: Request, parent: CalibrationRow) -> dict[str, Any]:
+class Request(ResponseModel):
+    """What a run keeps of its request."""
+
+    calibration: str
+    markers: list[StationaryMarker]
+    device_sensors: list[Sensor]
+    position_sigma_mm: float
+    sensors: list[str] | None
+    allowance: dict[str, float] | None
+    result_id: str | None
+    capture: str | None
+    drift_check: str | None
+    note: str
+
+
+def request_of(request: Request, parent: "CalibrationRow") -> dict[str, Any]:
     """Return the request as it is stored, checked as far as that takes no time.
 
     Raises:
@@ -40,19 +58,24 @@ def request_of(request: Request, parent: CalibrationRow) -> dict[str, Any]:
     return request.model_dump(mode="json")
 
 
-def task(session: Session, row: RunRow) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+def task(session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[Any, ...]]:
     """Return what the run's process calls, with its arguments."""
+    from service.api.calibrations.store import get_calibration
+
     request = Request.model_validate(row.request)
     return compute, (request, result_of(get_calibration(session, request.calibration).content))
 
 
-def store(session: Session, row: RunRow, result: Calibration) -> str:
+def store(session: "Session", row: "RunRow", result: Calibration) -> str:
     """Store the calibration and return its id.
 
     Raises:
         SensorsChanged: the device has other sensors meanwhile.
         CalibrationExists: the id was taken meanwhile.
     """
+    from service.api.calibrations.store import add_calibration, get_calibration
+    from service.api.devices.store import get_device, sensors_of_row
+
     request = Request.model_validate(row.request)
     parent = get_calibration(session, request.calibration)
     device = get_device(session, row.device_id, lock=True)
@@ -83,3 +106,12 @@ def _drift_verdict(
     if not np.isfinite(differences).any():
         return points, none
     return points, ControlPointErrors(fitted=point_errors(differences, seen), leave_one_out=None)
+
+
+def compute(report_progress: Progress, request: Request, parent: Calibration) -> Calibration:
+    """Bring the parent up to date; raises what ``update_calibration`` does."""
+    from compute.calibration.drift.calibration_update import update_calibration
+
+    report_progress(0.1, "adjusting")
+    still = still_set(request.markers, request.device_sensors, parent, request.position_sigma_mm)
+    return update_calibration(parent, still, sensors=request.sensors, allowance=request.allowance)

@@ -9,12 +9,12 @@ from sqlalchemy import text
 from sqlalchemy.exc import DBAPIError
 
 from hardware.simulated.calibration_target import calibration_target_points_mm
-from service.api.audit.audited_session import kind_of
 from service.api.calibrations.examples import simulated_points
 from service.api.correction_tables.hdf5_file import write_table
 from service.api.correction_tables.table_content import MEDIA_TYPE
 from service.api.security.schema import NewApiKey
 from service.application.app import create_app
+from service.database.audited_session import kind_of
 from service.database.models import Base, DeviceRow
 from service.problems.errors import NotReady
 from service.security import store

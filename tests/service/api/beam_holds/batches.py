@@ -23,8 +23,7 @@ from service.pipeline.beam_hold_spec import (
     WatchedStrobedMarkers,
     WatchedTool,
 )
-from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.tracking_result import TrackingResult
+from service.pipeline.frame_batch import FrameBatch, TrackingResult
 
 Array = NDArray[np.float64]
 MS = 1_000_000

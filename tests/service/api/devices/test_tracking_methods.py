@@ -6,7 +6,7 @@ import pytest
 
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.thesis.settings import ThesisSettings
-from service.api.devices.blink_codes import Blinking
+from service.api.devices.tracking_settings import Blinking
 from tests.service.api.devices.test_devices import EXTERNAL
 from tests.service.fake_pipeline import FakePipeline
 

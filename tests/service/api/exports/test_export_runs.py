@@ -11,7 +11,7 @@ from service.api.exports.formats import write_export
 from service.api.exports.from_recording import table_from_recording
 from service.api.exports.repository import ExportRepository
 from service.api.runs.examples import NEW_MAPPING_RUNS
-from service.api.runs.tasks import export as task
+from service.api.runs.kinds import export as task
 from service.settings import Settings
 from tests.service.api.exports.test_from_stream_and_recording import (
     MARKERS,

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from service.api.line_scans.line_spread import MAX_VALUES, Shape
 
 from compute.errors import InvalidParameter
 from compute.signal.fit.fit_reference import fit_lines
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
+from service.api.line_scans.line_spread import MAX_VALUES, Shape
 from service.api.line_scans.methods import FitMethod
 from service.api.line_scans.noise import line_noise
 from service.api.line_scans.peak_search import find_peaks

@@ -36,7 +36,8 @@ NEEDED: dict[Any, dict[str, Any]] = {
 NARROWER = {
     "cutoff", "average", "width_log_sigma", "false_alarms_per_line", "length_px", "background",
     "separation", "mask", "smoothing", "search", "areas", "line_filter", "filter_after",
-    "repeats", "rounds", "max_peaks", "aperture", "order", "ambiguity_probability", "misfit_probability",
+    "repeats", "rounds", "max_peaks", "aperture", "order", "ambiguity_probability",
+    "misfit_probability",
 }  # fmt: skip
 
 # A part with compute's defaults; what a given width decides; what a request may cost.

@@ -2,13 +2,14 @@
 
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
-from threading import BoundedSemaphore, Event
+from threading import Event
 from typing import Any
 
 import pytest
 
 from compute.optics.profiles.profile_loader import load_profile, parse_profile, profile_names
 from compute.planning.plan import plan
+from service.api.concurrency_limit import ConcurrencyLimit
 from service.api.planning.plan_cache import ResultCache
 from service.problems.errors import Busy
 
@@ -54,7 +55,7 @@ def test_a_plan_is_drawn(sqlite_client: Any) -> None:
 
 
 def test_results_are_worked_out_once_and_the_oldest_go() -> None:
-    results = ResultCache[int](BoundedSemaphore(1), 2)
+    results = ResultCache[int](ConcurrencyLimit(1, "busy"), 2)
     calls: list[str] = []
 
     def get(key: str) -> int:
@@ -69,7 +70,7 @@ def test_results_are_worked_out_once_and_the_oldest_go() -> None:
 
 def test_no_more_at_once_than_may_be() -> None:
     """While a slot is taken, the next is refused; what is known is given all the same."""
-    results = ResultCache[str](BoundedSemaphore(1), 8)
+    results = ResultCache[str](ConcurrencyLimit(1, "busy"), 8)
     results.get("known", lambda: "known")
     begun, go_on = Event(), Event()
 
@@ -90,7 +91,7 @@ def test_no_more_at_once_than_may_be() -> None:
 
 
 def test_a_failure_gives_its_slot_back() -> None:
-    results = ResultCache[str](BoundedSemaphore(1), 8)
+    results = ResultCache[str](ConcurrencyLimit(1, "busy"), 8)
 
     def fails() -> str:
         raise ValueError("no")
@@ -104,11 +105,11 @@ def test_busy_is_answered_with_when_to_try_again(
     sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "service.api.planning.plan_cache._plans", ResultCache[Any](BoundedSemaphore(1), 8)
+        "service.api.planning.plan_cache._plans", ResultCache[Any](ConcurrencyLimit(1, "busy"), 8)
     )
     from service.api.planning import plan_cache
 
-    plan_cache._plans._slots.acquire()
+    plan_cache._plans._limit.__enter__()
     answer = sqlite_client.get(f"{PROFILES}/bar/plan")
     assert answer.status_code == 503
     assert answer.json()["type"] == "/problems/busy"

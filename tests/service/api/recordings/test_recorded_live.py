@@ -38,6 +38,7 @@ from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.pipeline_manager import MIN_RING_FRAMES, PipelineManager
 from service.problems.errors import DeviceNotRunning, RecordingExists, RecordingInProgress
+from service.protocols.stream.hub import Hub
 from tests.service.pipeline.test_pipeline_manager import nominal
 
 THREE = StillPoints(points_mm=((0.0, 0.0, 1500.0), (50.0, 60.0, 1400.0), (-80.0, 30.0, 1600.0)))
@@ -66,7 +67,7 @@ class GatedReplay(Gate, ReplayDriver):
 
 @pytest.fixture(scope="module")
 def live() -> Iterator[PipelineManager]:
-    manager = PipelineManager("cpu")
+    manager = PipelineManager(Hub(), "cpu")
     yield manager
     manager.close()
 

@@ -22,6 +22,7 @@ from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.errors import RecordingExists, RecordingInProgress
+from service.protocols.stream.hub import Hub
 from tests.service.pipeline.test_pipeline_manager import nominal, wait_for
 
 HANGS_S = 20.0
@@ -32,7 +33,7 @@ BEYOND_PIPES = bytes(2**20)
 
 @pytest.fixture(scope="module")
 def live() -> Iterator[PipelineManager]:
-    manager = PipelineManager("cpu")
+    manager = PipelineManager(Hub(), "cpu")
     for name in ("sim", "other"):
         settings = SimulationSettings(frame_rate_hz=100.0)
         manager.start_device(
@@ -222,7 +223,7 @@ def test_a_calibration_that_cannot_be_kept_fails_the_recording_only(
 ) -> None:
     recordings.start("sim", NewRecording(name="r.h5"))
     wait_for(lambda: (recordings.get("r.h5").frames or 0) > 0)
-    good = live.session("sim").in_force
+    good = live.session("sim").active_calibration
     content = {"result": float("nan")}
     live.set_calibration("sim", replace(good, calibration_content=content, calibration_hash="h"))
     wait_for(lambda: recordings.get("r.h5").state == "failed")

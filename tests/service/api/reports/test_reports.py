@@ -25,10 +25,9 @@ from service.api.reports import router
 from service.api.reports.assembly import assemble_report
 from service.api.reports.cache import ReportCache
 from service.api.reports.content import ComparedCalibration, ReportContent
-from service.api.reports.export import write_report
 from service.api.reports.figures import FIGURES, draw
-from service.api.reports.formatting import number
-from service.api.reports.page import report_page
+from service.api.reports.html import number
+from service.api.reports.page import report_page, write_report
 from service.api.reports.router import FigureName
 from service.application.initial_content import nominal_calibration
 

@@ -11,8 +11,7 @@ from compute.reconstruction.point_batch import PointBatch
 from compute.signal.peaks import PeakBatch
 from compute.tracking.track_batch import TrackBatch
 from hardware.line_frame import LineFrame
-from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.tracking_result import TrackingResult
+from service.pipeline.frame_batch import FrameBatch, TrackingResult
 
 Array = NDArray[np.float64]
 NAMES = ("vertical", "horizontal", "diagonal-rising", "diagonal-falling")

@@ -367,7 +367,7 @@ def test_no_more_wait_at_once_than_may(sqlite_client: Any, running: FakePipeline
     request = body | {"seconds": 0.05}
     with ExitStack() as others:
         for _ in range(concurrency_limits.MAX_CONCURRENT):
-            others.enter_context(concurrency_limits.capture_slot())
+            others.enter_context(concurrency_limits.captures)
         refused = sqlite_client.post(f"/api/v1/{path}", json=request)
         assert code(refused) == (503, "busy"), refused.text
         assert (
@@ -384,7 +384,7 @@ def test_no_more_wait_at_once_than_may(sqlite_client: Any, running: FakePipeline
 def test_a_server_that_stops_says_so_at_once(sqlite_client: Any, running: FakePipeline):
     """It would wait for two minutes."""
     assert made(sqlite_client, POINTER).status_code == 201
-    running.hub.close("the server is stopping")
+    running.streams.close("the server is stopping")
     path = "/api/v1/tools/pointer/pivot-calibrations"
     answer = sqlite_client.post(path, json={"seconds": 120})
     assert code(answer) == (503, "not-ready"), answer.text

@@ -225,7 +225,7 @@ def test_no_more_wait_at_once_than_may(pointer: Any, running: FakePipeline):
     running.batches = [tool_batch([resting("pointer", 700)])]
     with ExitStack() as others:
         for _ in range(concurrency_limits.MAX_CONCURRENT):
-            others.enter_context(concurrency_limits.digitise_slot())
+            others.enter_context(concurrency_limits.digitisations)
         refused = pointer.post(URL, json={})
         assert code(refused) == (503, "busy"), refused.text
         # Who measures points keeps nobody from calibrating tools.
@@ -245,6 +245,6 @@ def test_a_registration_by_a_surface_waits_its_turn(pointer: Any):
     }  # fmt: skip
     with ExitStack() as others:
         for _ in range(concurrency_limits.MAX_CONCURRENT_SURFACES):
-            others.enter_context(concurrency_limits.surface_slot())
+            others.enter_context(concurrency_limits.surfaces)
         refused = pointer.post("/api/v1/registrations", json=request)
     assert code(refused) == (503, "busy"), refused.text

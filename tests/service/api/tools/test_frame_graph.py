@@ -8,7 +8,7 @@ import pytest
 from compute.camera.rotation import rotation_matrix
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.transform import Transform
-from service.pipeline.device_session import DeviceStatus
+from service.pipeline.device_status import DeviceStatus
 from tests.service.api.tools.batches import COVARIANCE, pose
 from tests.service.api.tools.test_pose_query import AT, TURN, put, registered
 from tests.service.api.tools.test_tools_api import PATIENT, POINTER, code, made

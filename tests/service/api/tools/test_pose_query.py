@@ -11,7 +11,7 @@ from compute.camera.rotation import rotation_matrix
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.api.correction_tables import upload_process
 from service.database.models import RegistrationRow
-from service.pipeline.device_session import DeviceStatus
+from service.pipeline.device_status import DeviceStatus
 from service.pipeline.latest_poses import PoseEntry
 from tests.service.api.correction_tables.tables import content
 from tests.service.api.correction_tables.test_correction_tables import nominal_hash, send

@@ -12,13 +12,12 @@ from prometheus_client.parser import text_string_to_metric_families as plain
 
 from compute.pose.tool_pose import PoseStatus
 from hardware.link import LinkCounters, LinkState
-from service.api.recordings.write_counters import WriteCounters
+from service.api.recordings.recorder import WriteCounters
 from service.database.models import RunRow
 from service.jobs.duration_histogram import DurationHistogram
-from service.logs.request_record import RequestRecord
-from service.pipeline.device_session import DeviceStatus
-from service.pipeline.latency_histogram import BOUNDS_S, LatencyHistogram
-from service.pipeline.pose_counters import ToolCounts
+from service.logs.context import RequestRecord
+from service.pipeline.device_session import BOUNDS_S, LatencyHistogram, ToolCounts
+from service.pipeline.device_status import DeviceStatus
 from tests.service.fake_pipeline import FakePipeline
 from tests.service.test_outage import cut_off
 
@@ -72,8 +71,8 @@ def busy(live: FakePipeline, sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
             RunRow(kind="mapping", state="succeeded", started_at=begin,
                    finished_at=begin + timedelta(seconds=took_s))
         )  # fmt: skip
-    live.hub.publish("bar", {"type": "status"})
-    live.hub.log("bar").missed = 6
+    live.streams.publish("bar", {"type": "status"})
+    live.streams.log("bar").missed = 6
     sqlite_client.get("/api/v1/devices/sim")
     sqlite_client.get("/nowhere/1")
     sqlite_client.get("/nowhere/2")

@@ -12,11 +12,11 @@ from service.protocols.openigtlink.host import Landmark, WireTool
 from service.protocols.openigtlink.message import Message
 from service.protocols.openigtlink.pose_bodies import (
     StartStream,
+    read_points,
     read_position,
     read_qtdata,
     read_tdata,
     read_transform,
-    read_points,
     write_start,
 )
 from service.protocols.openigtlink.text_bodies import (

@@ -3,7 +3,6 @@
 import asyncio
 import json
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ class Served:
         self.now_ns = 0
         self.hub = Hub()
         self.board = BeamHoldRegistry(
-            partial(self.hub.publish, content="holds"),
+            self.hub.publish_hold,
             lambda: self.now_ns * 1e-9,
             lambda: WALL_NS + self.now_ns,
         )

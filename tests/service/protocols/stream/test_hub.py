@@ -299,7 +299,7 @@ def test_a_deleted_device_ends_its_streams_after_the_last_message() -> None:
         client = hub.subscribe(StreamRequest("d", POINTS, "json", bundle_s=1.0))
         hub.publish_batch(frames_of(range(2)))
         stream = hub.log("d").id
-        hub.end("d", {"type": "status", "state": "deleted"})
+        hub.end("d")
         await asyncio.sleep(0)
         kinds = [read(await client.next())["type"] for _ in range(2)]
         assert kinds == ["frames", "status"]

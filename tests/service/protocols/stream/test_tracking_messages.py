@@ -11,8 +11,7 @@ import pytest
 from compute.errors import InvalidParameter
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
-from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.tracking_result import TrackingResult
+from service.pipeline.frame_batch import FrameBatch, TrackingResult
 from service.protocols.stream.encoding import CONTENTS, Content, Encoding, encode, frame_messages
 from service.protocols.stream.message_log import StreamLog
 from service.protocols.stream.query import parse_stream_request

@@ -1,0 +1,283 @@
+"""Sections of a calibration report."""
+
+from html import escape
+from typing import Final
+
+import numpy as np
+
+from service.api.reports.content import SUSPICIOUS_SIGMA, Relation, ReportContent
+from service.api.reports.html import Cell, Draw, figure, number, plain, settings_rows, table
+
+
+def summary(content: ReportContent, _draw: Draw) -> str:
+    """Return the figures in short."""
+    calibration = content.calibration
+    facts = [
+        ("method", calibration.method),
+        ("control points", str(len(content.points_mm))),
+        ("sensors", str(len(calibration.sensors))),
+    ]
+    residuals = content.residuals_px[np.isfinite(content.residuals_px)]
+    if len(residuals):
+        facts.append(("residuals, RMS", f"{number(float(np.sqrt((residuals**2).mean())))} px"))
+    errors = [("fitted points", content.fitted_errors_mm)]
+    for check in calibration.cross_validation:
+        what = "points left out" if check.scheme == "points" else "blocks left out"
+        errors.append((what, content.left_out_mm(check)))
+    for what, differences in errors:
+        rms = _rms(differences)
+        if rms is not None:
+            over = content.count_readings(differences)
+            facts.append((f"{what}, RMS over {over} readings", f"{number(rms)} mm"))
+    deviation = np.linalg.norm(content.volume_uncertainty_mm, axis=1)
+    if np.isfinite(deviation).any():
+        facts.append(("expected deviation", f"{number(float(np.nanmedian(deviation)))} mm"))
+    items = "".join(f"<li>{escape(name)}<b>{escape(value)}</b></li>" for name, value in facts)
+    return f'<ul class="facts">{items}</ul>'
+
+
+def warnings(content: ReportContent, _draw: Draw) -> str:
+    """Return what to look at; nothing where nothing stands out."""
+    calibration = content.calibration
+    said = [
+        f"Sensor {fit.model.name}: chi square per degree of freedom is "
+        f"{number(fit.chi2_per_dof)}, so the residuals exceed the stated deviations."
+        for fit in calibration.sensors
+        if fit.chi2_per_dof is not None and fit.chi2_per_dof > 2.0
+    ]
+    if calibration.labels:
+        said.append(f"Labels look wrong ({len(calibration.labels)} findings): see below.")
+    if content.suspicious:
+        said.append(
+            f"{len(content.suspicious)} residuals exceed {SUSPICIOUS_SIGMA} deviations: see below."
+        )
+    if calibration.diagnosis is not None:
+        said += calibration.diagnosis.remarks
+    if not said:
+        return ""
+    return "".join(f'<p class="warn">{escape(text)}</p>' for text in said)
+
+
+def sensors(content: ReportContent, _draw: Draw) -> str:
+    """Return the fit by sensor."""
+    headings = ("sensor", "points", "RMS, px", "largest, px", "deviation, px", "taken from",
+                "chi²/dof", "c, px", "p0, px")  # fmt: skip
+    rows = [
+        (fit.model.name, fit.points, fit.rms_px, fit.max_px, fit.sigma_px, fit.sigma_source,
+         fit.chi2_per_dof, fit.model.principal_distance_px, fit.model.principal_point_px)
+        for fit in content.calibration.sensors
+    ]  # fmt: skip
+    return table(headings, rows)
+
+
+def _rms(errors_mm: np.ndarray) -> float | None:
+    known = errors_mm[np.isfinite(errors_mm).all(axis=1)]
+    return float(np.sqrt((known**2).sum(axis=1).mean())) if len(known) else None
+
+
+def outliers(content: ReportContent, _draw: Draw) -> str:
+    """Return wrong labels and large residuals."""
+    parts = []
+    findings = content.calibration.labels
+    if findings:
+        rows = [
+            (
+                one.kind,
+                one.sensor or "all",
+                ", ".join(_point(content, place) for place in one.points),
+                one.probability,
+                ", ".join(plain(value) for value in one.residual_px),
+                ", ".join(plain(value) for value in one.normalised_residual),
+            )
+            for one in findings
+        ]
+        headings = ("label", "sensor", "points", "probability", "off, px", "off, deviations")
+        parts.append("<p>Labels that do not fit:</p>" + table(headings, rows))
+    if content.suspicious:
+        parts.append(
+            f"<p>Residuals beyond {SUSPICIOUS_SIGMA} deviations:</p>"
+            + table(("point", "sensor", "residual, px", "deviations"), content.suspicious[:50])
+        )
+        if len(content.suspicious) > 50:
+            parts.append(f"<p>and {len(content.suspicious) - 50} more.</p>")
+    if not parts and len(content.points_mm):
+        looked = content.calibration.settings is not None and (
+            content.calibration.settings.labels != "off"
+        )
+        labels = "No label looks wrong. " if looked else "Labels were not looked at. "
+        parts.append(f"<p>{labels}No residual exceeds {SUSPICIOUS_SIGMA} deviations.</p>")
+    return "".join(parts)
+
+
+def cross_validation(content: ReportContent, draw: Draw) -> str:
+    """Return the errors of points that were left out."""
+    rows = []
+    for check in content.calibration.cross_validation:
+        if check.errors is None:
+            continue
+        scheme = "one by one" if check.scheme == "points" else "in blocks of space"
+        rows.append(
+            (f"{scheme} ({check.groups})", check.errors.points, *check.errors.mean_absolute_mm,
+             *check.errors.max_absolute_mm, *check.errors.mean_mm)
+        )  # fmt: skip
+    headings = ["left out", "points"] + [
+        f"{kind} {axis}, mm" for kind in ("mean |e|", "max |e|", "mean") for axis in "XYZ"
+    ]
+    return figure("point-errors", draw) + (table(headings, rows) if rows else "")
+
+
+def _point(content: ReportContent, place: int) -> str:
+    """Return the name of a point counted from 1."""
+    return content.names[place - 1] if 0 < place <= len(content.names) else str(place)
+
+
+def coverage(content: ReportContent, draw: Draw) -> str:
+    """Return how much of each sensor and of its field the points reach."""
+    parts = [figure("coverage", draw)]
+    diagnosis = content.calibration.diagnosis
+    if diagnosis is not None:
+        rows = [
+            (one.sensor, f"{one.pixel_share:.0%}", one.condition, *one.depth_mm,
+             one.weakest_description)
+            for one in diagnosis.sensors
+        ]  # fmt: skip
+        headings = ("sensor", "pixels used", "condition", "nearest, mm", "farthest, mm",
+                    "known worst")  # fmt: skip
+        parts.append(table(headings, rows))
+    return "".join(parts)
+
+
+def uncertainty(content: ReportContent, draw: Draw) -> str:
+    """Return sigma over the volume, and which further points would lower it."""
+    parts = [figure("uncertainty", draw)]
+    known = content.volume_uncertainty_mm
+    known = known[np.isfinite(known).all(axis=1)]
+    if len(known):
+        rows: list[tuple[Cell, ...]] = [
+            (axis, *(float(value) for value in np.quantile(known[:, place], (0.5, 0.95, 1.0))))
+            for place, axis in enumerate("XYZ")
+        ]
+        parts.append(table(("deviation", "median, mm", "95 %, mm", "largest, mm"), rows))
+    diagnosis = content.calibration.diagnosis
+    if diagnosis is not None and diagnosis.suggestions:
+        rows_of: list[tuple[Cell, ...]] = [
+            (", ".join(number(value) for value in one.position_mm), one.mean_sigma_mm,
+             one.max_sigma_mm)
+            for one in diagnosis.suggestions
+        ]  # fmt: skip
+        parts.append(
+            "<p>Further control points that would help most, each as if it were the only one; of "
+            f"the calibration alone the deviation is {escape(plain(diagnosis.mean_sigma_mm))} mm "
+            f"(RMS) and {escape(plain(diagnosis.max_sigma_mm))} mm (largest) now:</p>"
+            + table(("at X, Y, Z, mm", "RMS with it, mm", "largest with it, mm"), rows_of)
+        )
+    return "".join(parts)
+
+
+def distortion(content: ReportContent, _draw: Draw) -> str:
+    """Return how the terms were chosen."""
+    chosen = content.calibration.distortion
+    if chosen is None:
+        return ""
+    parts = [f"<p>Chosen: <b>{escape(chosen.chosen)}</b>. {escape(chosen.reason)}</p>"]
+    if chosen.candidates:
+        rows = [
+            (one.name, one.parameters, one.left_out_rms_px, one.loss, one.loss_excess,
+             one.loss_excess_error, one.note)
+            for one in chosen.candidates
+        ]  # fmt: skip
+        headings = ("set", "parameters a sensor", "left out RMS, px", "loss", "above the best",
+                    "its error", "")  # fmt: skip
+        parts.append(table(headings, rows))
+    for sensor, reason in chosen.reduced_terms:
+        parts.append(f'<p class="warn">{escape(sensor)}: {escape(reason)}</p>')
+    return "".join(parts)
+
+
+def parameters(content: ReportContent, _draw: Draw) -> str:
+    """Return all parameters with their standard deviations."""
+    diagonal = np.diag(np.array(content.calibration.covariance)).tolist()
+    rows: list[tuple[Cell, ...]] = []
+    place = 0
+    for model in content.calibration.models:
+        values = parameter_values(model)
+        for name in model.parameter_names:
+            rows.append(
+                (model.name, name, values.get(name), float(np.sqrt(max(diagonal[place], 0))))
+            )
+            place += 1
+    note = "<p>Rotations are given as the deviation of a small turn in the sensor's frame.</p>"
+    return note + table(("sensor", "parameter", "value", "deviation"), rows)
+
+
+def provenance(content: ReportContent, _draw: Draw) -> str:
+    """Return the calibration's settings and provenance."""
+    rows = [*content.provenance.items(), *settings_rows(content.calibration)]
+    return table(("", ""), rows, words=True)
+
+
+def parameter_values(model: object) -> dict[str, float]:
+    """Return the values of a camera's parameters that have one, by name."""
+    names = ("principal_distance_px", "principal_point_px", "offset_x_mm", "offset_z_mm")
+    found = {name: float(getattr(model, name)) for name in names}
+    distortion = getattr(model, "distortion", None)
+    if distortion is not None:
+        found["offset_y_mm"] = distortion.offset_y_mm
+        for (i, j), value in zip(distortion.terms, distortion.coefficients, strict=True):
+            found[f"u{i}v{j}"] = value
+    return found
+
+
+_RELATIONS: Final[dict[Relation, str]] = {
+    "before": "which was active before this one",
+    "active": "which is active now",
+    "chosen": "as asked for",
+}
+_TITLES: Final[dict[Relation, str]] = {
+    "before": "the calibration before",
+    "active": "the active calibration",
+    "chosen": "another calibration",
+}
+
+
+def comparison_title(content: ReportContent) -> str:
+    """Return the section's title, which says with what."""
+    if content.compared is None:
+        return "Compared"
+    return f"Compared with {_TITLES[content.compared.relation]}"
+
+
+def comparison(content: ReportContent, draw: Draw) -> str:
+    """Return the differences from another calibration."""
+    if content.compared is None:
+        return ""
+    name, found = content.compared.name, content.compared.comparison
+    which = f"<b>{escape(name)}</b>, {_RELATIONS[content.compared.relation]}"
+    parts = [f"<p>The other is {which}. Differences are the other less this.</p>"]
+    if found.positions is not None:
+        where = found.positions
+        parts.append(
+            table(
+                ("positions over the box", "mm"),
+                (
+                    ("mean X", where.mean_mm[0]),
+                    ("mean Y", where.mean_mm[1]),
+                    ("mean Z", where.mean_mm[2]),
+                    ("RMS distance", where.rms_mm),
+                    ("largest distance", where.max_mm),
+                    ("RMS after the best turn and shift", where.aligned_rms_mm),
+                ),
+            )
+        )
+    names = {"one": "this", "other": "the other", "neither": "neither clearly"}
+    rows = [
+        (names[row.of], row.points, row.one_rms_mm, row.other_rms_mm,
+         "yes" if row.left_out else "no", names[row.better])
+        for row in found.observations
+    ]  # fmt: skip
+    if rows:
+        headings = ("on the points of", "points", "this, RMS mm", "the other, RMS mm",
+                    "own points left out", "better")  # fmt: skip
+        parts.append(table(headings, rows))
+    parts.append(figure("comparison", draw))
+    return "".join(parts)

@@ -1,1 +1,0 @@
-"""What runs compute in their processes, with what they keep of requests: no database, no HTTP."""

@@ -1,0 +1,1 @@
+"""Backup and restore of a database, and the check that what it holds agrees."""

@@ -1,0 +1,63 @@
+"""Copies all rows between two databases of either kind."""
+
+from collections.abc import Callable
+from typing import Final
+
+from sqlalchemy import Connection, Table, func, insert, select, text
+
+from service.database.models import Base, CorrectionTableRow
+
+_BATCH: Final = 200
+
+Told = Callable[[str, int], None]
+
+
+def copy_rows(source: Connection, target: Connection, told: Told | None = None) -> dict[str, int]:
+    """Copy every table into the empty ones of ``target``; return how many rows each has.
+
+    Both are of the newest revision. ``told`` hears of each table that is done.
+    """
+    counts = {}
+    for table in Base.metadata.sorted_tables:
+        counts[table.name] = _copy_table(source, target, table)
+        if told is not None:
+            told(table.name, counts[table.name])
+    if target.dialect.name == "postgresql":
+        _reset_sequences(target)
+    return counts
+
+
+def count_rows(connection: Connection) -> dict[str, int]:
+    """Return how many rows each table has."""
+    return {
+        table.name: connection.scalar(select(func.count()).select_from(table)) or 0
+        for table in Base.metadata.sorted_tables
+    }
+
+
+def _copy_table(source: Connection, target: Connection, table: Table) -> int:
+    # A row of these may have 64 MB.
+    batch = 1 if table.name == CorrectionTableRow.__tablename__ else _BATCH
+    query = select(table).order_by(*table.primary_key.columns)
+    copied = 0
+    found = source.execution_options(stream_results=True).execute(query)
+    for rows in found.mappings().partitions(batch):
+        target.execute(insert(table), [dict(row) for row in rows])
+        copied += len(rows)
+    return copied
+
+
+def _reset_sequences(target: Connection) -> None:
+    """Let PostgreSQL number new rows after those that came with their numbers."""
+    for table in Base.metadata.sorted_tables:
+        for column in table.primary_key.columns:
+            name = target.scalar(
+                text("SELECT pg_get_serial_sequence(:table, :column)"),
+                {"table": table.name, "column": column.name},
+            )
+            if name is not None:
+                last = target.scalar(select(func.max(column)))
+                target.execute(
+                    text("SELECT setval(:name, :next, false)"),
+                    {"name": name, "next": (last or 0) + 1},
+                )

@@ -1,0 +1,1 @@
+"""docs/architecture.md agrees with what runs."""

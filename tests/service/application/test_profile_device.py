@@ -1,0 +1,304 @@
+"""Devices simulated from profiles over REST, and the one that the settings name."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter, LumilineError
+from compute.optics.profiles.profile_loader import load_profile, parse_profile, profile_names
+from compute.optics.profiles.profile_optics import profile_optics
+from compute.planning.cramer_rao import centroids
+from service.api.calibrations import store as calibrations
+from service.api.calibrations.calibration_content import result_of
+from service.application.app import create_app
+from service.application.bootstrap import prepare
+from service.application.profile_device import device_id, nominal_calibration
+from service.database.engine import Database
+from service.settings import Settings
+from tests.service.fake_pipeline import FakePipeline, TestClient
+from tests.service.renamed_profiles import LENS, WINDOW, renamed_profile
+
+DEVICES = "/api/v1/devices"
+PROFILES = "/api/v1/device-profiles"
+
+
+def body(profile: str, identity: str = "made", **settings: Any) -> dict[str, Any]:
+    source = {"kind": "profile", "profile": profile, "settings": settings}
+    return {"id": identity, "title": "Made", "source": source}
+
+
+def keep(settings: Settings, name: str, text: str) -> Path:
+    settings.folders.profiles.mkdir(parents=True, exist_ok=True)
+    path = settings.folders.profiles / f"{name}.toml"
+    path.write_text(text, "utf-8")
+    return path
+
+
+# Sources of kind "profile"
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_every_built_in_profile_makes_a_device(sqlite_client: Any, name: str) -> None:
+    made = sqlite_client.post(DEVICES, json=body(name))
+    assert made.status_code == 201, made.text
+    profile = load_profile(name)
+    assert [one["name"] for one in made.json()["sensors"]] == [one.name for one in profile.sensors]
+    assert {one["pixels"] for one in made.json()["sensors"]} == {profile.pixels.count}
+    assert made.json()["active_calibration_id"] is None
+
+
+def test_a_profile_device_is_created_changed_and_started(client: Any, live: FakePipeline) -> None:
+    scene = {"kind": "still-points", "points_mm": [[0, 0, 3000]]}
+    made = client.post(DEVICES, json=body(WINDOW, scene=scene, frame_rate_hz=20))
+    assert made.status_code == 201, made.text
+    assert made.json()["source"]["settings"]["scene"] == scene
+    faster = body(WINDOW, frame_rate_hz=40)["source"]
+    changed = client.patch(f"{DEVICES}/made", json={"source": faster}).json()
+    assert changed["source"]["settings"]["frame_rate_hz"] == 40
+    assert client.get(f"{DEVICES}/made").json() == changed
+    assert client.post(f"{DEVICES}/made/start").json()["status"]["state"] == "running"
+    assert live.calls[-1][:3] == ("start", "made", None)
+
+
+def test_ones_own_profile_in_the_data_directory(sqlite_client: Any, sqlite_settings: Settings):
+    own = renamed_profile("my.window")
+    keep(sqlite_settings, "my.window", own)
+    assert sqlite_client.post(DEVICES, json=body("my.window")).status_code == 201
+    listed = [one["name"] for one in sqlite_client.get(PROFILES).json()]
+    assert listed == sorted([*profile_names(), "my.window"])
+    read = sqlite_client.get(f"{PROFILES}/my.window")
+    assert (read.status_code, read.json()["toml"]) == (200, own)
+    plan = sqlite_client.get(f"{PROFILES}/my.window/plan")
+    assert (plan.status_code, plan.json()["profile"]) == (200, "my.window")
+
+
+def test_a_plan_is_of_the_file_as_it_is_now(sqlite_client: Any, sqlite_settings: Settings) -> None:
+    text = renamed_profile("mine")
+    keep(sqlite_settings, "mine", text)
+    before = sqlite_client.get(f"{PROFILES}/mine/plan").json()
+    keep(sqlite_settings, "mine", text.replace('"200 mW/sr"', '"20 mW/sr"'))
+    after = sqlite_client.get(f"{PROFILES}/mine/plan").json()
+    assert after["noise"]["centre"][2] > 1.5 * before["noise"]["centre"][2]
+
+
+def test_what_is_no_profile_is_not_listed_and_says_why(
+    sqlite_client: Any, sqlite_settings: Settings, caplog: pytest.LogCaptureFixture
+) -> None:
+    keep(sqlite_settings, "broken", renamed_profile("broken").replace('"14 um"', "14"))
+    keep(sqlite_settings, "other-name", renamed_profile("name"))
+    keep(sqlite_settings, "bar", renamed_profile("bar"))  # the built-in one wins
+    keep(sqlite_settings, "No Slug", renamed_profile("no-slug"))
+    (sqlite_settings.folders.profiles / "latin.toml").write_bytes(b'name = "caf\xe9"')
+    found = sqlite_client.get(PROFILES).json()
+    assert [one["name"] for one in found] == list(profile_names())
+    assert [one["sensor_count"] for one in found if one["name"] == "bar"] == [4]
+    logged = caplog.text
+    for name, part in (
+        ("broken", "pixels.pitch"), ("other-name", '"name"'), ("latin", "cannot be read"),
+    ):  # fmt: skip
+        assert part in logged
+        for refused in (
+            sqlite_client.get(f"{PROFILES}/{name}"),
+            sqlite_client.get(f"{PROFILES}/{name}/plan"),
+            sqlite_client.get(f"{PROFILES}/{name}/plan.png"),
+            sqlite_client.post(DEVICES, json=body(name)),
+        ):
+            assert (refused.status_code, refused.json()["type"]) == (
+                422, "/problems/invalid-parameter",
+            )  # fmt: skip
+            assert part in refused.json()["detail"]
+
+
+def test_a_profile_that_is_gone_fails_at_the_start(
+    sqlite_client: Any, sqlite_settings: Settings
+) -> None:
+    path = keep(sqlite_settings, "mine", renamed_profile("mine"))
+    assert sqlite_client.post(DEVICES, json=body("mine")).status_code == 201
+    path.unlink()
+    refused = sqlite_client.post(f"{DEVICES}/made/start")
+    assert (refused.status_code, refused.json()["type"]) == (
+        404, "/problems/unknown-device-profile",
+    )  # fmt: skip
+
+
+# The device that the settings name
+
+
+@pytest.fixture
+def database(settings: Settings) -> Iterator[Database]:
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    found = Database(settings.effective_database_url)
+    yield found
+    found.close()
+
+
+def named(settings: Settings, device: str | Path) -> Settings:
+    return settings.model_copy(update={"device": str(device)})
+
+
+@pytest.fixture
+def window(tmp_path: Path) -> Path:
+    """A file with a profile of one's own, "window-1", outside of the data directory."""
+    path = tmp_path / "anything.toml"
+    path.write_text(renamed_profile("window-1"), "utf-8")
+    return path
+
+
+def test_the_device_is_calibrated_stored_and_started(
+    settings: Settings, database: Database, live: FakePipeline
+) -> None:
+    settings = named(settings, LENS)
+    assert prepare(settings, database) == ("thesis-5-9",)
+    with TestClient(create_app(settings, live)) as client:
+        device = client.get(f"{DEVICES}/thesis-5-9").json()
+        assert device["source"]["profile"] == LENS
+        assert device["autostart"] is False
+        assert device["active_calibration_id"] == "thesis-5-9-nominal"
+        document = client.get("/api/v1/calibrations/thesis-5-9-nominal").json()
+        assert document["provenance"] == "nominal"
+        assert "nothing was measured" in document["note"]
+        started = {call[1]: call[2] for call in live.calls if call[0] == "start"}
+        assert started == {"sim": "sim-nominal", "thesis-5-9": "thesis-5-9-nominal"}
+
+        # A user's own settings and calibrations are kept by the next start.
+        slower = body(LENS, frame_rate_hz=10)["source"]
+        client.patch(f"{DEVICES}/thesis-5-9", json={"source": slower})
+        before = client.get(f"{DEVICES}/thesis-5-9").json()
+    again = FakePipeline()
+    with TestClient(create_app(settings, again)) as client:
+        assert client.get(f"{DEVICES}/thesis-5-9").json() == before
+        assert client.get("/api/v1/calibrations").json()["total"] == 2
+    assert ("start", "thesis-5-9", "thesis-5-9-nominal") in [call[:3] for call in again.calls]
+
+
+def test_the_calibration_is_of_the_traced_optics() -> None:
+    """It projects points that it never saw to within what it says of the lenses' distortion."""
+    profile = load_profile(LENS)
+    found = nominal_calibration(profile)
+    share = np.random.default_rng(1).uniform(-0.5, 0.5, (40, 3))
+    points = profile.volume.centre_mm + share * profile.volume.size_mm
+    solid_angles = profile_optics(profile, "exact").solid_angles(points)
+    readings = centroids(solid_angles, profile.pixels.count)[0]
+    error = CameraStack.of(found.models).project(points) - readings
+    rms = np.sqrt((error**2).mean(axis=0))
+    stated = np.array([fit.rms_px for fit in found.sensors])
+    assert (rms < 1.5 * stated).all()
+    assert (stated < 1.0).all()
+
+
+def test_a_file_is_taken_into_the_data_directory_once(
+    settings: Settings, database: Database, window: Path
+) -> None:
+    settings = named(settings, window)
+    assert prepare(settings, database) == ("window-1",)
+    kept = settings.folders.profiles / "window-1.toml"
+    assert kept.read_bytes() == window.read_bytes()
+    assert list(kept.parent.iterdir()) == [kept]
+    assert prepare(settings, database) == ("window-1",)
+    # From then on by its name, wherever the file was.
+    window.unlink()
+    assert prepare(named(settings, "window-1"), database) == ("window-1",)
+
+
+GRAY = "mitchelson-1971"
+
+
+def test_a_device_that_is_not_read_is_not_calibrated(
+    settings: Settings, database: Database
+) -> None:
+    assert prepare(named(settings, GRAY), database) == (GRAY,)
+    assert prepare(named(settings, WINDOW), database) == (WINDOW,)
+    with database.read() as session:
+        assert calibrations.active_id(session, GRAY) is None
+        assert calibrations.active_id(session, WINDOW) == f"{WINDOW}-nominal"
+        assert result_of(calibrations.get_calibration(session, "sim-nominal").content)
+
+
+def refusal(settings: Settings, device: str | Path, database: Database) -> str:
+    before = stored(settings, database)
+    with pytest.raises(InvalidParameter) as caught:
+        prepare(named(settings, device), database)
+    assert stored(settings, database) == before
+    return caught.value.detail
+
+
+def stored(settings: Settings, database: Database) -> tuple[list[str], list[str]]:
+    prepare(settings, database)
+    with TestClient(create_app(settings, FakePipeline())) as client:
+        devices = [one["id"] for one in client.get(DEVICES).json()["items"]]
+    return devices, sorted(str(path) for path in settings.folders.profiles.glob("*"))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("bar", "built-in"),
+        ("Window 1", "lower case"),
+        ("-window", "lower case"),
+        ("", "not empty"),
+        ("../window", "lower case"),
+        ("w" * 56, "1 to 55"),
+        ("sim", "simulated"),
+        ("thesis-5-9", "there already"),
+    ],
+)
+def test_a_name_that_cannot_be_the_devices(
+    sqlite_settings: Settings, tmp_path: Path, name: str, words: str
+) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text(renamed_profile(name), "utf-8")
+    database = Database(sqlite_settings.effective_database_url)
+    try:
+        if name == "thesis-5-9":  # the id that the profile thesis-5.9 takes
+            with TestClient(create_app(sqlite_settings, FakePipeline())) as client:
+                client.post(DEVICES, json=body(LENS, name)).raise_for_status()
+        detail = refusal(sqlite_settings, own, database)
+    finally:
+        database.close()
+    assert words in detail
+    assert repr(name)[1:-1] in detail
+
+
+def test_another_profile_of_the_same_name(
+    settings: Settings, database: Database, window: Path
+) -> None:
+    prepare(named(settings, window), database)
+    window.write_text(renamed_profile("window-1").replace('"14 um"', '"13 um"'), "utf-8")
+    kept = settings.folders.profiles / "window-1.toml"
+    assert str(kept) in refusal(settings, window, database)
+    # Nor does it become the device's when the one it was made from is taken away.
+    kept.unlink()
+    assert "is gone" in refusal(settings, window, database)
+
+
+def test_what_the_service_cannot_make_a_device_of(
+    sqlite_settings: Settings, tmp_path: Path
+) -> None:
+    database = Database(sqlite_settings.effective_database_url)
+    lens = renamed_profile("mine", LENS)
+    try:
+        for change, words in (
+            (('"10.59 um"', "10.59"), "pixels.pitch"),
+            (('pitch = "10.59 um"', 'pitch = "10.59 um"\npich = 1'), "pixels.pich"),
+            (('"camera-1"', f'"{"c" * 65}"'), "sensor 1"),
+            (('title = "The', 'title = "\\u0000The'), "title"),
+            (('"1133 mm"]', '"-1133 mm"]'), "volume"),
+        ):
+            own = tmp_path / "own.toml"
+            assert change[0] in lens
+            own.write_text(lens.replace(*change), "utf-8")
+            assert words in refusal(sqlite_settings, own, database), change
+        assert "nothing.toml" in refusal(sqlite_settings, tmp_path / "nothing.toml", database)
+    finally:
+        database.close()
+
+
+def test_the_ids_of_built_in_profiles_devices_differ() -> None:
+    ids = [device_id(name) for name in profile_names()]
+    assert len(set(ids)) == len(ids)
+    with pytest.raises(LumilineError):
+        parse_profile("", "nothing")

@@ -44,6 +44,7 @@ lint: $(STAMP)
 
 # -E: links between pages are checked in pages that have not changed, too.
 docs: $(STAMP)
+	$(BIN)/python docs/generators/architecture.py
 	$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs build/docs
 	@echo "build/docs/index.html"
 

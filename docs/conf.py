@@ -7,6 +7,9 @@ before each build, into docs/reference/generated (ignored by git).
 import sys
 from pathlib import Path
 
+from pygments.lexers.special import TextLexer
+from sphinx.application import Sphinx
+
 ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
@@ -40,5 +43,11 @@ html_title = f"Lumiline {version}"
 html_static_path: list[str] = []
 # Nothing is loaded from another host: the site can be read without a network.
 html_theme_options = {"top_of_page_buttons": []}
+
+
+def setup(app: Sphinx) -> None:
+    """Show diagrams (Mermaid) as their source: drawing them needs a script from the network."""
+    app.add_lexer("mermaid", TextLexer)
+
 
 write_reference(Path(__file__).parent / "reference" / "generated")

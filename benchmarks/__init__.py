@@ -1,1 +1,1 @@
-"""Speed beside the peers that a user would pick instead."""
+"""Benchmarks beside the libraries that a user would pick instead."""

@@ -1,4 +1,4 @@
-"""The load benchmark's peer: a websocket that sends back what it gets, and does nothing else."""
+"""Baseline of the load benchmark: a websocket that echoes."""
 
 import asyncio
 import socket

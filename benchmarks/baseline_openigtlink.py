@@ -1,4 +1,4 @@
-"""The OpenIGTLink benchmark's peer: a socket that only sends, as many messages as large."""
+"""Baseline of the OpenIGTLink benchmark: a socket that sends messages of the same size."""
 
 import contextlib
 import socket

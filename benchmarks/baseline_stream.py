@@ -1,4 +1,4 @@
-"""The live benchmark's peer: a websocket that only sends, at the same rate, messages as large."""
+"""Baseline of the live benchmark: a websocket that sends messages of the same size and rate."""
 
 import asyncio
 import socket

@@ -1,4 +1,4 @@
-"""The navigation benchmark's peer: sends transforms when they are due, and does nothing else."""
+"""Baseline of the navigation benchmark: sends transforms on schedule."""
 
 import asyncio
 import socket

@@ -1,4 +1,4 @@
-"""Beam holds as a client gets them: how late the signal is, what was missed, what was false."""
+"""Benchmark of beam holds at a client: latency, missed and false signals."""
 
 import threading
 import time

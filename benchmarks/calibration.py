@@ -1,4 +1,4 @@
-"""Calibration beside SciPy and pyceres: ``python -m benchmarks.calibration [--json]``.
+"""Benchmark of calibration, beside SciPy and pyceres: ``python -m benchmarks.calibration``.
 
 19 control points and four sensors, readings with 1 px of noise, three jobs, each by all:
 
@@ -41,16 +41,16 @@ from benchmarks.calibration_peers import (
 )
 from benchmarks.triangulation import rig
 from compute.calibration.calibrate import calibrate
+from compute.calibration.single_sensor.camera_fit import minimise
 from compute.calibration.single_sensor.design_matrix import equation_groups
-from compute.calibration.single_sensor.levenberg_marquardt import minimise
-from compute.calibration.thesis_methods.eleven_parameter_bundle import (
+from compute.camera.dlt import collinearity_parameters_of, model_from_collinearity
+from compute.camera.model import SensorGeometry, SensorModel
+from compute.camera.stack import CameraStack
+from validation.thesis_methods.eleven_parameter_bundle import (
     StepGrid,
     from_array,
     to_array,
 )
-from compute.camera.dlt import collinearity_parameters_of, model_from_collinearity
-from compute.camera.model import SensorGeometry, SensorModel
-from compute.camera.stack import CameraStack
 
 Array = NDArray[np.float64]
 Row = dict[str, str | int | float | None]

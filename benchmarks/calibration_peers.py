@@ -1,4 +1,4 @@
-"""SciPy and pyceres on the eleven coefficients of the thesis: calibration's benchmark."""
+"""Peers of the calibration benchmark: SciPy and pyceres on the eleven coefficients."""
 
 from dataclasses import dataclass
 from importlib import import_module
@@ -8,14 +8,52 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from compute.calibration.single_sensor.normalised_dlt import dlt_matrix
-from compute.calibration.thesis_methods.eleven_parameter_bundle import project_eleven_parameters
+from compute.calibration.single_sensor.projective_camera import normalisation
+from compute.errors import DegeneratePoints
+from validation.thesis_methods.eleven_parameter_bundle import project_eleven_parameters
 
 Array = NDArray[np.float64]
 
 RANK: Final = 7
 """Of the eleven coefficients; the other four are gauge."""
 MAX_EVALUATIONS: Final = 2000
+
+
+RANK_LIMIT: Final = 1e-9
+"""Smallest seventh singular value of the design, relative to the first."""
+
+
+def dlt_matrix(points_mm: Array, readings_px: Array, sensor: str) -> Array:
+    """Solve ``p (m2.X~) = m1.X~`` for the 2x4 matrix in the algebraic least-squares sense.
+
+    Equation [5.5] of the thesis without fixing the constant of the denominator to 1, with
+    normalised points and readings, by singular values.
+
+    Args:
+        points_mm: control points that the sensor saw, shape (N, 3), N >= 7.
+        readings_px: its readings, shape (N,) [px].
+        sensor: the sensor's name, for the error.
+
+    Raises:
+        DegeneratePoints: the design's rank is below 7: more than one camera fits.
+    """
+    transform = normalisation(points_mm)
+    homogeneous = np.column_stack([points_mm, np.ones(len(points_mm))]) @ transform.T
+    middle = float(readings_px.mean())
+    scale = float(readings_px.std()) or 1.0
+    q = (readings_px - middle) / scale
+    design = np.hstack([homogeneous, -q[:, None] * homogeneous])
+    _, singular, right = np.linalg.svd(design, full_matrices=True)
+    if singular[6] < RANK_LIMIT * singular[0]:
+        raise DegeneratePoints(
+            f"the control points and readings of sensor {sensor} determine only "
+            f"{int((singular > RANK_LIMIT * singular[0]).sum())} of 7 parameters; spread the "
+            "points in all three directions and across the sensor",
+            sensor=sensor,
+        )
+    first, second = right[-1, :4], right[-1, 4:]
+    matrix: Array = np.array([scale * first + middle * second, second]) @ transform
+    return matrix
 
 
 @dataclass(frozen=True, eq=False)

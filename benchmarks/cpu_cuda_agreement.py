@@ -1,4 +1,4 @@
-"""Whether CPU and CUDA find the same peaks in a million lines of random content.
+"""Agreement of the peaks by CPU and CUDA in a million random scans.
 
 ``python -m benchmarks.cpu_cuda_agreement --write FILE`` works them out on the CPU;
 ``--compare FILE --device cuda:0``, there or on another machine, says how far its own are from

@@ -1,4 +1,4 @@
-"""What a CUDA device can do: float64 operations a second, and bytes; loads Warp."""
+"""Float64 throughput and memory bandwidth of a CUDA device."""
 
 import time
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What a registration by a surface takes: `python -m benchmarks.icp`.
+"""Benchmark of surface registration: ``python -m benchmarks.icp``.
 
 Thread CPU time, of 500 points on a head-like mesh of 20 000 triangles, with and without other
 starts; of reading the request, as the service does; and the request's size.

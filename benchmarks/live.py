@@ -1,4 +1,4 @@
-"""The live pipeline as a client sees it: frames, losses and latency of one device's stream."""
+"""Benchmark of the live pipeline at a client: frames, losses, latency."""
 
 import argparse
 import json

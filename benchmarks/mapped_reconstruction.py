@@ -1,4 +1,4 @@
-"""Readings to points through a correction table: ``python -m benchmarks.mapped_reconstruction [--device D]``.
+"""Benchmark of triangulation with a correction table: ``-m benchmarks.mapped_reconstruction``.
 
 Four sensors, a table of 20 x 20 x 20 cells of degree 3 and of degree 1, 1e3 to 1e6 points: from
 readings in memory to positions, covariances and flags in memory, in float64. Beside it, in the

@@ -1,4 +1,4 @@
-"""Peers of the reconstruction through a correction table: arrays (NumPy or CuPy), and numba."""
+"""Peers of triangulation with a correction table: NumPy or CuPy arrays, and numba."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Poses as navigation software gets them: transforms over OpenIGTLink, how late and how steady."""
+"""Benchmark of poses over OpenIGTLink at a client: latency and jitter."""
 
 import socket
 import struct

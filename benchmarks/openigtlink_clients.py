@@ -1,4 +1,4 @@
-"""What pyigtl receives of an OpenIGTLink server while another client stalls and leaves.
+"""What pyigtl receives from an OpenIGTLink server while another client stalls.
 
 Run in a process of its own: ``python -m benchmarks.openigtlink_clients PORT``. It ends when its
 standard input does, and prints its figures as JSON.

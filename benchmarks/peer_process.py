@@ -1,4 +1,4 @@
-"""A peer's websocket in a process of its own, on a port that is open before it begins."""
+"""A peer in a process of its own."""
 
 import socket
 import subprocess

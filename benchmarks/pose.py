@@ -1,4 +1,4 @@
-"""Poses of tools beside SciPy: ``python -m benchmarks.pose [--json]``.
+"""Benchmark of tool poses, beside SciPy: ``python -m benchmarks.pose [--json]``.
 
 Ten tools of four markers before four sensors, as a tracking server has them each frame:
 
@@ -11,7 +11,8 @@ Ten tools of four markers before four sensors, as a tracking server has them eac
   pose most of the time.
 * step: a frame of all ten tools through ``ToolTracker.step``, their markers lit together or one by
   one: prediction, association, update, covariance, status. One by one also with a single mode of
-  motion instead of all (``compute.pose.filtering.imm_state``), turn by turn of the strobe in alternation.
+  motion instead of all (``compute.pose.filtering.imm_state``), turn by turn of the strobe in
+  alternation.
 
 Methods take turns, and the least time of each counts: what else a machine does only adds to it.
 """
@@ -32,8 +33,9 @@ from scipy.spatial.transform import Rotation
 from benchmarks.triangulation import rig
 from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.pose.estimation.pose_fit import fit_pose
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ImmSettings, MotionMode, ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose
@@ -232,9 +234,11 @@ def track(
                 poses[index] = tracker.step(
                     round(1e9 * number / rate),
                     number,
-                    frame.peaks_px,
-                    np.full(frame.peaks_px.shape, SIGMA_PX),
-                    np.zeros(frame.peaks_px.shape, dtype=np.int32),
+                    Measurements.of(
+                        frame.peaks_px,
+                        np.full(frame.peaks_px.shape, SIGMA_PX),
+                        np.zeros(frame.peaks_px.shape, dtype=np.int32),
+                    ),
                     frame.marker,
                     points,
                 )

@@ -1,4 +1,4 @@
-"""Exact rays beside optiland: ``python -m benchmarks.ray_tracing [--device D] [--peer] [--json]``.
+"""Benchmark of ray tracing, beside optiland: ``python -m benchmarks.ray_tracing``.
 
 Through the plano-convex cylinder of thesis section 3.4, lens to sensor, both polarisations'
 transmittances and the optical path included (optiland gives the path, and no transmittances).

@@ -1,4 +1,4 @@
-"""A stack of ours as surfaces of optiland, to trace the same rays with it; needs optiland."""
+"""Peer of the ray tracing benchmark: the same surfaces in optiland."""
 
 from collections.abc import Callable
 from importlib import import_module

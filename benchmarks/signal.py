@@ -1,4 +1,4 @@
-"""Lines to peaks beside what a user would write: ``python -m benchmarks.signal [--device D]``.
+"""Benchmark of peak finding, beside plain array code: ``python -m benchmarks.signal``.
 
 Three tables: *throughput* (raw counts in memory to peaks), *latency* (one frame of 4 x 2048
 pixels from the host's memory to peaks in the host's memory) and, on the CPU, what the positions

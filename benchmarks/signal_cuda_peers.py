@@ -1,4 +1,4 @@
-"""Peers on CUDA: one peak a line with CuPy's arrays, its ReductionKernel and torch.compile."""
+"""Peers of the peak benchmark on CUDA: CuPy arrays, ReductionKernel, torch.compile."""
 
 from collections.abc import Callable
 from typing import Any

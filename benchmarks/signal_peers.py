@@ -1,4 +1,4 @@
-"""Peers on the CPU: what a user would write with NumPy, SciPy or numba for one peak a line."""
+"""Peers of the peak benchmark on the CPU: NumPy, SciPy, numba."""
 
 from collections.abc import Callable
 from typing import Any

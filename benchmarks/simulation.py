@@ -1,4 +1,4 @@
-"""Simulated frames per second: ``python -m benchmarks.simulation [--seconds S] [--json]``.
+"""Benchmark of simulated frames per second: ``python -m benchmarks.simulation``.
 
 Frames of four sensors of 2048 pixels (the profile ``bar``) with four markers lit at once, in
 batches of eight, on one core: optics from tables, light on the pixels, and the detector's noise,

@@ -1,4 +1,4 @@
-"""Many clients of one stream at once, some of them stalled: what each kind receives, and when.
+"""Many clients of one stream, some of them stalled: what each kind receives, and when.
 
 Run in a process of its own: ``python -m benchmarks.stream_clients URL --seconds 60``.
 """

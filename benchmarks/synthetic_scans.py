@@ -1,4 +1,4 @@
-"""Lines to measure with: one peak or eight, over ambient light with noise."""
+"""Simulated scans for benchmarks: one peak or eight, over ambient light with noise."""
 
 import numpy as np
 from numpy.typing import NDArray

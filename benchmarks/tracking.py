@@ -1,4 +1,4 @@
-"""Many markers followed on readings: ``python -m benchmarks.tracking [--json]``.
+"""Benchmark of tracking many markers: ``python -m benchmarks.tracking [--json]``.
 
 2 to 20 markers, all lit at once, that cross in pairs within 1 to 5 mm, seen 100 times a second by 4
 and 8 sensors with 0.05 px noise; 5 % of the peaks are missing, 5 % are false, and peaks nearer than
@@ -37,6 +37,7 @@ from benchmarks.tracking_scene import (
     scene_of,
     starts_at,
 )
+from compute.measurement.measurements import Measurements
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.track_batch import TrackState
 from compute.tracking.tracker import Tracker
@@ -93,7 +94,7 @@ def ours(scene: Scene, motion: Motion, *, given: bool) -> list[Tracked]:
                 time_ns, starts.position_mm, starts.velocity_mm_s, START_COVARIANCE
             )
         begin = time.thread_time()
-        batch = tracker.step(time_ns, peaks, sigma, flags, None)
+        batch = tracker.step(time_ns, Measurements.of(peaks, sigma, flags), None)
         seconds = time.thread_time() - begin
         good = batch.state != TrackState.TENTATIVE
         found.append(

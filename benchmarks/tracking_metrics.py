@@ -1,4 +1,4 @@
-"""Scores of trackers: GOSPA by Stone Soup's own code, changes of identity, honesty, time."""
+"""Tracking metrics: GOSPA (by Stone Soup), identity switches, consistency, time."""
 
 import statistics
 from dataclasses import dataclass

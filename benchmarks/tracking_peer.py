@@ -1,4 +1,4 @@
-"""The peer of the tracker: Stone Soup's JPDA on the same readings, sensor after sensor.
+"""Peer of the tracking benchmark: Stone Soup JPDA on the same readings.
 
 A competent user's Stone Soup: an extended Kalman filter of constant acceleration, one measurement
 model for each sensor with its exact slope, its fastest exact JPDA (EHM2), and the marginals reduced

@@ -1,4 +1,4 @@
-"""A scene for trackers: markers that cross one another smoothly, as line sensors see them."""
+"""Scene of the tracking benchmark: markers that cross smoothly before line sensors."""
 
 from dataclasses import dataclass
 from math import cos, pi, sin

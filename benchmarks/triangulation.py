@@ -1,4 +1,4 @@
-"""Reconstruction beside SciPy: ``python -m benchmarks.triangulation [--json]``.
+"""Benchmark of triangulation, beside SciPy: ``python -m benchmarks.triangulation``.
 
 Points seen by four sensors with noise, once with unequal deviations: what a weighted fit of all
 points at once costs and gains beside the linear solution and beside ``scipy.optimize`` point by

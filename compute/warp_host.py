@@ -1,4 +1,4 @@
-"""What every owner of a Warp kernel needs on the host: device, arrays' memory, CPU threads."""
+"""Host side of the Warp kernels: device, memory of arrays, CPU threads."""
 
 import os
 from concurrent.futures import ThreadPoolExecutor

@@ -1,1 +1,1 @@
-"""Published tables and tests as cases: the reference figures and ours, side by side."""
+"""Published tables and tests, reproduced: printed figures beside those of this software."""

@@ -1,4 +1,4 @@
-"""All cases by their names on the command line."""
+"""Registry of the cases by their names on the command line."""
 
 from dataclasses import replace
 from importlib import import_module

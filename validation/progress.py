@@ -1,4 +1,4 @@
-"""How far a case is, for whoever runs it and wants to know."""
+"""Progress of a running case."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""The thesis's own figures of merit for its Tests 5.1 to 5.8, as printed."""
+"""Errors of Tests 5.1 to 5.8 as the thesis prints them."""
 
 from compute.calibration.result import AxisErrors
 

@@ -1,4 +1,4 @@
-"""Cases whose result is tables of any kind: published figures and ours in neighbouring columns."""
+"""Cases whose result is tables: published figures and ours in neighbouring columns."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

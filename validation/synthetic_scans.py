@@ -1,4 +1,4 @@
-"""Lines to measure estimators of positions with: exposed, quantised, at every place in a pixel."""
+"""Simulated scans of one peak at every phase within a pixel."""
 
 from dataclasses import dataclass
 from functools import cache

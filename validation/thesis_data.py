@@ -1,4 +1,4 @@
-"""The thesis's measured and simulated tables, read from the CSV files beside this module."""
+"""The thesis's measured and simulated tables, read from CSV files."""
 
 import csv
 from dataclasses import dataclass

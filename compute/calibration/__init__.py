@@ -1,1 +1,1 @@
-"""From observations of control points to camera models with covariance."""
+"""Calibration: camera models with covariance from control points or moved targets."""

@@ -1,4 +1,4 @@
-"""What a calibration run says of its result beside the parameters: choices and advice."""
+"""Assessment documents of a calibration: distortion selection and diagnosis."""
 
 from dataclasses import dataclass
 
@@ -8,17 +8,17 @@ from compute.camera.model import Vector3
 
 @dataclass(frozen=True)
 class CandidateTerms:
-    """One set of distortion terms in the cross-validation that chose.
+    """One candidate set of distortion terms in the cross-validation.
 
     Args:
         name: the set's name, "none" without terms.
         terms: its terms.
-        parameters: fitted for each sensor.
-        left_out_rms_px: RMS of readings predicted by cameras that never saw their block [px];
-            None where it could not be fitted.
-        loss: mean squared prediction error over its variance, all sensors together; None too.
-        loss_excess: by how much that is above the best set's.
-        loss_excess_error: the standard error of that difference, over the blocks.
+        parameters: number of parameters fitted for each sensor.
+        left_out_rms_px: RMS of readings predicted by fits without their block [px]; None: not
+            fitted.
+        loss: mean squared prediction error over its variance, all sensors together; None likewise.
+        loss_excess: difference to the loss of the best set; None likewise.
+        loss_excess_error: standard error of that difference, over the blocks; None likewise.
         note: why it was not fitted; empty if it was.
     """
 
@@ -34,14 +34,14 @@ class CandidateTerms:
 
 @dataclass(frozen=True)
 class DistortionSelection:
-    """Which distortion terms a run took, and why.
+    """The distortion terms of a calibration and the reason for them.
 
     Args:
-        chosen: the set's name; "terms" for terms that were given.
-        reason: in words.
-        candidates: what was compared; empty where nothing was to choose.
-        blocks: into how many blocks of space the points were cut for it; 0 likewise.
-        reduced_terms: sensors that saw too few points for the set, and what they were given instead.
+        chosen: the set's name; "terms" for terms that the request listed.
+        reason: why, for people.
+        candidates: the sets that were compared; empty without a comparison.
+        blocks: number of blocks of space in the cross-validation; 0 without one.
+        reduced_terms: sensors with too few points for the set, and the set that they have instead.
     """
 
     chosen: str
@@ -82,13 +82,12 @@ class SensorDiagnosis:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A further control point and what it would do.
+    """A suggested further control point and the precision with it.
 
     Args:
-        position_mm: where.
-        mean_sigma_mm: RMS over the volume of a point's deviation that the calibration causes,
-            with it.
-        max_sigma_mm: the largest such deviation, with it.
+        position_mm: its position, (3,) [mm].
+        mean_sigma_mm: RMS over the volume of the reconstruction error due to the calibration [mm].
+        max_sigma_mm: the largest such error [mm].
     """
 
     position_mm: Vector3
@@ -98,15 +97,15 @@ class Suggestion:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the control points leave open, and which measurement would help most.
+    """How well control points determine the calibration, and which others would help.
 
     Args:
-        sensors: one for each.
-        mean_sigma_mm: RMS over the volume of a point's deviation that the calibration causes
+        sensors: one for each sensor.
+        mean_sigma_mm: RMS over the volume of a point's standard deviation due to the calibration
             (root of the trace of its covariance) [mm]; None with fewer than three sensors.
         max_sigma_mm: the largest [mm]; None likewise.
         suggestions: further points, the best first, each as if it were the only one.
-        remarks: what a person should know, in sentences.
+        remarks: warnings for the user, in sentences.
     """
 
     sensors: tuple[SensorDiagnosis, ...]

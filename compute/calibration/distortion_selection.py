@@ -1,15 +1,16 @@
-"""Which distortion terms a device is given: the fewest that predict blocks of space as well."""
+"""Selection of distortion terms by cross-validation over blocks of space."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.assessment.cross_validation import block_count, spatial_block_index
 from compute.calibration.assessment_result import CandidateTerms, DistortionSelection
 from compute.calibration.settings import Loss
-from compute.calibration.single_sensor.distortion_fit import LensOffsets, minimise_with_distortion
+from compute.calibration.single_sensor.camera_fit import LensOffsets, minimise_with_distortion
 from compute.calibration.single_sensor.distortion_terms import (
     AUTO_CANDIDATES,
     free_parameters,
@@ -21,24 +22,23 @@ from compute.calibration.single_sensor.sensor_fits import (
     fit_distorted,
     residual_sigma,
 )
-from compute.calibration.spatial_blocks import block_count, spatial_block_index
 from compute.camera.field_distortion import Term
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, NoConvergence, TooFewPoints
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 MIN_SPARE_READINGS: Final = 3
 """Readings of a sensor more than parameters that each fit without a block must have."""
 MAX_LOSS_SIGMA: Final = 6.0
-"""Prediction error, in deviations, beyond which an outlier counts no more under a robust loss."""
+"""Prediction error over sigma at which a robust loss is clipped."""
 
 
 @dataclass(frozen=True, eq=False)
 class _ScoredTerms:
-    """A candidate's predictions: the sum of losses of each block (B,) and the RMS [px]."""
+    """Prediction errors of one candidate set of terms."""
 
     name: str
     terms: tuple[tuple[Term, ...], ...]
@@ -54,24 +54,25 @@ def select_terms(
     loss: Loss,
     progress: Progress | None = None,
 ) -> tuple[tuple[tuple[Term, ...], ...], DistortionSelection]:
-    """Choose one of ``AUTO_CANDIDATES`` or none, by predictions of blocks that a fit never saw.
+    """Select one of ``AUTO_CANDIDATES``, or no terms, by cross-validation over blocks of space.
 
-    One set for the device, whose lenses are alike; a sensor that saw too few points for it takes
-    the largest that it can bear. Of all sets the one with the fewest parameters is taken whose
-    loss is above the lowest by no more than one standard error of their difference over the
-    blocks (the one-standard-error rule of L. Breiman et al., "Classification and Regression
-    Trees", 1984, for paired differences).
+    One set serves the whole device, whose lenses are alike; a sensor with too few points for it
+    takes the largest set that its points allow. Of all sets, the one with the fewest parameters is
+    selected whose loss exceeds the lowest by no more than one standard error of their difference
+    over the blocks (the one-standard-error rule of L. Breiman et al., "Classification and
+    Regression Trees", 1984, for paired differences).
 
     Args:
         observed: control points and readings.
         undistorted: the seven-parameter cameras.
-        weights: what a robust loss left to the readings with them, shape (N, S); ones without.
-        lens_offsets: where the slits lie.
+        weights: of the readings by a robust loss, shape (N, S); ones without.
+        lens_offsets: positions of the lenses along the slits.
         loss: "linear" or "robust".
         progress: called with the fraction done and the candidate.
 
     Returns:
-        The terms of each sensor, and how they were chosen: none where nothing could be predicted.
+        The terms of each sensor, and the selection with its reason; no terms where nothing could be
+        predicted.
     """
     count = block_count(len(observed.points_mm))
     blocks = spatial_block_index(observed.points_mm, count)
@@ -139,34 +140,46 @@ def select_terms(
 
 
 def first_within_standard_error(order: Sequence[int], excess: Array, error: Array) -> int:
-    """Return the first of ``order`` whose loss exceeds the lowest by no more than its error."""
+    """Return the first candidate whose excess loss is within its standard error.
+
+    Args:
+        order: indices of the candidates, in order of preference.
+        excess: loss above the lowest, shape (C,).
+        error: standard error of that excess, shape (C,).
+    """
     return next(one for one in order if excess[one] <= error[one])
 
 
 def _unfitted_candidate(name: str, note: str) -> CandidateTerms:
-    own = () if name == "none" else preset_terms(name)
-    return CandidateTerms(name, own, free_parameters(own), None, None, None, None, note)
+    terms = () if name == "none" else preset_terms(name)
+    return CandidateTerms(name, terms, free_parameters(terms), None, None, None, None, note)
 
 
 def _supported_terms(
     observed: ControlObservations, folds: NDArray[np.bool_], name: str, names: tuple[str, ...]
 ) -> tuple[tuple[tuple[Term, ...], ...], tuple[tuple[str, str], ...]]:
-    """Return the terms of each sensor: the set's, or a smaller one's where points are few."""
-    sets = [(one, () if one == "none" else preset_terms(one)) for one in names]
+    """Return each sensor's terms: those of the set, or of a smaller one where points are few."""
+    sets = [
+        (candidate, () if candidate == "none" else preset_terms(candidate)) for candidate in names
+    ]
     sets = sets[: names.index(name) + 1]
     terms, reduced_terms = [], []
     for sensor, rows in zip(observed.sensors, observed.seen.T, strict=True):
         fewest = int((folds & rows).sum(axis=1).min())
-        able = [
-            one
-            for one in sets
-            if free_parameters(one[1]) + MIN_SPARE_READINGS <= fewest or not one[1]
+        supported = [
+            candidate
+            for candidate in sets
+            if free_parameters(candidate[1]) + MIN_SPARE_READINGS <= fewest or not candidate[1]
         ]
         # The set itself, or the one with most parameters of those before it.
-        own = able[-1] if able[-1][0] == name else max(able, key=lambda one: len(one[1]))
-        terms.append(own[1])
-        if own[0] != name:
-            reduced_terms.append((sensor.name, own[0]))
+        selected = (
+            supported[-1]
+            if supported[-1][0] == name
+            else max(supported, key=lambda candidate: len(candidate[1]))
+        )
+        terms.append(selected[1])
+        if selected[0] != name:
+            reduced_terms.append((sensor.name, selected[0]))
     return tuple(terms), tuple(reduced_terms)
 
 
@@ -176,7 +189,7 @@ def _prediction_errors(
     folds: NDArray[np.bool_],
     blocks: NDArray[np.intp],
 ) -> Array:
-    """Return predicted less measured readings by fits without their block, (N, S) [px].
+    """Return predicted minus measured readings of fits without their block, (N, S) [px].
 
     Raises:
         NoConvergence: a fit without a block does not come to rest.
@@ -207,7 +220,7 @@ def _prediction_errors(
 
 
 def _reading_sigma(observed: ControlObservations, fits: SensorFits) -> Array:
-    """Return the readings' deviations (N, S): given, or from the richest fit's residuals."""
+    """Return the readings' standard deviations (N, S), given or from the largest fit."""
     if observed.sigma_known:
         return observed.sigma_px
     sigma = residual_sigma(observed, fits.models, fits.weights)
@@ -235,7 +248,7 @@ def _parameters(terms: tuple[tuple[Term, ...], ...]) -> int:
 
 
 def _reason_unjudged(rows: Sequence[CandidateTerms]) -> str:
-    """Say why none is taken where no candidate, not even the one without terms, was judged."""
+    """Explain that no candidate, not even the one without terms, could be predicted."""
     bare = next(row.note for row in rows if row.name == "none")
     return (
         "no candidate could be judged by points of blocks that it never saw, so no terms are "
@@ -244,7 +257,7 @@ def _reason_unjudged(rows: Sequence[CandidateTerms]) -> str:
 
 
 def refusals(candidates: Sequence[CandidateTerms]) -> dict[str, list[str]]:
-    """Return why candidates were not judged: by reason, the names of those that it refused."""
+    """Return why candidates were not fitted: for each reason the names of the candidates."""
     found: dict[str, list[str]] = {}
     for one in candidates:
         if one.note:

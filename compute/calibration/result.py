@@ -1,19 +1,26 @@
-"""What a calibration run yields: the sensor models, their joint covariance, the residuals."""
+"""Calibration: sensor models, joint covariance, residuals; the readings' noise that follows."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.assessment_result import Diagnosis, DistortionSelection
 from compute.calibration.mislabels.finding import LabelFinding
-from compute.calibration.settings import CalibrationSettings, Method
-from compute.camera.model import SensorModel, Vector3, vector3
+from compute.calibration.mislabels.repair import exclude, repair
+from compute.calibration.settings import CalibrationSettings
+from compute.camera.model import SensorGeometry, SensorModel, Vector3, vector3
 
-MethodWithoutControl = Literal["self-calibration", "update"]
-"""Methods that know no coordinates: a subject at unknown places; and a calibration that was
-brought up to date by a still set of markers."""
+Array = NDArray[np.float64]
+Method = Literal["metric", "self-calibration", "update", "dlt-iterative", "bundle-11"]
+"""How a calibration was made.
+
+- metric: from control points of known coordinates.
+- self-calibration: from targets at unknown poses.
+- update: an earlier calibration, updated by stationary markers.
+- dlt-iterative, bundle-11: the thesis's methods; in stored calibrations of earlier versions only.
+"""
 
 
 @dataclass(frozen=True)
@@ -22,15 +29,13 @@ class SensorFit:
 
     Args:
         model: the fitted camera.
-        points: control points that this sensor saw.
+        points: number of control points that this sensor saw.
         rms_px: root mean square of the residuals [px].
         max_px: largest absolute residual [px].
         sigma_px: standard deviation of one reading [px] that the covariance rests on.
-        sigma_source: where it comes from: given with the readings (their root mean square),
-            estimated from the residuals, or, with fewer than ten points, assumed (a pixel's
-            quantisation, or the residuals where they are larger).
-        iteration_change_px: largest change of a corrected reading in the last iteration of the
-            iterative DLT [px], which runs a fixed number of them; None for other methods.
+        sigma_source: "given": with the readings (their root mean square). "residuals": estimated.
+            "assumed": with fewer than ten points, quantisation to a pixel, or the residuals' RMS
+            where that is larger.
         chi2_per_dof: weighted sum of squares per degree of freedom, about 1 when the given
             standard deviations are right; None without redundancy or without given ones.
     """
@@ -42,7 +47,6 @@ class SensorFit:
     sigma_px: float
     sigma_source: Literal["given", "residuals", "assumed"]
     chi2_per_dof: float | None
-    iteration_change_px: float | None = None
 
 
 @dataclass(frozen=True)
@@ -75,15 +79,15 @@ class AxisErrors:
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Points and readings predicted by calibrations that never saw them.
+    """Control points and readings predicted by calibrations fitted without them.
 
     Args:
-        scheme: "points": left out one by one. "blocks": in blocks of space.
-        groups: how many were left out in turn.
-        errors: of the points; None where none could be had.
-        differences_mm: reconstructed minus given, point by point; None where not to be had.
-        reading_rms_px: RMS of predicted minus measured readings for each sensor [px]; None where
-            not to be had.
+        scheme: "points": left out one by one. "blocks": by blocks of space.
+        groups: number of points or blocks that were left out in turn.
+        errors: statistics of the points' errors; None: no point was reconstructed.
+        differences_mm: reconstructed minus given, for each point; None: not reconstructed.
+        reading_rms_px: RMS of predicted minus measured readings of each sensor [px]; None: no
+            reading was predicted.
     """
 
     scheme: Literal["points", "blocks"]
@@ -95,7 +99,7 @@ class CrossValidation:
 
 @dataclass(frozen=True)
 class Calibration:
-    """The camera models of one device, with what is known of their errors.
+    """The camera models of one device with their uncertainty.
 
     Args:
         method: how it was made.
@@ -103,18 +107,18 @@ class Calibration:
         covariance: joint covariance of all parameters, shape (P, P), sensor by sensor in the
             order of ``SensorModel.parameter_names``; 0 for what was not fitted.
         residuals_px: fitted minus measured reading [px], shape (N, S); None where not seen.
-        settings: what the run was asked to do; None in documents older than settings.
-        distortion: how its terms were chosen; None where none were asked for.
-        reading_weights: weights between 0 and 1 that a robust loss left to the readings, shape
-            (N, S), None where not seen; None with a linear loss.
-        point_shifts_mm: fitted minus given control points, shape (N, 3) [mm]; None where they
-            were taken as exact.
+        settings: the run's settings; None in documents older than settings.
+        distortion: how its terms were chosen; None: no distortion was requested.
+        reading_weights: weights of the readings by a robust loss, 0 to 1, shape (N, S), None where
+            not seen; None with a linear loss.
+        point_shifts_mm: adjusted minus given control points, shape (N, 3) [mm]; None: the points
+            were exact.
         labels: wrong and exchanged labels that were found.
-        cross_validation: by points and by blocks, as far as they were made.
-        diagnosis: None where it was not made.
+        cross_validation: by points, by blocks, both or neither.
+        diagnosis: None: not made.
     """
 
-    method: Method | MethodWithoutControl
+    method: Method
     sensors: tuple[SensorFit, ...]
     covariance: tuple[tuple[float, ...], ...]
     residuals_px: tuple[tuple[float | None, ...], ...]
@@ -130,3 +134,120 @@ class Calibration:
     def models(self) -> tuple[SensorModel, ...]:
         """The camera models in the device's order."""
         return tuple(fit.model for fit in self.sensors)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementNoise:
+    """Noise and model error of each sensor's readings under a calibration.
+
+    Args:
+        sensor_sigma_px: standard deviation of a reading without one of its own, shape (S,) [px].
+        model_error_px: root of the residuals' variance in excess of the noise, shape (S,) [px].
+        min_sigma_px: lower bound of a reading's standard deviation, shape (S,) [px].
+    """
+
+    sensor_sigma_px: Array
+    model_error_px: Array
+    min_sigma_px: Array
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Self:
+        """Derive the noise from a calibration's fit statistics."""
+        fits = calibration.sensors
+        sensor_sigma = np.array([fit.sigma_px for fit in fits])
+        excess = np.array([max((fit.chi2_per_dof or 1.0) - 1.0, 0.0) for fit in fits])
+        minimum = [fit.sigma_px if fit.sigma_source == "residuals" else 0.0 for fit in fits]
+        return cls(sensor_sigma, sensor_sigma * np.sqrt(excess), np.array(minimum))
+
+    def sigma(self, sigma_px: Array) -> Array:
+        """Return the readings' standard deviations for reconstruction, shape (..., S) [px].
+
+        Args:
+            sigma_px: the readings' own, shape (..., S) [px]; NaN: the calibration's is used.
+        """
+        noise = np.where(np.isnan(sigma_px), self.sensor_sigma_px, sigma_px)
+        total: Array = np.maximum(np.hypot(noise, self.model_error_px), self.min_sigma_px)
+        return total
+
+
+def measurement_sigma(
+    calibration: Calibration, readings_px: Array, sigma_px: Array | None = None
+) -> Array:
+    """Return the standard deviations of readings for reconstruction, shape (..., S) [px].
+
+    Model error adds to a reading's noise. If the control readings had known standard deviations,
+    their residuals' excess variance is the model error and is added. If not, the residuals contain
+    noise and model error, and are the lower bound. With an assumed standard deviation, neither is
+    known and nothing is added.
+
+    Args:
+        calibration: the active calibration.
+        readings_px: shape (..., S); only the shape is used.
+        sigma_px: the readings' own standard deviations, shape (..., S) [px]; NaN or None: the
+            calibration's are used.
+    """
+    noise = MeasurementNoise.of(calibration)
+    own = noise.sensor_sigma_px if sigma_px is None else sigma_px
+    return noise.sigma(np.broadcast_to(own, readings_px.shape))
+
+
+def repaired_readings(
+    calibration: Calibration, readings_px: Array, sigma_px: Array | None = None
+) -> tuple[Array, Array | None]:
+    """Repair or exclude wrong labels as the calibration's run did.
+
+    Args:
+        calibration: the calibration; readings of another number of points are returned unchanged.
+        readings_px: readings of its control points as posted, shape (N, S) [px]; NaN where not
+            seen.
+        sigma_px: their standard deviations, shape (N, S) [px], or None.
+
+    Returns:
+        Readings and standard deviations, shape (N, S) [px].
+    """
+    readings = np.asarray(readings_px, dtype=np.float64)
+    sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
+    policy = "off" if calibration.settings is None else calibration.settings.labels
+    same_points = len(calibration.residuals_px) == len(readings)
+    if policy in ("off", "report") or not calibration.labels or not same_points:
+        return readings, sigma
+    sensors = [SensorGeometry(model.name, model.pixels) for model in calibration.models]
+    return (exclude if policy == "exclude" else repair)(
+        calibration.labels, sensors, readings, sigma
+    )
+
+
+def effective_readings(
+    calibration: Calibration, readings_px: Array, sigma_px: Array | None = None
+) -> tuple[Array, Array | None]:
+    """Return the readings that the calibration's fit used.
+
+    Wrong labels are repaired or excluded as in the run; readings to which a robust loss gave no
+    weight are excluded.
+
+    Args:
+        calibration: the calibration; readings of another number of points are returned unchanged.
+        readings_px: readings of its control points as posted, shape (N, S) [px]; NaN where not
+            seen.
+        sigma_px: their standard deviations, shape (N, S) [px], or None.
+
+    Returns:
+        Readings, NaN where not used, and standard deviations, shape (N, S) [px].
+    """
+    readings, sigma = repaired_readings(calibration, readings_px, sigma_px)
+    stored = calibration.reading_weights
+    if stored is not None and len(stored) == len(readings):
+        weights = np.array(stored, dtype=np.float64).reshape(readings.shape)
+        readings = np.where(weights == 0.0, np.nan, readings)
+    return readings, sigma
+
+
+def count_readings(effective_px: Array, differences_mm: Array) -> int:
+    """Count the readings of points that were reconstructed.
+
+    Args:
+        effective_px: readings that the fit used, shape (N, S) [px]; NaN where not.
+        differences_mm: reconstructed minus given points, shape (N, 3) [mm]; NaN where there is
+            none.
+    """
+    return int(np.isfinite(effective_px[np.isfinite(differences_mm).all(axis=1)]).sum())

@@ -1,8 +1,7 @@
-"""From fitted sensors to the calibration that is handed out: figures, covariance, residuals."""
+"""Assembly of the Calibration from fitted sensors: fit statistics, covariance, residuals."""
 
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,31 +15,103 @@ from compute.calibration.bundle_adjustment.control_point_adjustment import (
 from compute.calibration.result import Calibration, SensorFit
 from compute.calibration.settings import CalibrationSettings
 from compute.calibration.single_sensor.design_matrix import equation_groups
-from compute.calibration.single_sensor.fit_statistics import (
-    QUANTISATION_PX,
-    Residuals,
-    fit_statistics,
-)
-from compute.calibration.single_sensor.m_estimators import EFFICIENCY_LOSS
 from compute.calibration.single_sensor.sensor_fits import (
     SIGMA_FLOOR_PX,
     ControlObservations,
     SensorFits,
 )
-from compute.camera.model import vector3
+from compute.camera.model import PARAMETER_COUNT, SensorModel, vector3
+from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY
 from compute.camera.stack import CameraStack
+from compute.progress import Progress
+from compute.reconstruction.triangulation import chi2_limit
+from compute.robust_statistics import EFFICIENCY_LOSS
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
+QUANTISATION_PX: Final = 1.0 / np.sqrt(12.0)
 MAX_NOISE_ITERATIONS: Final = 12
 NOISE_TOLERANCE: Final = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """One sensor's residuals.
+
+    Args:
+        values_px: fitted minus measured readings, those with weight only, shape (N,) [px].
+        sigma_px: their standard deviations, shape (N,) [px]; None: not known.
+        total_sigma_px: for the chi-square test, with the control points' uncertainty, shape (N,)
+            [px]; None: ``sigma_px``.
+        chi2_values_px: residuals at the given points for that test, shape (N,) [px]; None:
+            ``values_px``.
+    """
+
+    values_px: Array
+    sigma_px: Array | None
+    total_sigma_px: Array | None = None
+    chi2_values_px: Array | None = None
+
+
+def fit_statistics(model: SensorModel, seen: int, residuals: Residuals) -> tuple[SensorFit, float]:
+    """Return a sensor's fit statistics and the factor from cofactor to covariance.
+
+    Args:
+        model: the fitted camera.
+        seen: number of control points that the sensor read.
+        residuals: of its readings with weight.
+    """
+    values = residuals.values_px
+    terms = 0 if model.distortion is None else len(model.distortion.terms)
+    # The offset along the slit is a parameter and its prior an observation: they cancel.
+    dof = len(values) - PARAMETER_COUNT - terms
+    square_sum = float((values**2).sum())
+    chi2_per_dof, factor = None, 1.0
+    source: Literal["given", "residuals", "assumed"]
+    if residuals.sigma_px is not None:
+        source, sigma = "given", float(np.sqrt((residuals.sigma_px**2).mean()))
+        if dof > 0:
+            compared = values if residuals.chi2_values_px is None else residuals.chi2_values_px
+            sigma_px = (
+                residuals.sigma_px if residuals.total_sigma_px is None else residuals.total_sigma_px
+            )
+            chi2 = float(((compared / sigma_px) ** 2).sum())
+            chi2_per_dof = chi2 / dof
+            # The given standard deviations do not explain the residuals: inflate the covariance.
+            if chi2 > chi2_limit(dof, UNEXPLAINED_PROBABILITY):
+                factor = chi2_per_dof
+    elif dof > 2:
+        # dof - 2 allows for the uncertainty of the estimate: squared errors over the covariance
+        # then average 7, as with a known standard deviation.
+        source, sigma = "residuals", max(float(np.sqrt(square_sum / (dof - 2))), SIGMA_FLOOR_PX)
+        factor = sigma**2
+    else:
+        # Two degrees of freedom or fewer are too few for an estimate.
+        residual_sigma_px = float(np.sqrt(square_sum / max(dof, 1)))
+        source, sigma = "assumed", max(float(QUANTISATION_PX), residual_sigma_px)
+        factor = sigma**2
+    fit = SensorFit(
+        model,
+        seen,
+        float(np.sqrt((values**2).mean())),
+        float(np.abs(values).max()),
+        sigma,
+        source,
+        chi2_per_dof,
+    )
+    return fit, factor
 
 
 def assemble_with_exact_points(
     observed: ControlObservations, fits: SensorFits, settings: CalibrationSettings
 ) -> Calibration:
-    """Return the calibration of sensors fitted one by one to points taken as exact."""
+    """Return the calibration of sensors that were fitted one by one to exact points.
+
+    Args:
+        observed: control points and readings of S sensors.
+        fits: the fitted cameras and the readings' weights.
+        settings: the settings of the run, which the result repeats.
+    """
     stack = CameraStack.of(fits.models)
     residuals = stack.project(observed.points_mm) - observed.readings_px
     counts = [model.parameter_count for model in fits.models]
@@ -63,10 +134,10 @@ def assemble_with_exact_points(
         found.append(fit)
     for group in groups:
         for sensor, inverse in zip(group.sensors, group.cofactors, strict=True):
-            own = first[sensor] + group.columns
-            covariance[own[:, None], own] = inverse * factors[sensor]
+            columns = first[sensor] + group.columns
+            covariance[columns[:, None], columns] = inverse * factors[sensor]
     return Calibration(
-        settings.method,
+        "metric",
         tuple(found),
         _rows(covariance),
         _readings(residuals, observed.seen),
@@ -82,7 +153,14 @@ def assemble_with_uncertain_points(
     control_sigma_mm: float,
     progress: Progress | None,
 ) -> Calibration:
-    """Return the calibration of sensors and points adjusted together.
+    """Adjust sensors and uncertain control points jointly and return the calibration.
+
+    Args:
+        observed: control points and readings of S sensors.
+        fits: cameras fitted one by one, from which the adjustment starts.
+        settings: the settings of the run, which the result repeats.
+        control_sigma_mm: standard deviation of each coordinate of the control points [mm].
+        progress: called with the fraction done and the stage.
 
     Raises:
         NoConvergence, UndeterminedParameters: see ``adjust_control_points``.
@@ -93,7 +171,8 @@ def assemble_with_uncertain_points(
         joint = adjust_control_points(observed, fits, sigma, control_sigma_mm, progress)
     else:
         joint, sigma = _estimate_noise(observed, fits, point_sigma, control_sigma_mm, progress)
-    given = CameraStack.of(joint.models).project(observed.points_mm) - observed.readings_px
+    at_given_points = CameraStack.of(joint.models).project(observed.points_mm)
+    at_given_points -= observed.readings_px
     found, factors = [], []
     for column, model in enumerate(joint.models):
         rows = observed.seen[:, column] & (fits.weights[:, column] > 0.0)
@@ -101,11 +180,11 @@ def assemble_with_uncertain_points(
             joint.residuals_px[rows, column],
             sigma[rows, column],
             np.hypot(sigma, point_sigma)[rows, column],
-            given[rows, column],
+            at_given_points[rows, column],
         )
         fit, factor = fit_statistics(model, int(observed.seen[:, column].sum()), values)
         if not observed.sigma_known:
-            # The deviation came from these residuals: they cannot contradict it.
+            # Estimated from these residuals: a chi-square test would say nothing.
             fit, factor = replace(fit, sigma_source="residuals", chi2_per_dof=None), 1.0
         found.append(fit)
         factors += [factor**0.5] * model.parameter_count
@@ -120,10 +199,13 @@ def _estimate_noise(
     control_sigma_mm: float,
     progress: Progress | None,
 ) -> tuple[JointFit, Array]:
-    """Return the adjustment with the sensors' deviations that it shows itself, and these (N, S).
+    """Adjust, and estimate the readings' noise by variance components (Helmert's method).
 
-    By variance components (Helmert's): a sensor's squared residuals over its redundancy, again
-    and again. Where nothing checks a sensor, what its residuals have beyond the points' spread.
+    Each iteration sets a sensor's variance to its squared residuals over its redundancy. A sensor
+    without redundancy keeps the estimate of ``_noise_without_points``.
+
+    Returns:
+        The adjustment, and the readings' standard deviations, shape (N, S) [px].
     """
     first = _noise_without_points(observed, fits, point_sigma_px)
     sigma = first
@@ -131,11 +213,11 @@ def _estimate_noise(
         scaled = replace(fits, lens_offsets=fits.lens_offsets.scaled(1.0 / sigma))
         wide = np.broadcast_to(sigma, point_sigma_px.shape)
         joint = adjust_control_points(observed, scaled, wide, control_sigma_mm, progress)
-        tells = joint.redundancy > MIN_REDUNDANCY
-        # As n - 9 for n - 7 of a single sensor: the estimate's own uncertainty included.
+        checked = joint.redundancy > MIN_REDUNDANCY
+        # redundancy - 2: as in ``fit_statistics``.
         wider = np.sqrt(joint.redundancy / np.maximum(joint.redundancy - 2.0, 1.0))
         estimated = np.maximum(sigma * joint.sigma_ratio * wider, SIGMA_FLOOR_PX)
-        new = np.where(tells, estimated, first)
+        new = np.where(checked, estimated, first)
         converged = np.abs(new / sigma - 1.0).max() < NOISE_TOLERANCE
         sigma = new
         if converged:
@@ -152,7 +234,7 @@ def _assemble(
     found: list[SensorFit],
 ) -> Calibration:
     return Calibration(
-        settings.method,
+        "metric",
         tuple(found),
         _rows(covariance),
         _readings(joint.residuals_px, observed.seen),
@@ -165,7 +247,7 @@ def _assemble(
 def _noise_without_points(
     observed: ControlObservations, fits: SensorFits, point_sigma_px: Array
 ) -> Array:
-    """Return each sensor's deviation without what the points' uncertainty explains, (S,) [px]."""
+    """Return each sensor's noise less the part that the points' uncertainty explains, (S,) [px]."""
     sigma = []
     residuals = CameraStack.of(fits.models).project(observed.points_mm) - observed.readings_px
     for column, model in enumerate(fits.models):
@@ -188,8 +270,8 @@ def _readings(values: Array, seen: NDArray[np.bool_]) -> tuple[tuple[float | Non
     if seen.all():
         return _rows(values)
     return tuple(
-        tuple(value if here else None for value, here in zip(row, there, strict=True))
-        for row, there in zip(values.tolist(), seen.tolist(), strict=True)
+        tuple(value if read else None for value, read in zip(row, row_seen, strict=True))
+        for row, row_seen in zip(values.tolist(), seen.tolist(), strict=True)
     )
 
 

@@ -122,7 +122,14 @@ def model_from_dlt(
     seen_mm: Array | None = None,
     cubic_per_px2: float = 0.0,
 ) -> SensorModel:
-    """Return the metric camera of L1..L7 of thesis [5.1], shape (7,); see model_from_matrix."""
+    """Return the metric camera of L1..L7 of thesis [5.1]; see ``model_from_matrix``.
+
+    Args:
+        parameters: L1..L7, shape (7,).
+        sensor: the sensor.
+        seen_mm: a point in front of the lens, shape (3,) [mm].
+        cubic_per_px2: D of [5.2] [1/px^2].
+    """
     values = np.asarray(parameters, dtype=np.float64)
     if values.shape != (7,):
         raise InvalidParameter(f"the DLT form has 7 parameters, not shape {values.shape}")
@@ -154,6 +161,11 @@ def model_from_collinearity(
     """Return the metric camera of the eleven coefficients [5.18]-[5.19], in any gauge.
 
     Without ``seen_mm`` the scene lies on the negative side of L4..L6, as in [5.17].
+
+    Args:
+        parameters: the eleven coefficients.
+        sensor: the sensor.
+        seen_mm: a point in front of the lens, shape (3,) [mm]; None: as the coefficients have it.
     """
     along, axis = np.array(parameters.along), np.array(parameters.axis)
     first = parameters.p0 * axis - parameters.c * along

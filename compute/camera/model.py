@@ -1,4 +1,4 @@
-"""The calibrated 1D camera in its metric form: seven parameters and where they act."""
+"""SensorModel: the calibrated 1D camera in its metric form, seven parameters and distortion."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -39,7 +39,7 @@ PARAMETER_COUNT: Final = len(PARAMETERS)
 
 @dataclass(frozen=True)
 class SensorGeometry:
-    """What is known of a sensor before calibration.
+    """Name and pixels of a sensor, known before calibration.
 
     Args:
         name: the sensor's name.

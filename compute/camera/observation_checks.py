@@ -1,4 +1,4 @@
-"""Known points and what sensors read of them, checked: shapes, values, places, deviations."""
+"""Checks of known points and their readings: shapes, values, duplicates, coverage."""
 
 from collections.abc import Sequence
 from typing import Final, Protocol
@@ -7,7 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from compute.errors import DuplicatePoint, InvalidParameter, NonFiniteValue, ReadingOutsideSensor
+from compute.camera.model import PARAMETER_COUNT
+from compute.errors import (
+    DegeneratePoints,
+    DuplicatePoint,
+    InvalidParameter,
+    NonFiniteValue,
+    ReadingOutsideSensor,
+    TooFewPoints,
+)
 
 Array = NDArray[np.float64]
 
@@ -15,11 +23,15 @@ FLATNESS_LIMIT: Final = 1e-3
 """Smallest extent of points, as a fraction of their largest, that is not flat."""
 MIN_POINT_DISTANCE_MM: Final = 1e-6
 SIGMA_RANGE_PX: Final = (1e-6, 1e4)
-"""Standard deviations that mean something, and whose squares keep their digits."""
+"""Range of standard deviations that are plausible and whose squares keep their digits."""
+
+
+UNEXPLAINED_PROBABILITY: Final = 0.01
+"""Probability with which correct standard deviations are judged too small by the residuals."""
 
 
 class NamedPixelRow(Protocol):
-    """What is asked of a sensor here: ``SensorGeometry`` and ``SensorModel`` have it."""
+    """Name and pixel count of a sensor: ``SensorGeometry`` and ``SensorModel`` have both."""
 
     @property
     def name(self) -> str:
@@ -33,7 +45,7 @@ class NamedPixelRow(Protocol):
 def check_observations(
     points_mm: Array, readings_px: Array, sensors: Sequence[NamedPixelRow], sigma_px: Array | None
 ) -> None:
-    """Check known points and the readings of them, whatever they are for.
+    """Check known points and their readings, whatever they are used for.
 
     Args:
         points_mm: shape (N, 3) [mm].
@@ -42,9 +54,11 @@ def check_observations(
         sigma_px: standard deviations of the readings, shape (N, S) [px]; None: not known.
 
     Raises:
-        InvalidParameter: shapes that do not fit, or a standard deviation that means nothing.
-        NonFiniteValue, DuplicatePoint, ReadingOutsideSensor: as they say; each names the point,
-            counted from 1.
+        InvalidParameter: shapes that do not fit, or a standard deviation out of range.
+        NonFiniteValue: a coordinate or reading is NaN or infinite.
+        DuplicatePoint: two points have one position.
+        ReadingOutsideSensor: a reading lies beyond the sensor's pixels. Each error names the
+            point, counted from 1.
     """
     if points_mm.ndim != 2 or points_mm.shape[1] != 3:
         raise InvalidParameter(f"points_mm has the shape {points_mm.shape}; it must be (N, 3)")
@@ -77,8 +91,34 @@ def check_observations(
     check_inside(readings_px, sensors)
 
 
+def check_control_points(
+    points_mm: Array, readings_px: Array, sensors: Sequence[NamedPixelRow], sigma_px: Array | None
+) -> None:
+    """Check control points and readings, and that each sensor read enough of them.
+
+    Args:
+        points_mm: control points, shape (N, 3) [mm].
+        readings_px: shape (N, S) [px]; NaN where not seen.
+        sensors: the S sensors.
+        sigma_px: standard deviations of the readings, shape (N, S) [px]; None: not known.
+
+    Raises:
+        InvalidParameter, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor: see
+            ``check_observations``.
+        TooFewPoints: a sensor read fewer points than it has parameters.
+        DegeneratePoints: all points that a sensor read lie in one plane.
+    """
+    check_observations(points_mm, readings_px, sensors, sigma_px)
+    for column, sensor in enumerate(sensors):
+        _check_coverage(points_mm[np.isfinite(readings_px[:, column])], sensor)
+
+
 def check_inside(readings_px: Array, sensors: Sequence[NamedPixelRow]) -> None:
-    """Check that readings (N, S) [px] lie on the sensors' pixels; NaN counts as not seen.
+    """Check that readings lie on the sensors' pixels.
+
+    Args:
+        readings_px: shape (N, S) [px]; NaN where not seen.
+        sensors: the S sensors.
 
     Raises:
         ReadingOutsideSensor: the first reading outside, with its point, counted from 1.
@@ -96,6 +136,26 @@ def check_inside(readings_px: Array, sensors: Sequence[NamedPixelRow]) -> None:
             point=int(row) + 1,
             sensor=sensor.name,
             reading_px=float(readings_px[row, column]),
+        )
+
+
+def _check_coverage(points_mm: Array, sensor: NamedPixelRow) -> None:
+    if len(points_mm) < PARAMETER_COUNT:
+        raise TooFewPoints(
+            f"sensor {sensor.name} saw {len(points_mm)} control points; "
+            f"its {PARAMETER_COUNT} parameters need at least {PARAMETER_COUNT}",
+            sensor=sensor.name,
+            points=len(points_mm),
+        )
+    extent = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
+    if extent[2] < FLATNESS_LIMIT * extent[0]:
+        rms = extent / np.sqrt(len(points_mm))
+        raise DegeneratePoints(
+            f"the {len(points_mm)} control points that sensor {sensor.name} saw lie in one "
+            f"plane (RMS extents {rms[0]:.3g} x {rms[1]:.3g} x {rms[2]:.3g} mm), which leaves "
+            f"its parameters undetermined; the smallest extent must be at least "
+            f"{FLATNESS_LIMIT:g} of the largest, and a third of it is a good choice",
+            sensor=sensor.name,
         )
 
 

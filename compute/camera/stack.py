@@ -28,8 +28,8 @@ class CameraStack:
         terms: all terms of the sensors' distortions, K of them; empty without distortion.
         coefficients: of the terms, shape (S, K); 0 where a sensor has not got one.
         row_behind_mm: shape (S,) [mm], see ``FieldDistortion``.
-        parameter_index: where each sensor's columns are in the list of all its own parameters, sensor by
-            sensor, shape (S, width); -1 for a parameter that it has not got.
+        parameter_index: where each sensor's columns are in the list of all its own parameters,
+            sensor by sensor, shape (S, width); -1 for a parameter that it has not got.
     """
 
     principal_distance_px: Array
@@ -191,7 +191,7 @@ class CameraStack:
         return readings_px + self.cubic_per_px2 * (readings_px - self.principal_point_px) ** 3
 
     def correction_derivative(self, readings_px: Array) -> Array:
-        """Return d corrected / d reading, shape (..., S): scales a reading's deviation."""
+        """Return d corrected / d reading, shape (..., S): scales a reading's sigma."""
         return 1.0 + 3.0 * self.cubic_per_px2 * (readings_px - self.principal_point_px) ** 2
 
     def project(self, points_mm: Array) -> Array:

@@ -1,1 +1,1 @@
-"""Space mapping: corrections of readings over object space, built, validated and applied."""
+"""Space mapping: corrections of readings over object space, built and validated."""

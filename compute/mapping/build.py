@@ -1,6 +1,6 @@
-"""Build a correction table from mapping measurements."""
+"""Construction of a correction table from mapping measurements."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +9,12 @@ from numpy.typing import NDArray
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
-from compute.mapping.cell_corner_values import corner_values
-from compute.mapping.cell_support import cell_corners, check_no_holes, find_supported_cells
+from compute.mapping.cell_support import (
+    cell_corners,
+    check_no_holes,
+    corner_values,
+    find_supported_cells,
+)
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.grid_extent import grid_for_points, point_spacing
@@ -21,20 +25,20 @@ from compute.mapping.sensor_data import SensorData
 from compute.mapping.sensor_fit import fit_sensor, summarise_fit
 from compute.mapping.settings import MappingSettings
 from compute.mapping.table import CorrectionTable
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 MAX_FUNCTIONS = 1200
-"""Smooth functions that are fitted, at most; about ten along each axis of a cube."""
+"""Largest number of fitted functions; about ten along each axis of a cube."""
 MIN_FUNCTIONS = 120
 FUNCTIONS_PER_POINT = 2
-_TYPICAL_TRIALS = 25  # of smoothness, about: for the progress alone
+_TYPICAL_TRIALS = 25  # of penalties, about; for the progress report only
 
 
 @dataclass(frozen=True, eq=False)
 class _SensorPart:
-    """One sensor's share of a table."""
+    """One sensor's part of a table."""
 
     coefficients_px: Array
     variance_px2: Array
@@ -50,26 +54,25 @@ def build_table(
     settings: MappingSettings | None = None,
     progress: Progress = lambda _share, _stage: None,
 ) -> MappingResult:
-    """Build the table of what is to be added to the readings, projection less measurement.
+    """Build the table of corrections, projection minus measurement.
 
-    Thesis, end of section 5.6. By default a tensor B-spline is fitted whose roughness is
-    penalised (see ``DiagonalisedBasis``), with the calibration's own error beside it (see
-    ``fit_sensor``), the penalty chosen by cross-validation over blocks (see
-    ``cross_validate_penalties``).
+    Thesis, end of section 5.6. By default a penalised tensor B-spline is fitted (see
+    ``DiagonalisedBasis``) jointly with the calibration's own error (see ``fit_sensor``); the
+    penalty is selected by cross-validation over blocks (see ``cross_validate_penalties``).
 
-    The table's variances are those of the whole expected reading: of the map and of the
-    calibration that it corrects. Points that are reconstructed with the table take the
-    readings' own deviations and no covariance of the calibration's parameters on top.
+    The table's variances are those of the whole predicted reading, of the map and the calibration
+    together. Reconstruction with the table takes the readings' own standard deviations and no
+    covariance of the calibration's parameters.
 
     Args:
         models: the calibration's S cameras.
         calibration_hash: content hash of the calibration.
-        measured: readings of markers at N known places.
+        measured: readings of markers at N known positions.
         parameter_covariance: joint covariance of the cameras' parameters, shape (P, P), where the
             calibration was made from other measurements than these. None: from these; then
             they tell its error, too.
         settings: how to build it.
-        progress: told the share done and the stage; what it raises passes through.
+        progress: called with the fraction done and the stage.
 
     Raises:
         InvalidParameter, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor, TooFewPoints,
@@ -215,7 +218,7 @@ def _interpolate(
 
 
 class _TrialProgress:
-    """Tells of trials of one sensor's smoothness; how many there will be is not known before."""
+    """Reports progress of one sensor's penalty trials, whose number is not known in advance."""
 
     def __init__(self, progress: Progress, sensor: int, sensors: int, name: str) -> None:
         self._progress = progress
@@ -230,7 +233,7 @@ class _TrialProgress:
 
 
 def _spatial_blocks(points_mm: Array, spacing: float) -> NDArray[np.intp]:
-    """Return the number of each point's block: those in one cube of the spacing's edge."""
+    """Assign points to blocks: those in one cube with an edge of the spacing."""
     cube = np.floor((points_mm - points_mm.min(axis=0)) / spacing).astype(np.intp)
     _, number = np.unique(cube, axis=0, return_inverse=True)
     return number.reshape(-1)

@@ -1,6 +1,6 @@
-"""Which cells of a grid measurements support."""
+"""Support of grid cells by measurements, and variances at the corners of cells."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,8 @@ from compute.mapping.grid import VoxelGrid
 Array = NDArray[np.float64]
 
 REACH = 2.0
-"""How near measurements must be, in distances between neighbours."""
+"""Radius in which measurements support a cell, in mean distances between neighbours."""
+_MAX_ITERATIONS = 20
 
 
 def find_supported_cells(
@@ -21,27 +22,35 @@ def find_supported_cells(
 ) -> NDArray[np.bool_]:
     """Return the cells that one sensor's measurements support, shape (nx, ny, nz).
 
-    A cell's middle must lie in the convex hull of the points that the sensor saw, and at least
-    ``min_neighbours`` of them within REACH distances between neighbours, counted from the cell: holes
-    inside the hull are not vouched for.
+    The centre of a supported cell lies in the convex hull of the points that the sensor saw, with
+    at least ``min_neighbours`` of them within REACH mean distances: cells in holes are not
+    supported.
 
     Args:
         grid: the voxels.
         seen_mm: the points that the sensor saw, shape (N, 3) [mm].
-        min_neighbours: as said.
-        spacing_mm: distance between neighbouring points [mm].
+        min_neighbours: smallest number of points near the cell.
+        spacing_mm: mean distance between neighbouring points [mm].
     """
-    middles = cell_centres(grid)
-    near = within_hull(seen_mm, middles)
-    # From the cell's middle to its corners comes on top, so that a wide cell has its neighbours.
+    centres = cell_centres(grid)
+    inside = within_hull(seen_mm, centres)
+    # Plus the distance from the cell's centre to its corners, for wide cells.
     reach = REACH * spacing_mm + 0.5 * float(np.linalg.norm(grid.pitch_mm))
-    counts = cKDTree(seen_mm).query_ball_point(middles, reach, return_length=True)
-    found: NDArray[np.bool_] = (near & (counts >= min_neighbours)).reshape(grid.cells)
+    counts = cKDTree(seen_mm).query_ball_point(centres, reach, return_length=True)
+    found: NDArray[np.bool_] = (inside & (counts >= min_neighbours)).reshape(grid.cells)
     return found
 
 
 def within_hull(points_mm: Array, positions_mm: Array) -> NDArray[np.bool_]:
-    """Return which places (M, 3) lie in the convex hull of points (N, 3); none in a flat one."""
+    """Return which positions lie in the convex hull of points; none in a flat one.
+
+    Args:
+        points_mm: shape (N, 3) [mm].
+        positions_mm: shape (M, 3) [mm].
+
+    Returns:
+        Mask, shape (M,).
+    """
     try:
         faces = ConvexHull(points_mm).equations
     except QhullError:
@@ -53,10 +62,15 @@ def within_hull(points_mm: Array, positions_mm: Array) -> NDArray[np.bool_]:
 
 
 def check_no_holes(valid: NDArray[np.bool_], grid: VoxelGrid, sensor: str) -> None:
-    """Check that the cells (nx, ny, nz) that are vouched for enclose none that is not.
+    """Check that the supported cells enclose no unsupported one.
+
+    Args:
+        valid: supported cells, shape (nx, ny, nz).
+        grid: the voxels.
+        sensor: the sensor's name, for the error.
 
     Raises:
-        TooFewPoints: they do, or there are none.
+        TooFewPoints: there is a hole, or no supported cell.
     """
     if not valid.any():
         raise TooFewPoints(
@@ -66,17 +80,17 @@ def check_no_holes(valid: NDArray[np.bool_], grid: VoxelGrid, sensor: str) -> No
         )
     holes = np.argwhere(binary_fill_holes(valid) & ~valid)
     if len(holes):
-        place = np.asarray(grid.origin_mm) + (holes[0] + 0.5) * np.asarray(grid.pitch_mm)
+        position = np.asarray(grid.origin_mm) + (holes[0] + 0.5) * np.asarray(grid.pitch_mm)
         raise TooFewPoints(
             f"sensor {sensor}'s measurements leave a hole of {len(holes)} cells, the first around "
-            f"{np.round(place, 1).tolist()} mm; add points there, or take a larger pitch",
+            f"{np.round(position, 1).tolist()} mm; add points there, or take a larger pitch",
             sensor=sensor,
             cells=len(holes),
         )
 
 
 def cell_centres(grid: VoxelGrid) -> Array:
-    """Return the cells' middles, shape (nx ny nz, 3) [mm]."""
+    """Return the cells' centres, shape (nx ny nz, 3) [mm]."""
     return _lattice(grid, [np.arange(cells) + 0.5 for cells in grid.cells])
 
 
@@ -89,3 +103,44 @@ def _lattice(grid: VoxelGrid, node_positions: Sequence[NDArray[np.floating]]) ->
     index = np.stack([one.ravel() for one in np.meshgrid(*node_positions, indexing="ij")], axis=1)
     lattice: Array = np.asarray(grid.origin_mm) + index * np.asarray(grid.pitch_mm)
     return lattice
+
+
+def corner_values(grid: VoxelGrid, function: Callable[[Array], Array]) -> Array:
+    """Return positive values at the corners whose interpolation has the function's means.
+
+    A fit's variance grows ever faster towards the rim: linear interpolation between its values at
+    the corners is too large, several times in cells as wide as the points' spacing. A cell's mean
+    is a third of its corners' mean and two thirds of its centre, exact for quadratic functions. The
+    corner values are scaled iteratively until the cells have these means, as far as possible.
+
+    Args:
+        grid: the voxels.
+        function: of points (N, 3) [mm], returns positive values (N,).
+
+    Returns:
+        Shape (nx + 1, ny + 1, nz + 1).
+    """
+    values = function(cell_corners(grid)).reshape([cells + 1 for cells in grid.cells])
+    centres = function(cell_centres(grid)).reshape(grid.cells)
+    wanted = (_mean_of_corners(values) + 2.0 * centres) / 3.0
+    around = _sum_around(np.ones(grid.cells))
+    for _ in range(_MAX_ITERATIONS):
+        values = values * _sum_around(wanted / _mean_of_corners(values)) / around
+    return values
+
+
+def _mean_of_corners(values: Array) -> Array:
+    """Return the means of the corners' values (nx + 1, ...) by cell, shape (nx, ...)."""
+    for axis in range(3):
+        low = values.take(range(values.shape[axis] - 1), axis)
+        values = 0.5 * (low + values.take(range(1, values.shape[axis]), axis))
+    return values
+
+
+def _sum_around(values: Array) -> Array:
+    """Return the sums of cell values (nx, ...) around the corners, shape (nx + 1, ...)."""
+    padded = np.pad(values, 1)
+    for axis in range(3):
+        low = padded.take(range(padded.shape[axis] - 1), axis)
+        padded = low + padded.take(range(1, padded.shape[axis]), axis)
+    return padded

@@ -13,10 +13,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class VoxelGrid:
-    """Equal cells along the axes of the world frame.
+    """A box of equal cells along the axes of the world frame.
 
     Args:
-        origin_mm: the corner of the first cell with the least coordinates [mm].
+        origin_mm: the corner with the lowest coordinates [mm].
         pitch_mm: edges of a cell [mm], positive.
         cells: how many there are along x, y and z, each 1 or more.
 
@@ -43,16 +43,16 @@ class VoxelGrid:
         return end
 
     def locate(self, points_mm: Array) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
-        """Return the cells of points, the places in them, and which points lie in the box.
+        """Locate points in the cells.
 
-        A point beyond the box is taken to the nearest place on its surface.
+        A point beyond the box is projected to its surface.
 
         Args:
             points_mm: shape (N, 3) [mm], finite.
 
         Returns:
             Cell indices (N, 3), fractions in [0, 1] (N, 3), and whether inside (N,). A point on a
-            face between two cells belongs to the upper one, on the box's end to the last.
+            face between two cells belongs to the upper one, on the end of the box to the last.
         """
         cell_coordinate = (points_mm - np.asarray(self.origin_mm)) / np.asarray(self.pitch_mm)
         count = np.asarray(self.cells)

@@ -1,4 +1,4 @@
-"""The grid of a map: over the box of its measurements, by a pitch or by their spacing."""
+"""Voxel grid of a map over the box of its measurements."""
 
 from typing import Final
 
@@ -12,12 +12,13 @@ from compute.mapping.measurements import MappingMeasurements
 from compute.mapping.settings import MappingSettings
 
 MAX_CELLS: Final = 200_000
+"""Largest number of cells of a grid."""
 MAX_ALONG: Final = 256
-"""Cells of a grid, and of one of its axes."""
+"""Largest number of cells along an axis."""
 
 
 def point_spacing(measured: MappingMeasurements) -> float:
-    """Return the distance between neighbours, were the points spread evenly [mm]."""
+    """Return the mean distance between neighbouring points, as if evenly spread [mm]."""
     volume = float(ConvexHull(measured.points_mm).volume)
     return float(np.cbrt(volume / len(measured.points_mm)))
 
@@ -25,32 +26,32 @@ def point_spacing(measured: MappingMeasurements) -> float:
 def grid_for_points(
     measured: MappingMeasurements, spacing: float, settings: MappingSettings
 ) -> VoxelGrid:
-    """Return the grid over the box of the points.
+    """Return the grid over the box of the measurements.
 
     Args:
-        measured: the points.
-        spacing: their distance, the pitch where none is asked for [mm].
-        settings: what is asked for.
+        measured: the measurements.
+        spacing: mean distance between neighbours, the pitch if the settings have none [mm].
+        settings: the mapping settings.
 
     Raises:
-        InvalidParameter: the pitch makes more cells than can be held.
+        InvalidParameter: the pitch makes too many cells.
     """
     low, high = measured.points_mm.min(axis=0), measured.points_mm.max(axis=0)
-    given = settings.pitch_mm
-    wanted = np.full(3, spacing) if given is None else np.asarray(given)
-    with np.errstate(over="ignore"):  # of a pitch of next to nothing: refused below
+    requested = settings.pitch_mm
+    wanted = np.full(3, spacing) if requested is None else np.asarray(requested)
+    with np.errstate(over="ignore"):  # a tiny pitch: refused below
         counts = np.maximum((high - low) / wanted, 1.0)
-    counts = np.rint(counts) if given is None else np.ceil(counts - 1e-9)
-    if given is None:
-        # Points very near to one another in few places: no more cells than can be held.
+    counts = np.rint(counts) if requested is None else np.ceil(counts - 1e-9)
+    if requested is None:
+        # Clustered points: no more cells than the limit.
         counts = np.minimum(counts, MAX_ALONG)
     if counts.max() > MAX_ALONG or counts.prod() > MAX_CELLS:
         raise InvalidParameter(
-            f"pitch_mm {given} makes {'x'.join(f'{count:.0f}' for count in counts)} cells of the "
-            f"measured volume of {'x'.join(f'{side:.4g}' for side in high - low)} mm; at most "
+            f"pitch_mm {requested} makes {'x'.join(f'{count:.0f}' for count in counts)} cells of "
+            f"the measured volume of {'x'.join(f'{side:.4g}' for side in high - low)} mm; at most "
             f"{MAX_CELLS} and {MAX_ALONG} along an axis are held, take a larger one"
         )
-    pitch = (high - low) / counts if given is None else wanted
+    pitch = (high - low) / counts if requested is None else wanted
     origin = 0.5 * (low + high) - 0.5 * pitch * counts
     x, y, z = (int(count) for count in counts)
     return VoxelGrid(vector3(origin), vector3(pitch), (x, y, z))

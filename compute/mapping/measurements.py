@@ -1,4 +1,4 @@
-"""MappingMeasurements: markers at known places and what the sensors read of them, checked."""
+"""MappingMeasurements: readings of markers at known positions, with checks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,22 +14,21 @@ from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
 Array = NDArray[np.float64]
 
 MIN_POINTS = 8
-"""Of each sensor: the corners of one cell."""
+"""Smallest number of points of a sensor: the corners of one cell."""
 MIN_EXTENT_SHARE = 0.1
-"""Least share of the extent of all points, along their axes, that a sensor's points must have."""
+"""Smallest extent of a sensor's points relative to that of all, along their principal axes."""
 
 
 @dataclass(frozen=True, eq=False)
 class MappingMeasurements:
-    """Readings of markers at known places.
+    """Readings of markers at known positions.
 
     Args:
-        points_mm: where the markers were, shape (N, 3) [mm].
-        readings_px: what was read of them, shape (N, S) [px]; NaN where not seen.
-        sigma_px: standard deviations of the readings, shape (N, S) [px]; None: not known, then
-            they are estimated from what the fit leaves, one for each sensor.
-        point_sigma_mm: standard deviation of each coordinate of the places, the same for all and
-            independent of one another [mm].
+        points_mm: the positions, shape (N, 3) [mm].
+        readings_px: readings of them, shape (N, S) [px]; NaN where not seen.
+        sigma_px: standard deviations of the readings, shape (N, S) [px]; None: estimated from the
+            residuals of the fit, one for each sensor.
+        point_sigma_mm: standard deviation of each coordinate of the positions, independent [mm].
     """
 
     points_mm: Array
@@ -38,9 +37,9 @@ class MappingMeasurements:
     point_sigma_mm: float = 0.0
 
     def variance_px2(self, cameras: CameraStack) -> Array:
-        """Return the variances of the readings, the places' own projected in, shape (N, S).
+        """Return the readings' variances with the positions' projected in, shape (N, S) [px^2].
 
-        Without standard deviations the places' share alone is known.
+        Without standard deviations of the readings, only the positions' share.
         """
         jacobian = cameras.linearise(self.points_mm)[1]
         variance: Array = self.point_sigma_mm**2 * (jacobian**2).sum(axis=2)
@@ -50,12 +49,16 @@ class MappingMeasurements:
 
 
 def check_measurements(measured: MappingMeasurements, models: Sequence[SensorModel]) -> None:
-    """Check measurements against the sensors they are of.
+    """Check measurements against the sensors.
+
+    Args:
+        measured: the measurements.
+        models: the S cameras.
 
     Raises:
         InvalidParameter, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor: see
             ``compute.camera.observation_checks``.
-        TooFewPoints, DegeneratePoints: of a sensor, which it names.
+        TooFewPoints, DegeneratePoints: a sensor's points are too few, or flat.
     """
     point_sigma = measured.point_sigma_mm
     if not 0.0 <= point_sigma < np.inf:
@@ -68,7 +71,7 @@ def check_measurements(measured: MappingMeasurements, models: Sequence[SensorMod
 
 
 def _check_sensor(seen: Array, model: SensorModel, whole: Array | None) -> None:
-    """Check the points (n, 3) that one sensor saw, beside the extents of all."""
+    """Check the points (n, 3) that one sensor saw against the extents of all."""
     count = len(seen)
     if count < MIN_POINTS or whole is None:
         raise TooFewPoints(

@@ -1,4 +1,4 @@
-"""AveragedFit: penalised fits with several penalties, each as far as it is probable."""
+"""AveragedFit: penalised fits averaged over penalties by their probabilities."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,25 +13,25 @@ from compute.mapping.penalty_selection import PenaltyPosterior
 Array = NDArray[np.float64]
 
 MIN_SHARE = 1e-3
-"""Of a penalty, below which it is left away."""
+"""Probability relative to the best below which a penalty is left out."""
 
 
 @dataclass(frozen=True, eq=False)
 class AveragedFit:
-    """The mixture of the fits' posterior distributions, by its mean and covariance.
+    """Mean and covariance of a mixture of posterior distributions over penalties.
 
-    The covariance is the mean of the fits' own and that of their means: which penalty is right is
-    not known, and with noise as large as what is to be corrected the fits differ by as much as
-    each is uncertain.
+    The covariance is the mean of the fits' own plus that of their means: the right penalty is
+    unknown, and with noise as large as the correction the fits differ by as much as each is
+    uncertain.
 
     Args:
-        amounts: of the functions, shape (R + Q,).
+        amounts: coefficients of the functions, shape (R + Q,).
         covariance: shape (R + Q, R + Q).
-        error: of samples in blocks that the fits did not see, whitened, shape (T,).
-        sigma: the standard deviations that they should have, shape (T,).
+        error: of samples in left-out blocks, whitened, shape (T,).
+        sigma: the standard deviations expected of them, shape (T,).
         effective_parameters: the mean.
-        factor: by what the variances of all samples are to be multiplied, as the fits show; the
-            mean. It is in covariance and deviation.
+        factor: mean factor of the samples' variances that the fits show; included in the
+            covariance and ``sigma``.
     """
 
     amounts: Array
@@ -42,7 +42,7 @@ class AveragedFit:
     factor: float
 
     def variance(self, functions: Array) -> Array:
-        """Return the variances of sums with rows of functions (n, R + Q), shape (n,)."""
+        """Return the variances of linear combinations with rows (n, R + Q), shape (n,)."""
         variance: Array = ((functions @ self.covariance) * functions).sum(axis=1)
         return np.maximum(variance, 0.0)
 
@@ -53,13 +53,13 @@ def average(
     penalties: PenaltyPosterior,
     factor: Callable[[PenalisedFit], float],
 ) -> AveragedFit:
-    """Fit with all penalties that count, and average.
+    """Fit with all penalties of relevant probability and average.
 
     Args:
         problem: the samples.
         functions: the penalised functions.
-        penalties: how probable each is.
-        factor: of the samples' variances, as a fit shows.
+        penalties: the penalties with their probabilities.
+        factor: returns the factor of the samples' variances that a fit shows.
     """
     counted = np.flatnonzero(penalties.probabilities >= MIN_SHARE * penalties.probabilities.max())
     probabilities = penalties.probabilities[counted] / penalties.probabilities[counted].sum()
@@ -71,16 +71,16 @@ def average(
         trial = penalties.trials[number]
         fit = problem.solve(trial.weight * functions.penalty(trial.axes))
         left_out = fit.left_out()
-        own = factor(fit)
-        covariance += share * own * fit.covariance()
-        variance += share * own * left_out.sigma**2
+        variance_factor = factor(fit)
+        covariance += share * variance_factor * fit.covariance()
+        variance += share * variance_factor * left_out.sigma**2
         amounts.append(fit.amounts)
         errors.append(left_out.error)
         parameters.append(fit.effective_parameters)
-        factors.append(own)
+        factors.append(variance_factor)
     mean, error = probabilities @ np.stack(amounts), probabilities @ np.stack(errors)
-    apart = np.sqrt(probabilities)[:, None] * (np.stack(amounts) - mean)
-    covariance += apart.T @ apart
+    between = np.sqrt(probabilities)[:, None] * (np.stack(amounts) - mean)
+    covariance += between.T @ between
     variance += probabilities @ (np.stack(errors) - error) ** 2
     return AveragedFit(
         mean,

@@ -1,4 +1,4 @@
-"""MappingResult: a correction table, how it was built, and what is known of its errors."""
+"""MappingResult: a correction table with its settings and validation."""
 
 from dataclasses import dataclass
 
@@ -9,12 +9,12 @@ from compute.mapping.table import CorrectionTable
 
 @dataclass(frozen=True)
 class Suspect:
-    """A measurement that its neighbours contradict.
+    """A measurement that contradicts its neighbours.
 
     Args:
-        point: its number, counted from 0.
-        left_out_px: its error where its block was left out [px].
-        normalised_error: the same in the standard deviations that it should have.
+        point: its index, from 0.
+        left_out_px: its prediction error with its block left out [px].
+        normalised_error: the same over its expected standard deviation.
     """
 
     point: int
@@ -24,26 +24,26 @@ class Suspect:
 
 @dataclass(frozen=True)
 class SensorMapping:
-    """What the mapping of one sensor says; what interpolation cannot know is None.
+    """Mapping of one sensor; None for values that interpolation does not give.
 
     Args:
         sensor: its name.
-        points: measurements that it saw.
-        before_rms_px: projection less measurement, without the table [px].
-        after_rms_px: the same with it, at the measurements themselves [px].
-        left_out_rms_px: at blocks of measurements that were left out, without their own [px].
-        normalised_squared_error: mean square of the left-out errors over what they should have: 1 where
-            the table's variances are honest.
-        effective_parameters: how many parameters the fit amounts to, the calibration's included.
-        penalty_weight: weight of the penalty [1/px^2], on the squared differences of the splines'
+        points: number of measurements that it saw.
+        before_rms_px: RMS of projection minus measurement without the table [px].
+        after_rms_px: the same with the table, at the measurements themselves [px].
+        left_out_rms_px: the same for left-out blocks of measurements [px].
+        normalised_squared_error: mean square of the left-out errors over their expected variance; 1
+            if the table's variances are right.
+        effective_parameters: effective number of parameters, the calibration's included.
+        penalty_weight: weight of the penalty [1/px^2], on squared differences of the splines'
             coefficients.
-        axis_weights: of the differences along x, y and z.
-        gcv_ratio: the generalised cross-validation's error over that of the blocks, RMS: far below
-            1 where neighbouring measurements share errors that are not the field's.
+        axis_weights: relative weights of the differences along x, y and z.
+        gcv_ratio: RMS error by generalised cross-validation over that by blocks: far below 1 where
+            neighbouring measurements have correlated errors.
         sigma_px: standard deviation of a reading (root of the mean square), given or estimated.
-        noise_factor: by what the given variances are multiplied, because the residuals are
-            larger than they explain; 1 where they are not.
-        valid_share: share of the grid's cells that the table vouches for.
+        noise_factor: factor of the given variances because the residuals are larger than they
+            explain; 1 where they are not.
+        valid_share: share of the grid's cells that measurements support.
         suspects: measurements more than five standard deviations off, the worst first.
     """
 
@@ -65,12 +65,12 @@ class SensorMapping:
 
 @dataclass(frozen=True)
 class MappingValidation:
-    """What is known of a table's errors from the measurements that it was built from.
+    """Validation of a table by the measurements that it was built from.
 
     Args:
-        spacing_mm: distance between neighbouring measurements [mm].
+        spacing_mm: mean distance between neighbouring measurements [mm].
         pitch_mm: edges of the cells [mm].
-        sensors: by sensor, in the calibration's order.
+        sensors: one for each, in the calibration's order.
     """
 
     spacing_mm: float
@@ -80,12 +80,12 @@ class MappingValidation:
 
 @dataclass(frozen=True, eq=False)
 class MappingResult:
-    """A table with its provenance.
+    """A correction table with its settings and validation.
 
     Args:
         table: the corrections.
-        settings: how it was built.
-        validation: what is known of its errors.
+        settings: the mapping settings.
+        validation: errors estimated from the measurements.
     """
 
     table: CorrectionTable

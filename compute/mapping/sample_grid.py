@@ -1,4 +1,4 @@
-"""Measurements on a grid, and the corrections that go through them."""
+"""SampleGrid: measurements on a regular grid, and interpolation through them."""
 
 from dataclasses import dataclass
 
@@ -7,23 +7,23 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from compute.errors import InvalidParameter
+from compute.mapping.b_splines import interpolate_corners
 from compute.mapping.grid import VoxelGrid
-from compute.mapping.spline_interpolation import interpolate_corners
 
 Array = NDArray[np.float64]
 
 NODE_TOLERANCE = 1e-3
-"""Of the pitch: coordinates so near are the same, and steps so alike are equal."""
-_SPLINE_REACH = 2  # nodes over which a missing value shows in a cubic spline, by a twentieth
+"""Tolerance of equal coordinates and of equal steps, relative to the pitch."""
+_SPLINE_REACH = 2  # nodes over which a missing value affects a cubic spline by up to a twentieth
 
 
 @dataclass(frozen=True, eq=False)
 class SampleGrid:
-    """Where measurements lie on a grid.
+    """Positions of measurements on a regular grid.
 
     Args:
-        grid: its cells' corners are the nodes.
-        node_index: of each measurement, shape (N, 3).
+        grid: the corners of its cells are the nodes.
+        node_index: node of each measurement, shape (N, 3).
     """
 
     grid: VoxelGrid
@@ -31,10 +31,10 @@ class SampleGrid:
 
     @classmethod
     def of(cls, points_mm: Array) -> "SampleGrid":
-        """Find the grid of points (N, 3) [mm]; nodes may be missing.
+        """Find the regular grid of points (N, 3) [mm]; nodes may be missing.
 
         Raises:
-            InvalidParameter: they are on none.
+            InvalidParameter: the points lie on no regular grid.
         """
         axes = [_steps(points_mm[:, axis], "XYZ"[axis]) for axis in range(3)]
         (x, dx, nx), (y, dy, ny), (z, dz, nz) = axes
@@ -43,13 +43,13 @@ class SampleGrid:
         return cls(grid, np.rint(cell_coordinate).astype(np.intp))
 
     def interpolate(self, values: Array, degree: int) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the coefficients of a spline through values, and which cells they support.
+        """Return the spline through values, and the cells that they support.
 
-        A cell is supported where all nodes are there that it depends on: its corners, for degree
-        3 those around it, too.
+        A cell is supported if all its nodes have values: its corners and, for degree 3, those
+            around it.
 
         Args:
-            values: shape (N,); NaN where nothing is known.
+            values: shape (N,); NaN where unknown.
             degree: 1 or 3.
         """
         nodes = self.to_grid(values)
@@ -66,14 +66,22 @@ class SampleGrid:
         return (filled if degree == 1 else interpolate_corners(filled)), valid
 
     def to_grid(self, values: Array) -> Array:
-        """Return values (N,) at the nodes, shape (nx + 1, ny + 1, nz + 1); NaN where none is."""
+        """Return values (N,) at the nodes, shape (nx + 1, ny + 1, nz + 1); NaN where unknown."""
         nodes = np.full([cells + 1 for cells in self.grid.cells], np.nan)
         nodes[tuple(self.node_index.T)] = values
         return nodes
 
 
 def fill_nearest(sample_grid: SampleGrid, values: Array) -> Array:
-    """Return values (N,) at all nodes; where none is known, that of the nearest."""
+    """Return values at all nodes; a missing one is that of the nearest.
+
+    Args:
+        sample_grid: the grid.
+        values: at the measurements, shape (N,).
+
+    Returns:
+        Shape (nx + 1, ny + 1, nz + 1).
+    """
     return _filled(sample_grid.to_grid(values))
 
 
@@ -93,17 +101,17 @@ def _steps(values: Array, axis: str) -> tuple[float, float, int]:
     # Coordinates that differ by rounding are one.
     apart = np.flatnonzero(np.diff(found) > NODE_TOLERANCE * extent)
     groups = np.split(found, apart + 1)
-    middles = np.array([group.mean() for group in groups])
-    cells = len(middles) - 1
+    coordinates = np.array([group.mean() for group in groups])
+    cells = len(coordinates) - 1
     pitch = extent / max(cells, 1)
-    even = middles[0] + pitch * np.arange(cells + 1)
-    if cells < 1 or np.abs(found - even[np.digitize(found, middles[1:] - pitch / 2)]).max() > (
+    even = coordinates[0] + pitch * np.arange(cells + 1)
+    if cells < 1 or np.abs(found - even[np.digitize(found, coordinates[1:] - pitch / 2)]).max() > (
         NODE_TOLERANCE * pitch
     ):
         raise InvalidParameter(
-            f"the points have {len(middles)} different {axis} from {found[0]:g} to "
+            f"the points have {len(coordinates)} different {axis} from {found[0]:g} to "
             f"{found[-1]:g} mm that are not equally spaced; interpolation through the values "
             'needs points on a grid of equal steps, points anywhere take the method "b-spline"',
             axis=axis,
         )
-    return float(middles[0]), pitch, cells
+    return float(coordinates[0]), pitch, cells

@@ -1,4 +1,4 @@
-"""SensorData: what is fitted of one sensor, and its normal equations."""
+"""SensorData: one sensor's samples for the fit, and their normal equations."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,23 +12,23 @@ from compute.mapping.p_splines import PenalisedProblem
 Array = NDArray[np.float64]
 
 MAX_LEFT_OUT_BLOCKS = 2000
-"""Blocks that are left out in turn, at most; of more, these are spread evenly over all."""
+"""Largest number of left-out blocks; of more, evenly spaced ones are taken."""
 CHUNK = 4096
-"""Points whose functions are held at once."""
+"""Number of points whose functions are in memory at once."""
 
 
 @dataclass(frozen=True, eq=False)
 class SensorData:
-    """What is fitted of one sensor.
+    """One sensor's samples.
 
     Args:
-        name: of the sensor.
+        name: the sensor's name.
         points_mm: measurements that it saw, shape (N, 3) [mm].
-        numbers: theirs among all measurements, shape (N,).
-        samples_px: projection less measurement, shape (N,) [px].
-        variance_px2: of the measurements, shape (N,) [px^2]; ones where not known.
-        known_variance: whether they are known.
-        block: number of each measurement's block, shape (N,).
+        numbers: their indices among all measurements, shape (N,).
+        samples_px: projection minus measurement, shape (N,) [px].
+        variance_px2: of the measurements, shape (N,) [px^2]; ones where unknown.
+        known_variance: whether the variances are known.
+        block: index of each measurement's block, shape (N,).
         parameter_jacobian: d reading / d parameters of the sensor at points (M, 3), shape (M, P).
         parameter_covariance: of the sensor's parameters, from other measurements, shape (P, P);
             None: these measurements made the calibration.
@@ -48,7 +48,14 @@ class SensorData:
 def accumulate_equations(
     data: SensorData, functions: DiagonalisedBasis, parameter_transform: Array, precision: Array
 ) -> PenalisedProblem:
-    """Gather the normal equations, chunk by chunk, and the blocks to leave out."""
+    """Accumulate the normal equations in chunks, and the blocks to leave out.
+
+    Args:
+        data: the samples.
+        functions: the R penalised functions.
+        parameter_transform: from the camera's parameters to Q functions, shape (P, Q).
+        precision: prior precisions of the Q functions, shape (Q,).
+    """
     weight = 1.0 / np.sqrt(data.variance_px2)
     size = len(functions) + parameter_transform.shape[1]
     gram, product = np.zeros((size, size)), np.zeros(size)
@@ -74,7 +81,7 @@ def accumulate_equations(
 
 
 def left_out_blocks(block: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the measurements of the blocks that are left out, block after block, and sizes."""
+    """Return the samples of the blocks that are left out, block after block, and the sizes."""
     numbers, sizes = np.unique(block, return_counts=True)
     if len(numbers) > MAX_LEFT_OUT_BLOCKS:
         selection = np.linspace(0, len(numbers) - 1, MAX_LEFT_OUT_BLOCKS).astype(np.intp)
@@ -97,5 +104,14 @@ def _whitened_rows(
 def stack_functions(
     functions: DiagonalisedBasis, camera_functions: Array, points_mm: Array
 ) -> Array:
-    """Return the functions at points (N, 3), and beside them those of the camera (N, Q)."""
+    """Evaluate the functions at points and append those of the camera.
+
+    Args:
+        functions: the R penalised functions.
+        camera_functions: values of the camera's functions, shape (N, Q).
+        points_mm: shape (N, 3) [mm].
+
+    Returns:
+        Shape (N, R + Q).
+    """
     return np.concatenate([functions.values(points_mm), camera_functions], axis=1)

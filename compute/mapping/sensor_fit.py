@@ -1,4 +1,4 @@
-"""The penalised fit of one sensor's corrections, with the calibration's own error in it."""
+"""Penalised fit of one sensor's corrections together with the calibration's error."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY
 from compute.errors import DegeneratePoints, TooFewPoints
+from compute.mapping.b_splines import interpolate_function
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.model_averaging import AveragedFit, average
 from compute.mapping.p_splines import GROSS_ERROR_THRESHOLD, PenalisedFit, PenalisedProblem
@@ -27,21 +29,18 @@ from compute.mapping.sensor_data import (
     left_out_blocks,
     stack_functions,
 )
-from compute.mapping.spline_interpolation import interpolate_function
 
 Array = NDArray[np.float64]
 
 UNINFORMATIVE_PRECISION = 1e-6
-"""Of calibration errors that the measurements themselves must tell, in units of what they do."""
+"""Prior precision of calibration errors that the measurements determine, relative to theirs."""
 MIN_SINGULAR_RATIO = 1e-9
 """Ratio of singular values below which the measurements leave the calibration open."""
-UNEXPLAINED_PROBABILITY = 0.01
-"""Chance that right deviations are taken for too small."""
 CONTRADICTED_PROBABILITY = 1e-4
-"""Of the same by what left-out blocks say, which a field that is rough in places can say, too;
-deviations that are half of the right ones go far beyond."""
+"""The same, judged by left-out blocks: smaller, as a locally rough field fails this test, too;
+standard deviations that are half of the right ones go far beyond."""
 MAX_ITERATIONS = 8
-"""Of fitting and of taking the samples' variances anew."""
+"""Largest number of fits with updated variances of the samples."""
 FACTOR_TOLERANCE = 0.05
 VARIANCE_FLOOR_PX2 = 1e-12
 """Exact measurements still leave rounding."""
@@ -49,15 +48,16 @@ VARIANCE_FLOOR_PX2 = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class FittedCorrection:
-    """A sensor's correction: splines and the calibration's error.
+    """One sensor's correction: splines plus the calibration's error.
 
     Args:
         functions: the penalised functions.
-        parameter_transform: makes of the camera's parameters the functions fitted beside, shape (P, Q).
+        parameter_transform: from the camera's parameters to the Q unpenalised functions, shape (P,
+            Q).
         parameter_jacobian: as in SensorData.
-        chosen: the likeliest penalty and the fit with it.
-        average: over the penalties.
-        variance_factor: by what the samples' variances were multiplied before the fit.
+        chosen: the most probable penalty and the fit with it.
+        average: average over the penalties.
+        variance_factor: factor of the samples' variances before the fit.
     """
 
     functions: DiagonalisedBasis
@@ -69,7 +69,7 @@ class FittedCorrection:
 
     @property
     def factor(self) -> float:
-        """By what the samples' variances are to be multiplied, as the fit shows."""
+        """Factor of the samples' variances that the fit shows."""
         return self.variance_factor * self.average.factor
 
     @property
@@ -83,7 +83,7 @@ class FittedCorrection:
         )
 
     def variance_px2(self, points_mm: Array) -> Array:
-        """Return the variances of the expected readings at points (N, 3), shape (N,) [px^2]."""
+        """Return the variances of predicted readings at points (N, 3), shape (N,) [px^2]."""
         parts = []
         for start in range(0, len(points_mm), CHUNK):
             points = points_mm[start : start + CHUNK]
@@ -102,13 +102,19 @@ def fit_sensor(
 ) -> FittedCorrection:
     """Fit one sensor's corrections.
 
-    What is corrected is ``J delta + m``: the calibrated camera is off by delta, and a camera of
-    its kind is off the real one by a smooth m. Both are fitted at once (kriging with a drift; N.
-    A. C. Cressie, Statistics for Spatial Data, 1993, section 3.4), so that the variance of the
-    sum is that of the expected reading, and nothing is counted twice.
+    The correction is ``J delta + m``: an error delta of the calibration's parameters, and a smooth
+    misfit m of the camera model. Both are fitted jointly (kriging with a drift; N. A. C. Cressie,
+    Statistics for Spatial Data, 1993, section 3.4), so that the variance of the sum is that of the
+    predicted reading, and nothing is counted twice.
+
+    Args:
+        data: the samples.
+        functions: the penalised functions.
+        penalty_weight: weight of the penalty [1/px^2]; None: by cross-validation.
+        on_trial: called after each trial of a penalty.
 
     Raises:
-        TooFewPoints, DegeneratePoints: the measurements cannot tell the calibration's error.
+        TooFewPoints, DegeneratePoints: the measurements do not determine the calibration's error.
     """
     parameter_transform, precision = _parameter_drift(data)
     contradiction = float(chdtri(1.0, 2.0 * CONTRADICTED_PROBABILITY))  # too small ones alone
@@ -142,8 +148,8 @@ def fit_sensor(
         chosen = fit_penalty(problem, functions, likeliest.weight, likeliest.axes)
         ratio = _variance_ratio(chosen.fit) if estimated else _excess_variance(chosen.fit)
         variance_factor = max(applied_factor * ratio, VARIANCE_FLOOR_PX2)
-        # The samples' variances have a factor, the calibration's own have none: they are weighed
-        # anew. Where the measurements alone tell both, the factor is all's.
+        # The factor applies to the samples' variances, not to the calibration's covariance:
+        # refit with it. Without such a covariance the factor applies to everything.
         if not separable or abs(variance_factor / applied_factor - 1.0) < FACTOR_TOLERANCE:
             break
     each = _variance_ratio if estimated else lambda _fit: ratio
@@ -154,7 +160,7 @@ def fit_sensor(
 
 
 def _initial_variance(data: SensorData, parameter_transform: Array) -> float:
-    """Return what a camera of its kind leaves of the samples at most, by their count [px^2]."""
+    """Return the mean squared residual of the camera's parameters alone [px^2], an upper bound."""
     parameter_jacobian = data.parameter_jacobian(data.points_mm) @ parameter_transform
     rest = (
         data.samples_px
@@ -166,7 +172,13 @@ def _initial_variance(data: SensorData, parameter_transform: Array) -> float:
 
 
 def summarise_fit(data: SensorData, fitted: FittedCorrection, valid_share: float) -> SensorMapping:
-    """Return the figures of a fit."""
+    """Summarise a fit.
+
+    Args:
+        data: the samples.
+        fitted: the fit.
+        valid_share: share of the cells that the samples support.
+    """
     fit, average = fitted.chosen.fit, fitted.average
     order, _ = left_out_blocks(data.block)
     normalised_error = np.abs(average.error) / average.sigma
@@ -200,7 +212,7 @@ def summarise_fit(data: SensorData, fitted: FittedCorrection, valid_share: float
 
 
 def _parameter_drift(data: SensorData) -> tuple[Array, Array]:
-    """Return what makes functions of the camera's parameters, and their prior precisions."""
+    """Return the transform of the camera's parameters to functions, and their prior precisions."""
     parameter_jacobian = data.parameter_jacobian(data.points_mm)
     if data.parameter_covariance is not None:
         values, vectors = np.linalg.eigh(data.parameter_covariance)
@@ -209,22 +221,22 @@ def _parameter_drift(data: SensorData) -> tuple[Array, Array]:
     count = parameter_jacobian.shape[1]
     if len(parameter_jacobian) <= count:
         raise TooFewPoints(
-            f"sensor {data.name} saw {len(parameter_jacobian)} mapping points and its calibration has "
-            f"{count} parameters, whose errors they are to tell; give at least {count + 1} "
+            f"sensor {data.name} saw {len(parameter_jacobian)} mapping points; they must determine "
+            f"the errors of its calibration's {count} parameters: give at least {count + 1} "
             "points, or other points than the calibration's together with its covariance",
             sensor=data.name,
             points=len(parameter_jacobian),
         )
     whitened = parameter_jacobian / np.sqrt(data.variance_px2)[:, None]
     scale = np.linalg.norm(whitened, axis=0)
-    # What no reading depends on, as the place along the slit where no term has v in it.
+    # Leave out parameters without effect, as the offset along the slit without terms in v.
     acting = scale > 0.0
     _, singular, right = np.linalg.svd(whitened[:, acting] / scale[acting], full_matrices=False)
     if singular[-1] < MIN_SINGULAR_RATIO * singular[0]:
         raise DegeneratePoints(
-            f"the {len(parameter_jacobian)} mapping points that sensor {data.name} saw leave a combination of "
-            f"its calibration's parameters open (ratio of singular values "
-            f"{singular[-1] / singular[0]:.1e}); add points at other places and depths",
+            f"the {len(parameter_jacobian)} mapping points that sensor {data.name} saw leave a "
+            f"combination of its calibration's parameters open (ratio of singular values "
+            f"{singular[-1] / singular[0]:.1e}); add points at other positions and depths",
             sensor=data.name,
         )
     parameter_transform = np.zeros((count, len(singular)))
@@ -233,7 +245,7 @@ def _parameter_drift(data: SensorData) -> tuple[Array, Array]:
 
 
 def _residuals(data: SensorData, fitted: FittedCorrection) -> Array:
-    """Return what the fit leaves of the samples, shape (N,) [px]."""
+    """Return the residuals of the fit, shape (N,) [px]."""
     parts = []
     for start in range(0, len(data.points_mm), CHUNK):
         points = data.points_mm[start : start + CHUNK]
@@ -246,12 +258,12 @@ def _residuals(data: SensorData, fitted: FittedCorrection) -> Array:
 
 
 def _variance_ratio(fit: PenalisedFit) -> float:
-    """Return by what the samples' variances are too small, from the residuals."""
+    """Return the factor by which the samples' variances are too small, from the residuals."""
     return fit.residual_sum_of_squares / _residual_dof(fit)
 
 
 def _excess_variance(fit: PenalisedFit) -> float:
-    """Return the same of known variances, which hold as long as no residuals contradict them."""
+    """Return the same for known variances: 1 unless the residuals contradict them."""
     wrong = fit.residual_sum_of_squares > chdtri(_residual_dof(fit), UNEXPLAINED_PROBABILITY)
     return _variance_ratio(fit) if wrong else 1.0
 

@@ -21,9 +21,9 @@ class MappingSettings:
             a grid.
         pitch_mm: edges of the cells [mm]; None: about the distance between neighbouring points.
             For "trilinear" and "tricubic" the grid is that of the points, and this is None.
-        penalty_weight: weight of the penalty, in the units of ``SensorMapping.penalty_weight``; None:
-            chosen by cross-validation over blocks, by sensor.
-        min_neighbours: measurements near a cell without which it is not vouched for.
+        penalty_weight: weight of the penalty, in the units of ``SensorMapping.penalty_weight``;
+            None: chosen by cross-validation over blocks, by sensor.
+        min_neighbours: smallest number of measurements near a cell that support it.
 
     Raises:
         InvalidParameter: a value that is none of that.
@@ -54,8 +54,8 @@ class MappingSettings:
                 )
             if self.method != "b-spline":
                 raise InvalidParameter(
-                    f'penalty_weight is {self.penalty_weight}; the method "{self.method}" goes through '
-                    "every value and has none, leave it out"
+                    f'penalty_weight is {self.penalty_weight}; the method "{self.method}" goes '
+                    "through every value and has none, leave it out"
                 )
         if self.min_neighbours < 1:
             raise InvalidParameter(f"min_neighbours is {self.min_neighbours}; it must be 1 or more")

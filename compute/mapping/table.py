@@ -1,4 +1,4 @@
-"""CorrectionTable: what is added to each sensor's reading, by where in space the marker is."""
+"""CorrectionTable: corrections of readings as a function of the position in space."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter, NonFiniteValue
-from compute.mapping.b_spline_basis import b_spline_basis
+from compute.mapping.b_splines import b_spline_basis
 from compute.mapping.grid import VoxelGrid
 
 Array = NDArray[np.float64]
@@ -20,10 +20,10 @@ class Corrections:
     """Corrections at N points for S sensors.
 
     Args:
-        value_px: to be added to the readings, shape (N, S) [px].
+        value_px: added to the readings, shape (N, S) [px].
         gradient_px_per_mm: their derivatives by the point, shape (N, S, 3) [px/mm].
-        variance_px2: their own variances, shape (N, S) [px^2].
-        inside: whether the table vouches for them, shape (N, S).
+        variance_px2: their variances, shape (N, S) [px^2].
+        inside: whether measurements support them, shape (N, S).
     """
 
     value_px: Array
@@ -36,10 +36,10 @@ class Corrections:
 class CorrectionTable:
     """Corrections of the readings of S sensors over a box of voxels.
 
-    ``reading + correction(X)`` is what the calibrated camera reads of a marker at X: the
-    correction is projection less measurement, as the thesis recommends at the end of section 5.6
-    ("correction values should be derived from the measured and the projected differences for
-    every part of the volume").
+    ``reading + correction(X)`` is the reading that the calibrated camera predicts for a marker at
+    X: the correction is projection minus measurement, as the thesis recommends at the end of
+    section 5.6 ("correction values should be derived from the measured and the projected
+    differences for every part of the volume").
 
     Between the nodes it is a tensor product of B-splines with equal knots: of degree 1 the
     coefficients are the corrections at the cells' corners (trilinear interpolation), of degree 3
@@ -117,7 +117,7 @@ class CorrectionTable:
     def _evaluate_splines(
         self, cell: NDArray[np.intp], cell_coordinate: Array
     ) -> tuple[Array, Array]:
-        """Return the splines' values (N, S) and slopes by the point (N, S, 3)."""
+        """Return the splines' values (N, S) and derivatives by the point (N, S, 3)."""
         weights, derivative_weights = b_spline_basis(cell_coordinate, self.degree)
         value = _tensor(self.coefficients_px, cell, weights)
         gradient = np.empty((*value.shape, 3))

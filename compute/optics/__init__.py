@@ -1,1 +1,1 @@
-"""Forward physics: from points of light to what a line sensor counts."""
+"""Optics: from the light of markers to the counts of a line sensor."""

@@ -1,4 +1,4 @@
-"""Background: ambient light along a line, as mean electrons in each pixel of an exposure."""
+"""Ambient light along a row of pixels, as mean electrons of an exposure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class Background(Protocol):
-    """The shape of ambient light along a line."""
+    """Ambient light along a row of pixels."""
 
     def electrons(self, pixels: int) -> Array:
         """Return mean electrons, shape (pixels,); parts of a sum may be negative."""
@@ -22,7 +22,7 @@ class Background(Protocol):
 
 @dataclass(frozen=True)
 class ConstantBackground:
-    """The same in every pixel.
+    """The same level in every pixel.
 
     Args:
         level_electrons: mean electrons.
@@ -43,7 +43,7 @@ class ConstantBackground:
 
 @dataclass(frozen=True)
 class PolynomialBackground:
-    """A polynomial along the line, as the thesis takes off in section 4.4.
+    """A polynomial along the row, which the thesis subtracts in section 4.4.
 
     Args:
         coefficients_electrons: of the powers 0, 1, 2, ... of x, which is -1 at the first pixel
@@ -71,7 +71,7 @@ class PolynomialBackground:
 
 @dataclass(frozen=True)
 class BumpBackground:
-    """A Gaussian bump: a window, a lamp, the reflection of one.
+    """A Gaussian bump: a window, a lamp, a reflection.
 
     Args:
         centre_px: its place, on the line or beside it [px].
@@ -100,43 +100,8 @@ class BumpBackground:
 
 
 @dataclass(frozen=True)
-class TabulatedBackground:
-    """A measured background, linear between its pixels and even beyond them.
-
-    Args:
-        positions_px: ascending [px].
-        levels_electrons: mean electrons there.
-
-    Raises:
-        InvalidParameter: no or unequal numbers of values, values not finite, positions that do
-            not ascend.
-    """
-
-    positions_px: tuple[float, ...]
-    levels_electrons: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        _check_finite(self, "positions_px", "levels_electrons")
-        if not self.positions_px or not (np.diff(self.positions_px) > 0.0).all():
-            raise InvalidParameter(
-                f"positions_px is {self.positions_px}; it must have one or more, ascending",
-                positions_px=self.positions_px,
-            )
-        if len(self.levels_electrons) != len(self.positions_px):
-            raise InvalidParameter(
-                f"levels_electrons has {len(self.levels_electrons)} values; it must have "
-                f"{len(self.positions_px)}, one for each position",
-                levels_electrons=self.levels_electrons,
-            )
-
-    def electrons(self, pixels: int) -> Array:
-        """Return mean electrons, shape (pixels,)."""
-        return np.asarray(np.interp(np.arange(pixels), self.positions_px, self.levels_electrons))
-
-
-@dataclass(frozen=True)
 class SumBackground:
-    """Several backgrounds at once.
+    """Sum of several backgrounds.
 
     Args:
         parts: the backgrounds; none: no light.
@@ -154,6 +119,10 @@ class SumBackground:
 
 def background_scans(backgrounds: Sequence[Background], pixels: int) -> Array:
     """Return the backgrounds of S sensors as ``DetectorArray`` takes them, shape (S, pixels).
+
+    Args:
+        backgrounds: of the S sensors.
+        pixels: pixels of a row.
 
     Raises:
         InvalidParameter: a background that is negative somewhere on its line.

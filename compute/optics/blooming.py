@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 def bloom(
     charge: Array, linked: NDArray[np.bool_], full_well: float, share: float
 ) -> tuple[Array, Array]:
-    """Let charge above the full well flow to the neighbours, on and on, until none is above.
+    """Distribute charge above the full well to the neighbours until none is above it.
 
     Of the charge that leaves a pixel, half the share goes to each of its neighbours and the
     rest is drained; what goes to a neighbour that is not there is lost. With q the charge and

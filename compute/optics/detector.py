@@ -1,4 +1,4 @@
-"""The detector's parameters, and exposures of nominal pixels."""
+"""Detector parameters, and exposures of nominal pixels."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +19,7 @@ _FULL_SIGMA: Final = 4.0  # of the read noise, below the mean count of a full we
 
 @dataclass(frozen=True)
 class Detector:
-    """The pixels of a line sensor and their converter.
+    """Pixels of a line sensor and their analogue-to-digital converter.
 
     Light makes a Poisson number of electrons in a pixel, its mean the pixel's response times
     the light, plus the mean dark signal. A pixel holds at most the full well; of what is
@@ -88,7 +88,7 @@ class Detector:
 
     @property
     def full_counts(self) -> int:
-        """The count from which on a pixel says "at least" only, 1 or more.
+        """Lowest count at which a pixel may be saturated, 1 or more.
 
         A full well shows below full scale where the converter reaches farther than it.
         """
@@ -111,14 +111,14 @@ class Detector:
         return counts.clip(0, self.full_scale).astype(np.uint16)
 
     def upper_edges(self, counts: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the electrons from which on a count is larger than these, same shape."""
+        """Return the electrons at which the count changes to the next one, same shape."""
         above = counts.astype(np.float64) + (0.5 - self.offset_counts)
         return above * self.electrons_per_count
 
     def expose(
         self, signal_electrons: NDArray[np.float64], rng: np.random.Generator
     ) -> NDArray[np.uint16]:
-        """Return the counts of one exposure of nominal pixels, one like the other.
+        """Return the counts of one exposure of identical, nominal pixels.
 
         Every pixel has exactly the distribution of the model: pixels with signal are simulated
         step by step, and the many pixels without any draw their count from its distribution,
@@ -175,7 +175,7 @@ class Detector:
 
 
 def check_signal(signal_electrons: NDArray[np.float64]) -> None:
-    """Refuse mean electrons that are negative, NaN, or so many that no number counts them.
+    """Refuse mean electrons that are negative, NaN or too large.
 
     Raises:
         InvalidParameter: with the first such value.

@@ -1,5 +1,6 @@
-"""The detectors of a device: pixels that differ, light of the background, blooming."""
+"""Detectors of a device: fixed pattern, background light, blooming, noise."""
 
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
@@ -9,12 +10,56 @@ from compute.errors import InvalidParameter
 from compute.optics.blooming import bloom
 from compute.optics.dark_counts import count_distribution
 from compute.optics.detector import Detector, check_signal
-from compute.optics.fixed_pattern import FixedPattern, fixed_pattern
 from compute.optics.pixel_noise import SMOOTH_READ_NOISE_ELECTRONS, PixelNoise
 
 Array = NDArray[np.float64]
 
+_RESPONSE, _DARK, _OFFSET = range(3)
+
+
+@dataclass(frozen=True, eq=False)
+class FixedPattern:
+    """Fixed pattern of the pixels of S sensors: response, dark signal, offset.
+
+    Args:
+        response: electrons per electron of a nominal pixel, shape (S, P).
+        dark_electrons: mean dark signal of an exposure, shape (S, P).
+        offset_counts: the count without light and dark signal, shape (S, P).
+    """
+
+    response: Array
+    dark_electrons: Array
+    offset_counts: Array
+
+
+def fixed_pattern(detector: Detector, sensors: int, pixels: int, seed: int) -> FixedPattern:
+    """Draw the fixed pattern of S sensors; a sensor depends on its number and the seed alone.
+
+    The response and the offset are normal; the dark signal is log-normal, as it is positive
+    and has pixels that stand out. Terms as in EMVA 1288: PRNU, DSNU.
+
+    Args:
+        detector: nominal values and their deviations from pixel to pixel.
+        sensors: S.
+        pixels: P.
+        seed: zero or positive.
+    """
+
+    def normal(kind: int) -> Array:
+        seeds = [np.random.SeedSequence(seed, spawn_key=(n, kind)) for n in range(sensors)]
+        rows = [np.random.default_rng(sequence).standard_normal(pixels) for sequence in seeds]
+        return np.array(rows).reshape(sensors, pixels)
+
+    response = 1.0 + detector.response_nonuniformity * normal(_RESPONSE)
+    # exp of a normal number has the mean exp(s^2 / 2) and the relative variance exp(s^2) - 1.
+    log_deviation = np.sqrt(np.log1p(detector.dark_nonuniformity**2))
+    relative = np.exp(log_deviation * normal(_DARK) - 0.5 * log_deviation**2)
+    offset = detector.offset_counts + detector.offset_nonuniformity_counts * normal(_OFFSET)
+    return FixedPattern(response.clip(0.0), detector.dark_electrons * relative, offset)
+
+
 _REACH_SIGMA: Final = 9.0  # beyond it lies less than 1e-18
+
 _FIRST_REACH: Final = 8
 
 

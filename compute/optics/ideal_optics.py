@@ -1,14 +1,31 @@
-"""Ideal cylindrical lenses: the perspective of the camera model, one width, light by distance."""
+"""Ideal cylindrical lenses: perspective projection, constant width, light by distance."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
-from compute.optics.gaussian_stripes import GaussianStripes
 from compute.optics.sensor_placement import PlacedSensor
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianStripes:
+    """Stripes of N points on S sensors, each of a Gaussian shape along the pixels.
+
+    Args:
+        position_px: centre of the line, shape (N, S) [px]; NaN where the sensor sees nothing.
+        sigma_px: standard deviation of the line's shape, shape (N, S) [px].
+        electrons: mean number of electrons of the whole line, shape (N, S).
+    """
+
+    position_px: Array
+    sigma_px: Array
+    electrons: Array
 
 
 class IdealOptics:
@@ -57,7 +74,7 @@ class IdealOptics:
         self._reference_mm = reference_distance_mm
 
     def stripes(self, points_mm: NDArray[np.float64]) -> GaussianStripes:
-        """Return the spots of points (N, 3) in the world frame [mm].
+        """Return the stripes of points (N, 3) in the world frame [mm].
 
         A point in the lens's plane or behind it has the position NaN and no light.
         """

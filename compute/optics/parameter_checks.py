@@ -1,4 +1,4 @@
-"""Checks of the fields of parameters: positive, zero or positive; refused by name."""
+"""Range checks of parameters: positive, not negative."""
 
 from math import inf
 

@@ -1,12 +1,12 @@
-"""Counts of pixels without signal that all differ in mean and offset: fast draws from tables."""
+"""Counts of unlit pixels that all differ in mean and offset, drawn from tables."""
 
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.optics.dark_counts import TABLE_SIZE, random_indices
 from compute.optics.detector import Detector
-from compute.optics.random_indices import TABLE_SIZE, random_indices
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ _ABSENT: Final = np.iinfo(np.int16).min  # an entry that stands for a tail
 
 
 class PixelNoise:
-    """Draws the counts of P pixels, each with its own mean number of electrons and offset.
+    """Counts of P unlit pixels, each with its own mean number of electrons and offset.
 
     A pixel's electrons are ``mean + d``, and the cumulants of d (Poisson less its mean, plus
     the Gaussian read noise) are linear in the mean. Its distribution is tabulated as 65536
@@ -98,7 +98,12 @@ class PixelNoise:
         self._whole = whole.astype(np.int64).astype(np.uint16)
 
     def draw(self, exposures: int, rng: np.random.Generator) -> NDArray[np.uint16]:
-        """Return independent counts, shape (exposures, P)."""
+        """Return independent counts, shape (exposures, P).
+
+        Args:
+            exposures: how many exposures.
+            rng: source of the noise.
+        """
         drawn = np.empty((exposures, self._pixels), dtype=np.int16)
         counts = drawn.view(np.uint16)
         index = np.empty(min(_AT_ONCE, self._pixels), dtype=np.int64)

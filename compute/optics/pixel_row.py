@@ -1,4 +1,4 @@
-"""PixelRow: the light-sensitive part of a line sensor."""
+"""Row of pixels of a line sensor."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -39,12 +39,12 @@ class PixelRow:
 
     @property
     def pitch_mm(self) -> float:
-        """Centre to centre [mm]."""
+        """Pixel pitch [mm]."""
         return self.pitch_um * 1e-3
 
     @property
     def height_mm(self) -> float:
-        """Sensitive size across the row [mm]."""
+        """Pixel height across the row [mm]."""
         return self.height_um * 1e-3
 
     @property

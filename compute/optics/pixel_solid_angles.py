@@ -1,4 +1,4 @@
-"""PixelSolidAngles: through which solid angle each pixel collects the light of each point."""
+"""Solid angles through which the pixels collect the light of points."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PixelSolidAngles:
-    """The light lines of N points on S sensors, as windows of W pixels.
+    """Solid angles of N points on S sensors, as windows of W pixels.
 
     Mean electrons of a pixel are its solid angle times the photoelectrons that the point sends
     out per steradian: ``photons per steradian x filter x quantum efficiency``.
@@ -28,24 +28,24 @@ class PixelSolidAngles:
 
 
 class SolidAngleOptics(Protocol):
-    """What forms the light lines: traced lenses, tables of them, coded windows."""
+    """Interface of the optics: traced lenses, tables of them, coded windows."""
 
     def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
-        """Return the footprints of points (N, 3) in the world frame [mm]."""
+        """Return the solid angles of points (N, 3) in the world frame [mm]."""
         ...
 
 
 def scan_electrons(
     solid_angles: PixelSolidAngles, electrons_per_sr: Array, markers: int, pixels: int
 ) -> Array:
-    """Add up the light of the markers of each frame.
+    """Return the mean electrons of the pixels by all markers of each frame.
 
     Args:
-        footprints: of F x M points (frame by frame) on S sensors.
+        solid_angles: of F x M points (frame by frame) on S sensors.
         electrons_per_sr: photoelectrons that each point sends out towards each sensor per
             steradian, shape (F x M, S).
         markers: M, the points of one frame; at least 1.
-        pixels: length of a line.
+        pixels: pixels of a row.
 
     Returns:
         Mean electrons, shape (F, S, pixels).

@@ -1,4 +1,4 @@
-"""A line sensor placed in the world: where its lens is, where it looks, along what it measures."""
+"""Placement of a line sensor in the world: lens position, orientation, pitch."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ __all__ = ["PlacedSensor", "SensorModel", "Vector3", "place_sensor"]
 
 @dataclass(frozen=True)
 class PlacedSensor:
-    """A camera model with what it does not tell: the lens's place along the slit, the pitch.
+    """Camera model with the lens's position along the slit and the pixel pitch.
 
     Args:
         model: where a point of light is read.
@@ -75,6 +75,12 @@ def sensor_rotation(
     name: str, position_mm: Vector3, aim_mm: Vector3, measured_direction: Vector3
 ) -> NDArray[np.float64]:
     """Return the rotation from the world to a sensor's frame, shape (3, 3); see ``place_sensor``.
+
+    Args:
+        name: of the sensor, for messages.
+        position_mm: centre of its lens in the world [mm].
+        aim_mm: a point on its axis [mm].
+        measured_direction: world direction along which readings grow; any length.
 
     Raises:
         InvalidParameter: the aim lies on the lens, or the measured direction on the axis.

@@ -1,1 +1,1 @@
-"""Planning: what a device will reach, worked out before it is built."""
+"""Planning: coverage, precision, ghost points and data rates of a device from its profile."""

@@ -1,4 +1,4 @@
-"""Coverage: which sensors see which part of a volume."""
+"""Coverage of a working volume by the sensors."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from compute.errors import InvalidParameter
 Array = NDArray[np.float64]
 
 MAX_GRID_POINTS = 100_000
-"""Grid points, at most."""
+"""Largest number of grid points."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Box:
     """A working volume: a box along the world's axes.
 
     Args:
-        centre_mm: its middle [mm].
+        centre_mm: its centre [mm].
         size_mm: its lengths along X, Y and Z [mm].
 
     Raises:
@@ -41,14 +41,19 @@ class Box:
             )
 
     def contains(self, points_mm: Array) -> NDArray[np.bool_]:
-        """Say which points (..., 3) lie inside; NaN does not."""
+        """Return which points (..., 3) lie inside; NaN does not."""
         with np.errstate(invalid="ignore"):
             away = np.abs(points_mm - np.asarray(self.centre_mm))
         inside: NDArray[np.bool_] = (away <= np.asarray(self.size_mm) / 2.0).all(axis=-1)
         return inside
 
     def uniform(self, count: int, rng: np.random.Generator) -> Array:
-        """Return points drawn evenly from the box, shape (count, 3)."""
+        """Return uniformly distributed points in the box, shape (count, 3) [mm].
+
+        Args:
+            count: number of points.
+            rng: random number generator.
+        """
         share = rng.random((count, 3)) - 0.5
         points: Array = np.asarray(self.centre_mm) + share * np.asarray(self.size_mm)
         return points
@@ -56,7 +61,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A lattice over a box, its faces included.
+    """A regular grid of points over a box, its faces included.
 
     Args:
         box: the box.
@@ -73,11 +78,11 @@ class Grid:
 
 
 def volume_grid(box: Box, points: tuple[int, int, int]) -> Grid:
-    """Return a lattice over a box.
+    """Return a regular grid of points over a box.
 
     Args:
         box: the box.
-        points: how many along X, Y and Z, each at least 2; odd numbers hold the middle.
+        points: number along X, Y and Z, each at least 2; odd numbers include the centre.
 
     Raises:
         InvalidParameter: fewer than 2 along an axis, or more than 100,000 in all.
@@ -94,20 +99,20 @@ def volume_grid(box: Box, points: tuple[int, int, int]) -> Grid:
         share = np.full(count, 1.0 / (count - 1))
         share[[0, -1]] /= 2.0
         shares.append(share)
-    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points_mm = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     weights = np.einsum("i,j,k->ijk", *shares).ravel()
-    return Grid(box, points, places, weights)
+    return Grid(box, points, points_mm, weights)
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much of a volume is seen, as shares of it.
+    """Shares of a volume that sensors see.
 
     Args:
         by_count: share that exactly 0, 1, ... S sensors see.
         by_sensor: share that each sensor sees.
         all_sensors: share that all sensors see.
-        three_or_more: share that at least three sensors see: where positions can be had.
+        three_or_more: share that at least three sensors see, where positions can be determined.
     """
 
     by_count: tuple[float, ...]
@@ -117,7 +122,7 @@ class Coverage:
 
 
 def is_visible(position_px: Array, pixels: int, light: Array) -> NDArray[np.bool_]:
-    """Say which sensors see which points: a reading on the pixels, and light.
+    """Return which sensors see which points: the reading lies on the pixels, with light.
 
     Args:
         position_px: readings, shape (N, S) [px]; NaN where there is none.
@@ -131,11 +136,11 @@ def is_visible(position_px: Array, pixels: int, light: Array) -> NDArray[np.bool
 
 
 def coverage(visible: NDArray[np.bool_], weights: Array) -> Coverage:
-    """Sum up which sensors see which points.
+    """Summarise which sensors see which points.
 
     Args:
         visible: shape (N, S).
-        weights: the share of the volume that each point stands for, shape (N,).
+        weights: share of the volume that each point represents, shape (N,).
     """
     counts = visible.sum(axis=1)
     sensors = visible.shape[1]

@@ -1,4 +1,4 @@
-"""Line bound: how precisely a line's position can be read at best, and by centre of gravity."""
+"""Derivatives of stripe images by position, pixel noise, and the sigma of a centre of gravity."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ from compute.signal.sensor_noise import SensorNoise
 Array = NDArray[np.float64]
 
 SHIFT_PX = 0.05
-"""By how much lines are moved, both ways, to take the derivative of what each pixel gets. The
-error of the central difference is about (SHIFT_PX / s)^2 / 6 of it for a line of deviation s:
-0.2 % for 0.5 px."""
+"""Displacement of stripes, both ways, for the derivative of each pixel's light. The relative error
+of the central difference is about (SHIFT_PX / s)^2 / 6 for a stripe of standard deviation s: 0.2 %
+for 0.5 px."""
 
 _DIRECTION_ANGLES = np.pi * np.arange(24) / 24.0
 
 
 @dataclass(frozen=True)
 class PixelNoise:
-    """Noise of a pixel apart from the signal's own.
+    """Noise of a pixel in addition to the signal's shot noise.
 
     Args:
         read_noise_electrons: standard deviation of the amplifier's noise.
@@ -74,46 +74,14 @@ class PixelNoise:
         )
 
 
-def position_bound(mean_electrons: Array, slope_per_px: Array, noise: PixelNoise) -> Array:
-    """Return the Cramer-Rao bound of a line's position, its brightness unknown too.
-
-    With a_i = d mu_i / dx and b_i = mu_i (the derivative by the relative brightness),
-    ``1 / bound^2 = A - B^2 / C`` where A, B, C are the sums of a a, a b and b b over pixels,
-    each over the pixel's variance ``mu + background + read^2 + gain^2 / 12`` (S. M. Kay,
-    Fundamentals of Statistical Signal Processing I, 1993, section 3.7). A alone is the
-    information where the brightness is known, which is ``compute.optics.coded_aperture.cramer_rao``'s
-    ``shift_bound_px`` of the same pixels; B is zero for a symmetric line. The variances are
-    taken as known: their own dependence on the position, of order 1 / electrons, is left out.
-
-    This is the noise only. An error that is the same in every exposure, such as distortion, the
-    shape's dependence on the place, or an estimator's error within a pixel, is not in it.
-
-    Args:
-        mean_electrons: signal of each pixel of the window, shape (..., W).
-        slope_per_px: derivative by the line's position, shape (..., W) [electrons/px].
-        noise: what is noise besides the signal's own.
-
-    Returns:
-        Standard deviation, shape (...) [px]; infinite where there is no light.
-    """
-    variance = np.maximum(mean_electrons, 0.0) + noise.variance_electrons2
-    own = (slope_per_px**2 / variance).sum(axis=-1)
-    mixed = (slope_per_px * mean_electrons / variance).sum(axis=-1)
-    bright = (mean_electrons**2 / variance).sum(axis=-1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        information = own - np.where(bright > 0.0, mixed**2 / bright, 0.0)
-        bound: Array = np.where(information > 0.0, information, 0.0) ** -0.5
-    return bound
-
-
 @dataclass(frozen=True, eq=False)
 class Stripes:
-    """The lines of N points on S sensors, and how each pixel's light changes as they move.
+    """Stripes of N points on S sensors with their derivatives by position.
 
     Args:
-        first_px: number of the windows' first pixels, int64, shape (N, S).
+        first_px: index of the windows' first pixels, int64, shape (N, S).
         mean_sr: light of the pixels [sr], shape (N, S, W); zero beyond the sensor's ends.
-        slope_sr_per_px: its derivative by the line's position, shape (N, S, W).
+        slope_sr_per_px: its derivative by the stripe's position, shape (N, S, W) [sr/px].
     """
 
     first_px: NDArray[np.int64]
@@ -128,20 +96,20 @@ def displaced_stripes(
     pixels: int,
     here: PixelSolidAngles | None = None,
 ) -> Stripes:
-    """Move each point a little, and see how the light of each pixel changes.
+    """Return stripes with derivatives by displacing each point and forming them anew.
 
-    The derivative is taken from lines that were formed anew, so it holds for any shape, however
-    narrow against a pixel. All points move in one direction, along which every sensor measures.
+    The derivative holds for stripes of any shape, however narrow compared with a pixel. All points
+    move in one direction, in which every sensor is sensitive.
 
     Args:
         optics: forms the lines.
-        cameras: where the lines are, near enough for their slopes; S of them.
+        cameras: S cameras, accurate enough for the derivatives.
         points_mm: shape (N, 3) [mm].
         pixels: pixels of a line.
         here: the points' footprints, where they are known already.
 
     Raises:
-        InvalidParameter: no sensor sees the middle of the points.
+        InvalidParameter: no sensor sees the centre of the points.
     """
     direction, step = _displacement(cameras, points_mm)
     shift = step * direction
@@ -162,9 +130,9 @@ def displaced_stripes(
 
 
 def shifted_stripes(shapes: Sequence[StripeProfiles], pixels: int) -> Stripes:
-    """Shift lines that are known on a grid finer than pixels, and see what each pixel gains.
+    """Return stripes with derivatives by shifting profiles known on a subpixel grid.
 
-    One cell of the grid, 1/16 px, both ways: as ``displaced_stripes``, with no line formed anew.
+    The shift is one cell of the grid, 1/16 px, both ways; no stripe is formed anew.
 
     Args:
         shapes: of the same N points on each of S sensors.
@@ -190,10 +158,10 @@ def shifted_stripes(shapes: Sequence[StripeProfiles], pixels: int) -> Stripes:
 
 
 def _displacement(cameras: CameraStack, points_mm: Array) -> tuple[Array, float]:
-    """Return a direction that moves all sensors' lines, and a step that does by SHIFT_PX.
+    """Return a direction and step that move the stripes on all sensors by about SHIFT_PX.
 
     Raises:
-        InvalidParameter: no sensor sees the middle of the points.
+        InvalidParameter: no sensor sees the centre of the points.
     """
     middle = points_mm.mean(axis=0)
     per_mm = cameras.linearise(middle[None])[1][0]
@@ -213,10 +181,15 @@ def _displacement(cameras: CameraStack, points_mm: Array) -> tuple[Array, float]
 
 
 def centroids(lines: PixelSolidAngles, pixels: int) -> tuple[Array, Array]:
-    """Return whole lines' centres of gravity [px] and the light on the pixels [sr], both (N, S).
+    """Return the centroids of whole stripes and their light on the pixels.
 
-    The centre of a line that reaches over the sensor's end counts what is beyond it; NaN
-    without light.
+    Args:
+        lines: stripes of N points on S sensors.
+        pixels: number of pixels of a sensor.
+
+    Returns:
+        Centroids [px], including light beyond the sensor's end, NaN without light; and light on the
+        pixels [sr]; both of shape (N, S).
     """
     place = lines.first_px[..., None] + np.arange(lines.solid_angle_sr.shape[2])
     light = lines.solid_angle_sr.sum(axis=2)
@@ -227,7 +200,7 @@ def centroids(lines: PixelSolidAngles, pixels: int) -> tuple[Array, Array]:
 
 
 def _in_window(lines: PixelSolidAngles, first: NDArray[np.int64], width: int, pixels: int) -> Array:
-    """Return the lines in windows that begin at ``first``, zero beyond the sensor's ends."""
+    """Return the stripes in windows that begin at ``first``, zero beyond the sensor's ends."""
     points, sensors, own = lines.solid_angle_sr.shape
     window = np.zeros((points, sensors, width))
     column = (lines.first_px - first)[..., None] + np.arange(own)
@@ -240,16 +213,19 @@ def _in_window(lines: PixelSolidAngles, first: NDArray[np.int64], width: int, pi
 def centre_of_gravity_sigma(
     mean_electrons: Array, noise: PixelNoise, settings: CentroidSettings
 ) -> Array:
-    """Return the standard deviation that ``compute.signal`` gives for lines, shape (L,) [px].
+    """Return the standard deviation that the centroid finder reports for stripes, shape (L,) [px].
 
-    That of threshold and centre of gravity (thesis [4.1]): noise, and the error by where the
-    line falls within the pixels, which more light does not make smaller. NaN where the line is
-    too faint to be found, or is cut by the sensor's end into something else.
+    For threshold and centre of gravity (thesis [4.1]): noise, and the error that depends on where
+    the stripe falls within the pixels, which more light does not reduce. NaN where the stripe is
+    too faint to be detected, or cut by the sensor's end.
 
     Args:
         mean_electrons: mean signal, shape (L, W).
-        noise: what is noise besides.
-        settings: what counts as a peak, and where it is cut.
+        noise: noise of a pixel in addition to shot noise.
+        settings: settings of the centroid finder.
+
+    Raises:
+        InvalidParameter: ``noise`` has no gain.
     """
     if noise.electrons_per_count <= 0.0:
         raise InvalidParameter(

@@ -1,4 +1,4 @@
-"""Rates: how often each marker is seen, and how much data that makes, [3.1]-[3.3]."""
+"""Measurement and data rates of a device, [3.1]-[3.3]."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -50,7 +50,7 @@ def rates(
     pixels: int,
     bits: int,
 ) -> Rates:
-    """Work out a device's rates; thesis section 3.2.1, [3.1]-[3.3].
+    """Compute the rates of a device; thesis section 3.2.1, [3.1]-[3.3].
 
     [3.1] counts the N peaks of each line; strobed, a line holds one of them. A line rate counts
     exposures, so it already holds whatever dark frames a device needs between them.
@@ -64,7 +64,7 @@ def rates(
         bits: resolution of a pixel's count, 1 to 32.
 
     Raises:
-        InvalidParameter: a value is outside of what is said here.
+        InvalidParameter: a value is out of range.
     """
     for name, value in (("markers", markers), ("sensors", sensors), ("pixels", pixels)):
         if value < 1:

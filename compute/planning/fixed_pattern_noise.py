@@ -1,4 +1,4 @@
-"""Fixed pattern: how far pixels that differ move a line's position, the same in every exposure."""
+"""Fixed-pattern noise: error of a stripe's position due to pixel nonuniformity."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PixelNonuniformity:
-    """How pixels differ, as standard deviations from pixel to pixel.
+    """Pixel nonuniformity, as standard deviations from pixel to pixel.
 
     Args:
         response_nonuniformity: relative, of the response to light (PRNU).
@@ -54,7 +54,7 @@ class PixelNonuniformity:
 def fixed_pattern_sigma(
     mean_electrons: Array, slope_per_px: Array, noise: PixelNoise, pattern: PixelNonuniformity
 ) -> Array:
-    """Return the error of a line's position by the pixels' differences.
+    """Return the standard deviation of a stripe's position due to pixel nonuniformity.
 
     Of the estimator that reaches ``position_bound``, the weighted fit of position and brightness
     to the line of nominal pixels: with its weights w = 1 / variance, a = d mu / dx, its part

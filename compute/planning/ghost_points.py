@@ -1,4 +1,4 @@
-"""Ghosts: points where planes of different markers meet, when several markers are lit at once."""
+"""Ghost points: false intersections of planes when several markers are lit at once."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ Array = NDArray[np.float64]
 MAX_SENSORS: Final = 6
 """Sensors whose groupings are counted: 203 of six, 877 of seven."""
 
-_PREGATE_FACTOR: Final = 9.0  # times the limit: what a linear misfit may be to be looked at exactly
+_PREGATE_FACTOR: Final = 9.0  # times the limit: largest linear misfit that is evaluated exactly
 _MAX_DRAWS_FACTOR: Final = 50  # times as many markers as are wanted, to find ones that all see
 
 
 def intersecting_points(markers: int, sensors: int = 3) -> int:
-    """Return in how many points the lines of N markers meet in the planar case, [2.15].
+    """Return the number of points where lines of N markers intersect in the planar case, [2.15].
 
     Orthographically, along one direction, every reading is a line in the image plane; each of S
     sensors has N parallel ones, in a direction of its own. Two sensors' lines meet in N^2 points,
@@ -45,11 +45,18 @@ def intersecting_points(markers: int, sensors: int = 3) -> int:
 
 
 def candidates(markers: int, sensors: int) -> int:
-    """Return how many combinations of one peak from each sensor there are: N^S.
+    """Return the number of combinations of one peak from each sensor, N^S.
 
     In perspective, three planes of any combination meet in one point: with S = 3 all N^3 are
     points that fit exactly, N^3 - N of them ghosts, of which those outside the working volume
-    can be told. A fourth plane does not pass through that point by itself.
+    are recognised. A fourth plane does not pass through that point by itself.
+
+    Args:
+        markers: N, at least 1.
+        sensors: S, at least 3.
+
+    Raises:
+        InvalidParameter: too few of either.
     """
     _check(markers, sensors, least=3)
     return int(markers**sensors)
@@ -74,17 +81,17 @@ class GhostCount:
 
 @dataclass(frozen=True)
 class GhostProbabilities:
-    """How likely wrong combinations look like a marker.
+    """Probabilities that wrong combinations look like a marker.
 
-    Which sensors' peaks come from the same marker is a partition of the sensors, for example
-    ((0, 2), (1,), (3,)). Its chance does not depend on how many markers there are, so one Monte
+    Which sensors' peaks come from the same marker is a partition of the sensors, for example ((0,
+    2), (1,), (3,)). Its probability does not depend on how many markers there are, so one Monte
     Carlo serves any number of them.
 
     Args:
         sensors: S.
         partitions: the partitions of the sensors into two or more groups.
         probability: of each to fit within the noise, inside the volume.
-        variance: of each chance, from the Monte Carlo.
+        variance: of each probability, from the Monte Carlo.
         visible_fraction: share of the volume that all sensors see, whence the markers are drawn.
     """
 
@@ -117,7 +124,7 @@ def ghost_probabilities(
     seed: int = 0,
     limit_sigma: float | None = None,
 ) -> GhostProbabilities:
-    """Find by Monte Carlo how likely wrong combinations look like a marker.
+    """Estimate by Monte Carlo the probabilities that wrong combinations look like a marker.
 
     Markers are drawn evenly from the part of ``drawn_from`` that all sensors see, and read with
     noise; one peak of each sensor is taken as the partition says; the combination is a ghost
@@ -234,7 +241,7 @@ def _misfit(cameras: CameraStack, readings_px: Array, sigma_px: Array) -> Array:
 
 
 def _partitions(count: int) -> Iterator[tuple[tuple[int, ...], ...]]:
-    """Yield the ways to part ``0 .. count - 1`` into groups."""
+    """Yield the partitions of ``0 .. count - 1`` into groups."""
 
     def grown(member: int, groups: list[list[int]]) -> Iterator[tuple[tuple[int, ...], ...]]:
         if member == count:

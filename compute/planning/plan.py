@@ -1,4 +1,4 @@
-"""Plan: what a device will reach over its working volume, before it is built."""
+"""Plan: a device's coverage and precision over its working volume, from its profile."""
 
 from typing import Final
 
@@ -42,7 +42,7 @@ def plan(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Plan:
-    """Work out what a device will reach.
+    """Compute a device's coverage, precision, rates and ghost points.
 
     Args:
         profile: the device.
@@ -52,7 +52,7 @@ def plan(
         volume: where; None: the profile's working volume.
         ghost_trials: of the Monte Carlo, for each way to mix markers.
         seed: of its random numbers.
-        progress: told the share done, 0 to 1.
+        progress: called with the fraction done, 0 to 1.
 
     Raises:
         InvalidParameter: a value out of its range; a volume that is not seen well enough.
@@ -70,26 +70,26 @@ def plan(
         raise InvalidParameter(
             f"ghost_trials is {ghost_trials}; it must be at least 1", ghost_trials=ghost_trials
         )
-    places = volume_grid(box, shape)
+    volume_points = volume_grid(box, shape)
     device = planning_device(profile)
-    tell = progress or (lambda _: None)
-    lines = simulate_readings(device, places.points_mm, tell)
+    report = progress or (lambda _: None)
+    lines = simulate_readings(device, volume_points.points_mm, report)
 
-    slopes = lines.gradient_px_per_mm
-    noise = precision_from_jacobian(slopes, lines.bound_px)
-    centroid = precision_from_jacobian(slopes, lines.centroid_px)
-    dilution = precision_from_jacobian(slopes, np.ones(len(device.names)))
-    pattern_mm = propagated_sigma(slopes, lines.bound_px, lines.pattern_px)
-    distortion = _distortion(lines, places.points_mm)
-    centre = int(np.linalg.norm(places.points_mm - box.centre_mm, axis=1).argmin())
-    seen_by = coverage(lines.visible, places.weights)
+    gradients = lines.gradient_px_per_mm
+    noise = precision_from_jacobian(gradients, lines.bound_px)
+    centroid = precision_from_jacobian(gradients, lines.centroid_px)
+    dilution = precision_from_jacobian(gradients, np.ones(len(device.names)))
+    pattern_mm = propagated_sigma(gradients, lines.bound_px, lines.pattern_px)
+    distortion = _distortion(lines, volume_points.points_mm)
+    centre = int(np.linalg.norm(volume_points.points_mm - box.centre_mm, axis=1).argmin())
+    seen_by = coverage(lines.visible, volume_points.weights)
     ghosts, notes = _ghosts(device, lines, box, seen_by, most, ghost_trials, seed)
-    tell(1.0)
+    report(1.0)
     return Plan(
         profile.name,
         profile.title,
         box,
-        places.shape,
+        volume_points.shape,
         _sensors(device, lines),
         _summary(noise.sd_mm, centre),
         _summary(centroid.sd_mm, centre),
@@ -103,7 +103,7 @@ def plan(
         tuple(
             PlannedPoint(vector3(point), int(count), int(full), *map(_vector, figures))
             for point, count, full, *figures in zip(
-                places.points_mm,
+                volume_points.points_mm,
                 lines.visible.sum(axis=1),
                 lines.saturated.sum(axis=1),
                 noise.sd_mm,
@@ -133,7 +133,7 @@ def _ghosts(
     trials: int,
     seed: int,
 ) -> tuple[tuple[GhostCount, ...], tuple[str, ...]]:
-    """Return the expected ghosts, and how they were counted or why not."""
+    """Return the expected ghosts, and notes on how they were computed or why not."""
     if most < 2:
         return (), ()
     if not 3 <= len(device.names) <= MAX_SENSORS:
@@ -213,7 +213,7 @@ def _sensors(device: PlanningDevice, lines: SimulatedReadings) -> tuple[PlannedS
 
 
 def _saturation_notes(lines: SimulatedReadings) -> tuple[str, ...]:
-    """Say that lines are saturated, where they are."""
+    """Return notes on saturated stripes."""
     if not lines.saturated.any():
         return ()
     share = 100 * lines.saturated.sum() / lines.visible.sum()

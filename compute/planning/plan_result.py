@@ -1,4 +1,4 @@
-"""What a plan says: over the volume, sensor by sensor, point by point."""
+"""Plan documents: over the volume, sensor by sensor, point by point."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from compute.planning.ghost_points import GhostCount
 
 @dataclass(frozen=True)
 class AxisSummary:
-    """One figure along X, Y and Z over the points that can be reconstructed [mm].
+    """Summary of one quantity along X, Y and Z over the points that can be reconstructed [mm].
 
     Args:
         best, median, worst: over the grid; None: no point can be reconstructed.
@@ -53,7 +53,7 @@ class PlannedPoint:
 
 @dataclass(frozen=True)
 class PlannedSensor:
-    """One sensor: medians over what it sees of the volume.
+    """One sensor: medians over the points that it sees.
 
     Args:
         name: the sensor's name.
@@ -84,7 +84,7 @@ class PlannedSensor:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a device will reach, from its profile alone.
+    """Predicted performance of a device, from its profile alone.
 
     ``noise`` and ``centroid`` are of the noise: an exactly calibrated device. ``fixed_pattern``
     comes on top until pixels are flat-fielded, and ``distortion`` where readings are not

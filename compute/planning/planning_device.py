@@ -1,4 +1,4 @@
-"""PlanningDevice: a profile's sensors as planning needs them: lines, light, noise, cameras."""
+"""PlanningDevice: a profile's sensors with optics, light and noise for planning."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -41,7 +41,7 @@ RAYS_PER_FAN: Final = 17
 
 @dataclass(frozen=True, eq=False)
 class ImagedPoints:
-    """What S sensors see of N points.
+    """Noiseless images of N points on S sensors.
 
     Args:
         points_mm: shape (N, 3) [mm].
@@ -60,7 +60,7 @@ class ImagedPoints:
 
 @dataclass(frozen=True, eq=False)
 class PlanningDevice:
-    """Sensors of one kind.
+    """The sensors of a device, all of one kind.
 
     Args:
         names: of the S sensors.
@@ -97,7 +97,7 @@ class PlanningDevice:
         return light * self.quantum_efficiency
 
     def image_points(self, points_mm: Array) -> "ImagedPoints":
-        """Return what the sensors see of points (N, 3) [mm], without noise."""
+        """Return the noiseless images of points (N, 3) [mm]."""
         if self.mask is not None:
             here = self.mask.solid_angles(points_mm)
             light = centroids(here, self.pixels)[1]
@@ -109,7 +109,12 @@ class PlanningDevice:
         return ImagedPoints(points_mm, position, lines.mean_sr.sum(axis=2), None, lines)
 
     def lines(self, image_points: "ImagedPoints", cameras: CameraStack) -> Stripes:
-        """Return the lines of points that were looked at, with their derivatives."""
+        """Return the stripes of imaged points with their derivatives.
+
+        Args:
+            image_points: the images of N points.
+            cameras: S cameras, for the derivatives of mask shadows.
+        """
         if image_points.lines is not None:
             return image_points.lines
         assert self.mask is not None
@@ -120,7 +125,7 @@ class PlanningDevice:
     def cameras(
         self, points_mm: Array, readings_px: Array, visible: NDArray[np.bool_]
     ) -> tuple[CameraStack, Array]:
-        """Calibrate perspective cameras on readings without noise.
+        """Calibrate perspective cameras from noiseless readings.
 
         Args:
             points_mm: shape (N, 3) [mm].
@@ -147,7 +152,7 @@ class PlanningDevice:
 
 
 def planning_device(profile: DeviceProfile) -> PlanningDevice:
-    """Build what a profile describes.
+    """Build the planning device of a profile.
 
     A Gray plate (``PlateOptics``) is read as a row of steps as long as its code; its readings
     have the deviation of their rounding, 1/sqrt(12) of a step, and light enough is assumed.

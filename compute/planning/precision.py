@@ -1,4 +1,4 @@
-"""Precision: the covariance that points will have, from the readings' standard deviations."""
+"""Precision: predicted covariance of points from the readings' standard deviations."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """How precisely N points can be reconstructed; NaN where they cannot.
+    """Predicted precision of N points; NaN where they cannot be reconstructed.
 
     Args:
         covariance_mm2: shape (N, 3, 3) [mm^2].
@@ -40,7 +40,7 @@ def point_precision(cameras: CameraStack, points_mm: Array, sigma_px: Array) -> 
             or infinite where a sensor does not see the point.
 
     Raises:
-        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
+        InvalidParameter: a shape that does not fit, or a standard deviation that is not positive.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -51,7 +51,7 @@ def point_precision(cameras: CameraStack, points_mm: Array, sigma_px: Array) -> 
 
 
 def precision_from_jacobian(gradient_px_per_mm: Array, sigma_px: Array) -> Precision:
-    """Return the covariance ``(sum_s g g' / sigma_s^2)^-1``, g the slope of each reading.
+    """Return the precision from the readings' gradients: ``(sum_s g g' / sigma_s^2)^-1``.
 
     This is the covariance of the weighted least-squares solution of [5.22]-[5.24] for exactly
     known sensors, and what ``compute.reconstruction`` gives for the same readings. It is of the
@@ -65,7 +65,7 @@ def precision_from_jacobian(gradient_px_per_mm: Array, sigma_px: Array) -> Preci
             where a sensor does not see the point.
 
     Raises:
-        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
+        InvalidParameter: a shape that does not fit, or a standard deviation that is not positive.
     """
     rows, used = _weighted(gradient_px_per_mm, sigma_px)
     normal = rows.transpose(0, 2, 1) @ rows
@@ -85,7 +85,7 @@ def precision_from_jacobian(gradient_px_per_mm: Array, sigma_px: Array) -> Preci
 
 
 def propagated_sigma(gradient_px_per_mm: Array, sigma_px: Array, error_px: Array) -> Array:
-    """Return the standard deviations of points by errors of readings that the weights ignore.
+    """Return the points' standard deviations due to reading errors that the weights ignore.
 
     The points are those of ``precision_from_jacobian``, weighted by the noise; what moves them are
     errors that differ from sensor to sensor independently, such as the pixels' fixed pattern:
@@ -100,7 +100,7 @@ def propagated_sigma(gradient_px_per_mm: Array, sigma_px: Array, error_px: Array
         Shape (N, 3) [mm]; NaN where there is no position, or a reading's error is not known.
 
     Raises:
-        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
+        InvalidParameter: a shape that does not fit, or a standard deviation that is not positive.
     """
     found = precision_from_jacobian(gradient_px_per_mm, sigma_px)
     rows, used = _weighted(gradient_px_per_mm, sigma_px)
@@ -113,16 +113,12 @@ def propagated_sigma(gradient_px_per_mm: Array, sigma_px: Array, error_px: Array
     sigma = np.where(used, np.broadcast_to(sigma_px, used.shape), 1.0)
     relative = np.where(used, error_px, 0.0) / sigma
     moved = np.einsum("nij,nsj,ns->nsi", found.covariance_mm2, rows, relative)
-    spread: Array = np.sqrt(np.square(moved).sum(axis=1))
-    return spread
+    sigma_mm: Array = np.sqrt(np.square(moved).sum(axis=1))
+    return sigma_mm
 
 
 def _weighted(gradient_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the slopes over their deviations, 0 for readings without use, and which have one.
-
-    Raises:
-        InvalidParameter: a shape that does not fit, or a deviation that is not positive.
-    """
+    """Return gradients over standard deviations, 0 for unusable readings, and the usable ones."""
     shape = gradient_px_per_mm.shape[:2]
     given = np.asarray(sigma_px, dtype=np.float64)
     if given.shape not in (shape, shape[1:]):
@@ -146,7 +142,7 @@ def _weighted(gradient_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArra
 
 
 def _informative(sigma: Array) -> NDArray[np.bool_]:
-    """Say which readings the reconstruction will use, shape (N, S)."""
+    """Return which readings the reconstruction uses, shape (N, S)."""
     seen = np.isfinite(sigma)
     if sigma.shape[1] < 4:
         return seen

@@ -1,4 +1,4 @@
-"""Readings: what the sensors read of a grid's points: light, noise and pattern of every line."""
+"""Simulated readings of a grid of points: light, noise and pattern of every stripe."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,20 +9,21 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.planning.coverage import is_visible
-from compute.planning.cramer_rao import centre_of_gravity_sigma, position_bound
+from compute.planning.cramer_rao import centre_of_gravity_sigma
 from compute.planning.fixed_pattern_noise import fixed_pattern_sigma
 from compute.planning.planning_device import PlanningDevice
 from compute.signal.centroid_settings import CentroidSettings
+from compute.signal.cramer_rao import position_bound
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-_BATCH_POINTS: Final = 128  # points traced at once; between them progress is told
+_BATCH_POINTS: Final = 128  # points traced at once, between progress reports
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedReadings:
-    """What S sensors read of N points; NaN where a sensor does not see a point.
+    """Readings of N points by S sensors; NaN where a sensor does not see a point.
 
     Args:
         cameras: perspective cameras calibrated on the exact readings.
@@ -53,12 +54,12 @@ class SimulatedReadings:
 def simulate_readings(
     device: PlanningDevice, points_mm: Array, progress: Progress
 ) -> SimulatedReadings:
-    """Form the lines of points and work out how well they can be read.
+    """Form the stripes of points and compute the precision of their readings.
 
     Args:
         device: the sensors.
         points_mm: shape (N, 3) [mm].
-        progress: told the share done, 0 to 0.9.
+        progress: called with the fraction done, 0 to 0.9.
 
     Raises:
         InvalidParameter: a sensor sees too little of the points.
@@ -82,7 +83,7 @@ def simulate_readings(
         mean, slope = lines.mean_sr * per_sr, lines.slope_sr_per_px * per_sr
         electrons[block], peak[block] = mean.sum(axis=2), mean.max(axis=2)
         if device.quantisation_px is None:
-            bound[block] = position_bound(mean, slope, device.noise)
+            bound[block] = position_bound(mean, slope, device.noise.variance_electrons2)
             pattern[block] = fixed_pattern_sigma(mean, slope, device.noise, device.pattern)
             if device.mask is None:
                 centroid[block] = _by_centre_of_gravity(device, mean, visible[block])

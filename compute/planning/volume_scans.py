@@ -1,7 +1,7 @@
-"""VolumeScans: noiseless light lines of points all over a profile's volume, and their readings.
+"""VolumeScans: noiseless scans of points over a profile's volume with their true readings.
 
-An estimator that takes the lines for something else than they are errs by place, by the same
-amount in every exposure; here it is measured.
+They measure the systematic error of a peak estimator, which depends on the position and is the same
+in every exposure.
 """
 
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.optics.coded_aperture.gray_plate_optics import TrackOptics
+from compute.optics.coded_aperture.gray_plate import TrackOptics
 from compute.optics.coded_aperture.mask_optics import MaskOptics
 from compute.optics.pixel_solid_angles import scan_electrons
 from compute.optics.profiles.device_profile import DeviceProfile
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class VolumeScans:
-    """Lines of N points evenly spread over a volume, on S sensors.
+    """Noiseless scans of N points, evenly spread over a volume, on S sensors.
 
     Args:
         lines: counts without noise, uint16, shape (N x S, P), point by point.
@@ -38,7 +38,7 @@ class VolumeScans:
     full_counts: int
 
     def parts(self, points: int) -> Iterator["VolumeScans"]:
-        """Yield them by so many points at a time."""
+        """Yield the scans in parts of at most ``points`` points."""
         sensors = self.readings_px.shape[1]
         for first in range(0, len(self.readings_px), points):
             part = slice(first, first + points)
@@ -46,10 +46,14 @@ class VolumeScans:
             yield VolumeScans(lines, self.readings_px[part], self.full_counts)
 
     def errors_px(self, peaks: PeakBatch, without: PeakFlag = PeakFlag.CLIPPED) -> Array:
-        """Return how far the brightest peaks of these lines are off, shape (N, S) [px].
+        """Return the errors of the brightest peaks of these scans, shape (N, S) [px].
 
         NaN where there is none, of lines with full pixels, and of peaks with one of the flags
         ``without``.
+
+        Args:
+            peaks: peaks found in the scans.
+            without: flags of peaks that are left out.
         """
         points, sensors = self.readings_px.shape
         found = np.isfinite(peaks.position_px)
@@ -62,7 +66,7 @@ class VolumeScans:
 
 
 def volume_scans(profile: DeviceProfile, per_side: int = 5) -> VolumeScans:
-    """Trace the noiseless lines of a profile's markers; takes up to a second.
+    """Trace the noiseless scans of a profile's markers; takes up to a second.
 
     Pixels respond as unevenly as the profile's do, other ones to each line: that too is an error by
     place.

@@ -1,4 +1,4 @@
-"""CentredMarkers: a tool's markers about their centroid, where turns and shifts are least coupled."""
+"""CentredMarkers: a tool's markers relative to their centroid."""
 
 from dataclasses import dataclass
 from functools import lru_cache

@@ -30,11 +30,11 @@ class PoseFitSettings:
             and says nothing of whether the readings are right.
         false_rejection_probability: chance that right readings are taken for wrong ones.
         max_excluded: wrong readings that are left out at most.
-        ambiguity_chi2_margin: two solutions fit equally well when their chi2 differ by less: at 16 the
-            worse one is 3,000 times less likely.
-        max_sigma_fraction: largest standard deviation of any motion, in mm at the tool's own radius,
-            as a share of that radius. Above it the linear covariance means nothing: at 0.1 the
-            second-order term of a turn is a twentieth of the turn.
+        ambiguity_chi2_margin: two solutions fit equally well when their chi2 differ by less: at 16
+            the worse one is 3,000 times less likely.
+        max_sigma_fraction: largest standard deviation of any motion, in mm at the tool's own
+            radius, as a share of that radius. Above it the linear covariance means nothing: at 0.1
+            the second-order term of a turn is a twentieth of the turn.
     """
 
     min_redundancy: int = 1
@@ -62,11 +62,13 @@ class MotionSettings:
     Args:
         acceleration_mm_s2: RMS acceleration of a tool.
         angular_acceleration_rad_s2: RMS angular acceleration.
-        manoeuvre_time_constant_s: time for which an acceleration lasts. The noise of the velocity has the density
-            2 a^2 T of R. A. Singer's model (doi:10.1109/TAES.1970.4103889) for slower changes.
+        manoeuvre_time_constant_s: time for which an acceleration lasts. The noise of the velocity
+            has the density 2 a^2 T of R. A. Singer's model (doi:10.1109/TAES.1970.4103889) for
+            slower changes.
         velocity_sigma_mm_s: standard deviation of a velocity of which nothing is known.
         angular_velocity_sigma_rad_s: of an angular velocity of which nothing is known.
-        manoeuvre_factor: factor on the accelerations with which a frame that does not fit is tried again.
+        manoeuvre_factor: factor on the accelerations with which a frame that does not fit is tried
+            again.
     """
 
     acceleration_mm_s2: float = 3000.0
@@ -86,9 +88,9 @@ class MotionMode:
 
     Args:
         acceleration_fraction: of the RMS accelerations of MotionSettings.
-        manoeuvre_time_constant_s: how long an acceleration lasts, if so long that it is followed as well: it then
-            changes by white noise of the density ``2 a^2 / T``. None: it is too short for that,
-            the velocities change by white noise as in MotionSettings.
+        manoeuvre_time_constant_s: how long an acceleration lasts, if so long that it is followed as
+            well: it then changes by white noise of the density ``2 a^2 / T``. None: it is too short
+            for that, the velocities change by white noise as in MotionSettings.
     """
 
     acceleration_fraction: float
@@ -120,7 +122,8 @@ class ImmSettings:
         _check_positive(self)
         if not self.modes or self.modes[-1] != MotionMode(1.0):
             raise InvalidParameter(
-                f"modes are {self.modes}; the last one must be {MotionMode(1.0)}: readings are looked "
+                f"modes are {self.modes}; the last one must be {MotionMode(1.0)}: readings are "
+                "looked "
                 "for as far as it reaches"
             )
 
@@ -132,10 +135,12 @@ class LabellingSettings:
     Args:
         min_markers: fewest markers that a tool is known by; three make a triangle.
         gate_probability: chance that markers of the tool are not taken for it, per distance.
-        marker_sigma_mm: standard deviation of a point on top of its covariance: how well the markers'
-            places in the tool are known.
-        ambiguity_chi2_margin: two ways to explain points are equally good when their chi2 differ by less.
-        max_search_steps: steps of the search for ways to lay a tool over points, after which it gives up
+        marker_sigma_mm: standard deviation of a point on top of its covariance: how well the
+            markers' places in the tool are known.
+        ambiguity_chi2_margin: two ways to explain points are equally good when their chi2 differ by
+            less.
+        max_search_steps: steps of the search for ways to lay a tool over points, after which it
+            gives up
             and the tool is not found: of a tool of 20 like distances there is no end.
     """
 

@@ -1,1 +1,1 @@
-"""How good is a device today? Tests with points and distances, and charts of them over time."""
+"""Quality checks: single-point and point-to-point accuracy tests, control charts."""

@@ -1,10 +1,10 @@
-"""Control chart: values over time with the limits that they keep while nothing changes.
+"""Control chart: Shewhart and EWMA charts of individual values.
 
-A Shewhart chart of individual values, with their moving range for the spread, finds a jump; an
-exponentially weighted moving average finds a slow drift that no single value shows (D. C.
+A Shewhart chart of individual values, with sigma from their moving range, detects a jump; an
+exponentially weighted moving average detects a slow drift that no single value shows (D. C.
 Montgomery, Introduction to Statistical Quality Control, chapters 6 and 9; S. W. Roberts,
-Technometrics 1, 239, 1959, doi 10.1080/00401706.1959.10489860). What is normal is known from few
-values only, and the limits allow for that: they are those of Student's distribution.
+Technometrics 1, 239, 1959, doi 10.1080/00401706.1959.10489860). The baseline has few values; the
+limits are those of Student's distribution to allow for that.
 """
 
 import math
@@ -21,7 +21,7 @@ from compute.errors import InvalidParameter
 Array = NDArray[np.float64]
 
 MIN_BASELINE: Final = 8
-"""Values that centre and spread are taken from at least."""
+"""Smallest number of values in a baseline."""
 _RANGE_OF_TWO: Final = 1.128379167095513
 """Mean range of two values over their standard deviation, 2 / sqrt(pi)."""
 _SHEWHART_LIMIT: Final = 3.0
@@ -30,15 +30,15 @@ _EWMA_LIMIT: Final = 2.86
 """With the weight 0.2 the average leaves its limits by chance as rarely as a value its own: once
 in 370 (J. M. Lucas and M. S. Saccucci, Technometrics 32, 1, 1990, table 3)."""
 _DOF_PER_VALUE: Final = 0.62
-"""Degrees of freedom of a spread from the moving range, for each of its values but the first."""
+"""Degrees of freedom of a sigma from the moving range, for each value but the first."""
 _SUSTAINED_JUMPS: Final = 3
 _SUSTAINED_VALUES: Final = 8
 _SUSTAINED_SIGNIFICANCE: Final = 1e-4
-"""Of a mean of so many values, to be off by as much with nothing changed."""
+"""Significance of the shifted mean of that many values."""
 
 
 class ControlChartAlarm(StrEnum):
-    """What a value says."""
+    """Alarm raised by a value."""
 
     NONE = "none"
     JUMP = "jump"
@@ -49,19 +49,18 @@ class ControlChartAlarm(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class ControlChart:
-    """N values and their limits.
+    """N values with their limits.
 
     Args:
         values: shape (N,).
         centre: mean of the baseline.
-        sigma: spread of a value, from the baseline's moving range, and the floor.
+        sigma: standard deviation of a value, from the baseline's moving range, at least the floor.
         ewma: exponentially weighted moving average, shape (N,); the centre in the baseline.
-        limit: distance from the centre that a single value keeps.
-        ewma_limit: distance from the centre that the average keeps, shape (N,).
+        limit: largest distance of a value from the centre without an alarm.
+        ewma_limit: largest distance of the average from the centre, shape (N,).
         alarms: one for each value; NONE in the baseline.
-        baseline: how many of the first values it is made from; all values, while they are fewer
-            than asked for.
-        ready: whether there are enough for a baseline; without, there are no signals.
+        baseline: number of values in the baseline; all values while they are fewer than that.
+        ready: whether the baseline is complete; before, there are no alarms.
     """
 
     values: Array
@@ -76,14 +75,14 @@ class ControlChart:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The values' own limits."""
+        """Lower and upper limit of a value."""
         return self.centre - self.limit, self.centre + self.limit
 
     @property
     def is_sustained(self) -> bool:
-        """Whether the newest values leave no doubt: each of three a jump, or the mean of eight off.
+        """Whether the newest values confirm a change: three jumps, or a shifted mean of eight.
 
-        Signals of the average are no such sign: it has a memory, and one is followed by others.
+        Alarms of the average do not count: it has a memory, and one is followed by others.
         """
         judged = len(self.values) - self.baseline
         if not self.ready:
@@ -101,13 +100,13 @@ class ControlChart:
 
 
 def control_chart(values: Array, baseline: int = 20, floor: float = 0.0) -> ControlChart:
-    """Return the chart of some values in the order of time.
+    """Return the control chart of values in the order of time.
 
     Args:
         values: shape (N,).
-        baseline: how many of the first say what is normal.
-        floor: smallest spread of a value that matters; a chart of values that hardly scatter
-            would call every hair's breadth a signal.
+        baseline: number of first values from which centre and sigma are estimated.
+        floor: lower bound of sigma; without it, values that hardly scatter would raise an alarm at
+            any change.
 
     Raises:
         InvalidParameter: a value is not finite, or the baseline too short.
@@ -147,5 +146,5 @@ def control_chart(values: Array, baseline: int = 20, floor: float = 0.0) -> Cont
 
 
 def _quantile(baseline: int, probability: float) -> float:
-    """Return Student's quantile for a spread from so many values' moving range."""
+    """Return Student's quantile for a sigma from the moving range of a baseline."""
     return float(stdtrit(_DOF_PER_VALUE * (baseline - 1), probability))

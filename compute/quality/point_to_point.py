@@ -1,4 +1,4 @@
-"""Point to point: the known distance of two markers is measured at many places."""
+"""Point-to-point test: a known distance between two markers, measured at many positions."""
 
 from dataclasses import dataclass
 
@@ -28,18 +28,18 @@ class MarkerTrack:
 
 @dataclass(frozen=True)
 class PointToPoint:
-    """How well a known distance is measured.
+    """Accuracy of a measured distance.
 
     Args:
-        reference_mm: the distance [mm].
-        errors: measured less known [mm].
-        mean_sigma_mm: standard deviation of the mean error from the reference's own uncertainty;
-            the scatter's share is ``errors.standard_deviation`` over the root of the count, where
-            the places are independent.
-        normalised_square: mean of the squared errors, each over its variance as the points'
-            covariances state it; about 1 where they are honest. The two ends' common errors, of
-            the calibration for instance, are taken as independent, which makes it smaller.
-        extent_mm: by how much the middle moved along X, Y and Z [mm]: what was tested.
+        reference_mm: the known distance [mm].
+        errors: measured minus known [mm].
+        mean_sigma_mm: standard deviation of the mean error due to the reference's uncertainty; the
+            scatter contributes ``errors.standard_deviation`` over the root of the count, where the
+            positions are independent.
+        normalised_square: mean of the squared errors over their variances from the points'
+            covariances; about 1 where these are right. Errors common to both ends, such as the
+            calibration's, are treated as independent, which makes it smaller.
+        extent_mm: extent of the midpoints along X, Y and Z [mm]: the volume tested.
     """
 
     reference_mm: float
@@ -57,10 +57,10 @@ def point_to_point(
     *,
     max_gap_s: float = np.inf,
 ) -> PointToPoint:
-    """Return how well a known distance was measured; after the test of that name in ASTM F2554.
+    """Measure the accuracy of a known distance; the point-to-point test of ASTM F2554.
 
-    Markers that are lit in turn are never seen at the same moment: the first marker's positions
-    are interpolated, straight, to the second's times.
+    Markers that are lit in turn are never seen at the same time: the first marker's positions are
+    interpolated linearly at the second's times.
 
     Args:
         first: a marker at one end.
@@ -70,18 +70,18 @@ def point_to_point(
         max_gap_s: over which no position is interpolated [s].
 
     Raises:
-        InvalidParameter: the distance is not positive, or its deviation negative.
-        TooFewPoints: fewer than two places at which both were measured.
+        InvalidParameter: the distance is not positive, or its standard deviation negative.
+        TooFewPoints: fewer than two positions at which both were measured.
     """
     if not (0.0 < reference_mm < np.inf and 0.0 <= reference_sigma_mm < np.inf):
         raise InvalidParameter(
             f"the reference distance is {reference_mm} +- {reference_sigma_mm} mm; it must be "
-            "positive, and its deviation zero or more"
+            "positive, and its standard deviation zero or more"
         )
     start, start_covariance, covered = _at(first, second.time_s, max_gap_s)
     if covered.sum() < 2:
         raise TooFewPoints(
-            f"both markers were measured together at {covered.sum()} places; at least 2 are "
+            f"both markers were measured together at {covered.sum()} positions; at least 2 are "
             "needed: are both in view?",
             count=int(covered.sum()),
         )
@@ -106,7 +106,7 @@ def point_to_point(
 def _at(
     track: MarkerTrack, time_s: Array, max_gap_s: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return positions and covariances at some times, and where they could be interpolated."""
+    """Interpolate positions and covariances at some times; also where that was possible."""
     if len(track.time_s) == 0:
         nothing = np.zeros((len(time_s), 3))
         return nothing, np.zeros((len(time_s), 3, 3)), np.zeros(len(time_s), dtype=np.bool_)

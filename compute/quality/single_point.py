@@ -1,4 +1,4 @@
-"""Single point: a marker that stands still is measured again and again."""
+"""Single-point test: repeated measurements of a stationary marker."""
 
 from dataclasses import dataclass
 
@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SinglePoint:
-    """How well a still marker is measured.
+    """Precision of a stationary marker.
 
     Args:
         position_mm: mean position [mm].
         scatter: distances from the mean [mm].
         axes_mm: standard deviation along X, Y and Z [mm].
-        stated_mm: root of the mean squared distance that the points' own covariances, as far as
-            they differ from point to point, let expect at most [mm].
+        stated_mm: root of the mean squared distance expected from the points' own covariances, an
+            upper limit as these include errors common to all points [mm].
         drift_mm_per_min: speed of the straight line through the positions [mm/min].
         drift_sigma_mm_per_min: its standard deviation, from the scatter.
         bias: the mean's distance from the reference [mm]; None without one.
@@ -42,10 +42,10 @@ def single_point(
     time_s: Array,
     reference_mm: Array | None = None,
 ) -> SinglePoint:
-    """Return how well a still marker was measured; after the single point test of ASTM F2554.
+    """Measure the precision of a stationary marker; the single-point test of ASTM F2554.
 
-    The covariances hold the calibration's own, the same error in each point, which is not seen
-    in the scatter: ``stated_mm`` is its upper limit.
+    The covariances include the calibration's, whose error is the same in each point and does not
+    appear in the scatter: ``stated_mm`` is an upper limit of the scatter.
 
     Args:
         position_mm: N positions of the marker, shape (N, 3) [mm].
@@ -77,7 +77,7 @@ def single_point(
 
 
 def _drift(deviations: Array, time_s: Array) -> tuple[float, float]:
-    """Return the speed of the straight line through the points and its deviation [mm/s]."""
+    """Return the speed of the linear fit to the points and its standard deviation [mm/s]."""
     since = time_s - time_s.mean()
     lever = float((since**2).sum())
     if lever == 0.0 or len(deviations) < 3:

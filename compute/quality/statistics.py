@@ -1,4 +1,4 @@
-"""ErrorStatistics: what tests of positional accuracy report of their errors."""
+"""ErrorStatistics: summary of errors in accuracy tests."""
 
 from dataclasses import dataclass
 
@@ -12,10 +12,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """Summary of N errors [mm], the figures that ASTM F2554 asks for.
+    """Summary of N errors [mm], with the values that ASTM F2554 requires.
 
     Args:
-        count: how many.
+        count: their number.
         mean: their mean.
         standard_deviation: about the mean, N - 1 degrees of freedom.
         rms: root of the mean square.
@@ -32,7 +32,7 @@ class ErrorStatistics:
 
 
 def error_statistics(errors_mm: Array) -> ErrorStatistics:
-    """Return the summary of some errors.
+    """Summarise errors.
 
     Args:
         errors_mm: with their sign where they have one [mm], shape (N,).

@@ -1,1 +1,1 @@
-"""From readings of several sensors to 3D points with covariance."""
+"""Correspondence and triangulation: from measurements to points with covariance."""

@@ -1,4 +1,4 @@
-"""Linear reconstruction: the planes of the readings, intersected by least squares."""
+"""Linear triangulation: least-squares intersection of the readings' planes."""
 
 import numpy as np
 from numpy.typing import NDArray

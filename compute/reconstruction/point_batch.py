@@ -1,4 +1,4 @@
-"""Reconstructed points: a batch as arrays, one point as a value."""
+"""PointBatch and PointEstimate: reconstructed points as arrays, and one as a value."""
 
 from dataclasses import dataclass
 from enum import IntFlag
@@ -29,7 +29,7 @@ class PointFlag(IntFlag):
     AMBIGUOUS = 32
     """Another grouping of the sensors' peaks is as likely."""
     SUSPECT_PEAK = 64
-    """One of its peaks is saturated or merged with another."""
+    """One of its peaks is suspect by the flag policy."""
     OUTSIDE_MAP = 128
     """The correction table vouches for the reading of some used sensor not there."""
 
@@ -84,6 +84,40 @@ class PointBatch:
             self.chi2[rows],
             self.used[rows],
             self.flags[rows],
+        )
+
+    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "PointBatch":
+        """Return some of the points, by their indices or by a mask."""
+        return PointBatch(
+            self.position_mm[index],
+            self.covariance_mm2[index],
+            self.chi2[index],
+            self.used[index],
+            self.flags[index],
+        )
+
+    @classmethod
+    def empty(cls, sensors: int) -> "PointBatch":
+        """Return the batch of no points, by so many sensors."""
+        return cls(
+            np.empty((0, 3)),
+            np.empty((0, 3, 3)),
+            np.empty(0),
+            np.empty((0, sensors), dtype=np.bool_),
+            np.empty(0, dtype=np.int32),
+        )
+
+    @classmethod
+    def concatenate(cls, parts: "list[PointBatch]") -> "PointBatch":
+        """Return the points of one batch or more, in order."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(
+            np.concatenate([part.position_mm for part in parts]),
+            np.concatenate([part.covariance_mm2 for part in parts]),
+            np.concatenate([part.chi2 for part in parts]),
+            np.concatenate([part.used for part in parts]),
+            np.concatenate([part.flags for part in parts]),
         )
 
     def residual_sigma(self) -> NDArray[np.float64]:

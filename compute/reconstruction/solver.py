@@ -1,4 +1,4 @@
-"""PointSolver: readings to points in one kernel, on one device, for one calibration."""
+"""PointSolver: triangulation by one native kernel, for one calibration on one device."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -10,6 +10,7 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
+from compute.measurement.measurement_model import check_corrections, check_covariance
 from compute.reconstruction.native.camera_arguments import fill_cameras
 from compute.reconstruction.native.kernel_arguments import JOB, MAX_POWER, row_length
 from compute.reconstruction.native.launch import (
@@ -20,11 +21,7 @@ from compute.reconstruction.native.launch import (
     empty_points,
 )
 from compute.reconstruction.point_batch import PointBatch
-from compute.reconstruction.triangulation import (
-    INCONSISTENCY_SIGNIFICANCE,
-    check_corrections,
-    chi2_limit,
-)
+from compute.reconstruction.triangulation import INCONSISTENCY_SIGNIFICANCE, chi2_limit
 from compute.warp_host import warp_device
 
 Array = NDArray[np.float64]
@@ -171,9 +168,4 @@ def _check(cameras: CameraStack, covariance: Array | None) -> None:
             raise InvalidParameter(
                 f"a term of distortion has the powers {term}; they must be {MAX_POWER} at most"
             )
-    count = int(cameras.parameter_mask.sum())
-    if covariance is not None and np.shape(covariance) != (count, count):
-        raise InvalidParameter(
-            f"the parameters' covariance has the shape {np.shape(covariance)}; the cameras have "
-            f"{count} parameters"
-        )
+    check_covariance(cameras, covariance)

@@ -1,4 +1,4 @@
-"""Weighted non-linear reconstruction: points that fit the readings, with their covariance."""
+"""Weighted non-linear triangulation with covariance: the NumPy definition."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from scipy.special import chdtri
 
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
-from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
+from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.linear_triangulation import triangulate_linear
 from compute.reconstruction.point_batch import PointBatch, PointFlag
 
@@ -68,8 +68,8 @@ def reconstruct(
     Raises:
         InvalidParameter: the table is of another number of sensors.
     """
-    cameras = models if isinstance(models, CameraStack) else CameraStack.of(models)
-    check_corrections(cameras, corrections)
+    model = MeasurementModel.of(models, parameter_covariance, corrections)
+    cameras = model.cameras
     readings = np.asarray(readings_px, dtype=np.float64)
     readings = np.where(np.isfinite(readings), readings, np.nan)
     slope = cameras.correction_derivative(readings)
@@ -81,7 +81,7 @@ def reconstruct(
     target = np.where(used, target, np.nan)
     start = triangulate_linear(cameras, target)
     sigma = np.where(used, sigma, 1.0)
-    equations = _Equations(cameras, np.where(used, readings, np.nan), corrections)
+    equations = _Equations(model, np.where(used, readings, np.nan))
     place = start
     if cameras.has_distortion or corrections is not None:
         place = _refine(
@@ -91,7 +91,7 @@ def reconstruct(
     if corrections is not None:
         known = np.nan_to_num(corrections.at(place).variance_px2)
         variance += np.where(used, known * slope**2, 0.0)
-    whitening = _whitening(cameras, place, variance, used, parameter_covariance)
+    whitening = model.whitening(place, variance, used)
     position, gram, converged = _refine(equations, whitening, place)
     normal, chi2 = gram[:, :3, :3], gram[:, 3, 3]
     # Three readings have a point that fits exactly, unless a table bends them past one another:
@@ -115,7 +115,7 @@ def reconstruct(
     flags[~missing & (count == 3)] |= PointFlag.NO_REDUNDANCY
     flags[~missing & (chi2 > limits[count])] |= PointFlag.INCONSISTENT
     if corrections is not None:
-        foreign = (used & ~corrections.at(position).inside).any(axis=1)
+        foreign = (used & ~model.inside_hull(position)).any(axis=1)
         flags[~missing & foreign] |= PointFlag.OUTSIDE_MAP
     position[missing], covariance[missing], chi2[missing] = np.nan, np.nan, np.nan
     return PointBatch(position, covariance, chi2, used, flags)
@@ -136,29 +136,23 @@ def _select_informative(seen: NDArray[np.bool_], sigma: Array) -> NDArray[np.boo
 class _Equations:
     """The readings (N, S), NaN where not used, as equations for their points."""
 
-    cameras: CameraStack
+    model: MeasurementModel
     readings_px: Array
-    corrections: CorrectionTable | None
 
     def at(self, position: Array, index: NDArray[np.intp] | slice, whitening: Array) -> Array:
-        """Return whitened slopes and residuals side by side, shape (N, S, 4); 0 where not used.
+        """Return whitened Jacobians and residuals side by side, shape (N, S, 4); 0 where not used.
 
         Args:
             position: of the points ``index``, shape (N, 3).
             index: which of the points.
             whitening: of these points, shape (N, S, S).
         """
-        reading = self.readings_px[index]
-        projected, slope = self.cameras.linearise(position)
-        if self.corrections is not None:
-            correction = self.corrections.at(position)
-            reading = reading + correction.value_px
-            by_reading = self.cameras.correction_derivative(reading)[..., None]
-            slope -= by_reading * correction.gradient_px_per_mm
-        rows = np.empty((*projected.shape, 4))
-        rows[..., :3] = slope
-        rows[..., 3] = self.cameras.add_cubic_term(reading) - projected
-        rows[np.isnan(self.readings_px[index])] = 0.0
+        readings = self.readings_px[index]
+        residual, jacobian = self.model.residuals(readings, position)
+        rows = np.empty((*residual.shape, 4))
+        rows[..., :3] = jacobian
+        rows[..., 3] = residual
+        rows[np.isnan(readings)] = 0.0
         whitened: Array = whitening @ rows
         return whitened
 
@@ -176,28 +170,6 @@ def _solve(gram: Array, damping: Array) -> Array:
     floor = 1e-300 + 1e-15 * diagonal.max(axis=1, keepdims=True)
     normal[:, _DIAGONAL, _DIAGONAL] += damping[:, None] * diagonal + floor
     return np.asarray(np.linalg.solve(normal, gram[:, :3, 3:])[..., 0], dtype=np.float64)
-
-
-def _whitening(
-    cameras: CameraStack,
-    position: Array,
-    variance: Array,
-    used: NDArray[np.bool_],
-    parameter_covariance: Array | None,
-) -> Array:
-    """Return W with W S W' = 1, shape (N, S, S), for the covariance S of the used readings.
-
-    ``variance`` is the readings' own, (N, S).
-    """
-    if parameter_covariance is None:
-        return np.eye(len(cameras)) / np.sqrt(variance)[:, :, None]
-    sensors = len(cameras)
-    slopes = np.nan_to_num(cameras.parameter_jacobian(position)) * used[..., None]
-    blocks = cameras.covariance_blocks(parameter_covariance)
-    covariance: Array = np.einsum("nsp,sptq,ntq->nst", slopes, blocks, slopes)
-    diagonal = np.arange(sensors)
-    covariance[:, diagonal, diagonal] += variance
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
 
 
 def _refine(
@@ -232,19 +204,6 @@ def _refine(
         converged[index] = small
         index = index[~small & (damping[index] < MAX_DAMPING)]
     return position, gram, converged
-
-
-def check_corrections(cameras: CameraStack, corrections: CorrectionTable | None) -> None:
-    """Refuse a table for another number of sensors.
-
-    Raises:
-        InvalidParameter: it is.
-    """
-    if corrections is not None and len(corrections.sensors) != len(cameras):
-        raise InvalidParameter(
-            f"the correction table is of {len(corrections.sensors)} sensors; there are "
-            f"{len(cameras)} cameras"
-        )
 
 
 @cache

@@ -1,4 +1,4 @@
-"""CentroidFinder: finds the peaks of batches of lines on one device, in buffers of its own."""
+"""Peak finder by threshold and centre of gravity, compiled by Warp for one device."""
 
 from typing import Final
 
@@ -16,7 +16,7 @@ PIXELS_PER_THREAD: Final = 2_097_152
 
 
 class CentroidFinder(PeakFinder):
-    """Threshold and centre of gravity of many lines at once (thesis [4.1], 4.2.2) by Warp.
+    """Threshold and centre of gravity of many scans at once (thesis [4.1], 4.2.2) by Warp.
 
     Warp is not thread-safe: one thread makes the finder and calls it. Making it loads Warp and
     compiles the kernel, unless an earlier process has (seconds); ``find`` does neither.

@@ -1,4 +1,4 @@
-"""The definition of CentroidSettings written out in NumPy: the oracle that the kernel must match.
+"""Threshold and centre of gravity in NumPy: the definition that the kernel must match.
 
 It shares no code with the kernel, looks at every candidate on its own, and is slow.
 """
@@ -20,13 +20,19 @@ Row = tuple[float, float, float, float, int]
 
 
 def find_peaks_reference(
-    lines: NDArray[np.uint16], settings: CentroidSettings, noise: SensorNoise
+    scans: NDArray[np.uint16], settings: CentroidSettings, noise: SensorNoise
 ) -> PeakBatch:
-    """Find the peaks of lines of shape (L, P), uint16, as ``CentroidFinder.find`` does."""
+    """Find the peaks of scans as ``CentroidFinder.find`` does, plainly and slowly.
+
+    Args:
+        scans: counts, uint16, shape (L, P); scan l is of sensor ``l % len(noise)``.
+        settings: what counts as a peak, and where it is cut.
+        noise: noise of the sensors.
+    """
     room = settings.max_peaks
-    batch = PeakBatch.empty(len(lines), room)
-    for number, line in enumerate(lines):
-        rows = _line_peaks(line.astype(np.int64), settings, noise, number % len(noise))
+    batch = PeakBatch.empty(len(scans), room)
+    for number, scan in enumerate(scans):
+        rows = _line_peaks(scan.astype(np.int64), settings, noise, number % len(noise))
         if len(rows) > room:
             brightest = sorted(rows, key=lambda row: (-row[2], row[0]))[:room]
             rows = [(*row[:4], row[4] | PeakFlag.TRUNCATED) for row in sorted(brightest)]
@@ -43,7 +49,7 @@ def find_peaks_reference(
 def _line_peaks(
     values: NDArray[np.int64], settings: CentroidSettings, noise: SensorNoise, sensor: int
 ) -> list[Row]:
-    """Return the line's peaks: position, sigma, amplitude, width, flags."""
+    """Return the scan's peaks: position, sigma, amplitude, width, flags."""
     dark = float(noise.dark_variance[sensor])
     photon = float(noise.photon_variance[sensor])
     offset = float(noise.offset_counts[sensor])
@@ -81,7 +87,7 @@ def _line_peaks(
 
 
 def _background(values: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the background and the spread of the line's dark part, in 1/LEVEL_UNIT counts."""
+    """Return the background and the spread of the scan's dark part, in 1/LEVEL_UNIT counts."""
     sums = sorted(
         int(values[start : start + GROUP_PIXELS].sum()) for start in sample_starts(len(values))
     )

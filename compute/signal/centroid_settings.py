@@ -1,4 +1,4 @@
-"""CentroidSettings: what counts as a peak, and where it is cut; and the definition of a peak."""
+"""Settings of the centroid peak finder, and the definition of a peak."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -29,7 +29,7 @@ MAX_PIXELS: Final = 65536
 
 @dataclass(frozen=True)
 class CentroidSettings:
-    """How peaks are found in a line: threshold and centre of gravity, thesis [4.1] and 4.2.2.
+    """Settings of threshold and centre of gravity in a scan, thesis [4.1] and 4.2.2.
 
     The definition, which the kernel and the reference both implement:
 
@@ -104,6 +104,12 @@ class CentroidSettings:
 def require_whole(name: str, value: int, minimum: int, maximum: int) -> None:
     """Refuse a number that is no integer or lies outside its range: arrays are sized by it.
 
+    Args:
+        name: name of the value, for the message.
+        value: the number.
+        minimum: least value that is allowed.
+        maximum: greatest value that is allowed.
+
     Raises:
         InvalidParameter: with the value and the range.
     """
@@ -116,7 +122,7 @@ def require_whole(name: str, value: int, minimum: int, maximum: int) -> None:
 
 
 def sample_starts(pixels: int) -> tuple[int, ...]:
-    """Return the first pixel of each group that the background is taken from."""
+    """Return the first pixel of each group of pixels that the background is estimated from."""
     groups = min(SAMPLE_GROUPS, pixels // GROUP_PIXELS)
     step = (pixels - GROUP_PIXELS) // (groups - 1)
     # A multiple of 8 pixels keeps the groups on the boundaries of 16-byte loads.

@@ -1,4 +1,4 @@
-"""PeakFinder: what finds the peaks of batches of lines, by a kernel on one device."""
+"""Interface of the peak finders: batches of scans in, batches of peaks out, on one device."""
 
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class PeakFinder(ABC):
-    """A kernel with its buffers, and how its records become peaks.
+    """A compiled kernel with its buffers; its records become peaks.
 
     Args:
         runner: runs the kernel.
@@ -27,8 +27,8 @@ class PeakFinder(ABC):
         """Name of the device."""
         return self._runner.device
 
-    def find(self, lines: NDArray[np.uint16]) -> PeakBatch:
-        """Find the peaks of lines, uint16, shape (L, P), with L at most the finder's ``lines``.
+    def find(self, scans: NDArray[np.uint16]) -> PeakBatch:
+        """Find the peaks of scans, uint16, shape (L, P), L at most the finder's ``lines``.
 
         Only the returned arrays are allocated (and a copy, where the rows do not lie one after
         another in memory).
@@ -36,17 +36,17 @@ class PeakFinder(ABC):
         Raises:
             InvalidParameter: another type or shape.
         """
-        return self._collect(self._runner.find(lines))
+        return self._collect(self._runner.find(scans))
 
-    def upload(self, lines: NDArray[np.uint16]) -> None:
-        """Bring lines to the device; on the CPU they stay where they are, until ``launch``.
+    def upload(self, scans: NDArray[np.uint16]) -> None:
+        """Copy scans to the device; on the CPU they stay where they are, until ``launch``.
 
         ``find`` is upload, launch and download; apart, they time the kernel alone.
         """
-        self._runner.upload(lines)
+        self._runner.upload(scans)
 
     def launch(self, count: int) -> None:
-        """Start the kernel on the first ``count`` of the uploaded lines.
+        """Start the kernel on the first ``count`` of the uploaded scans.
 
         Raises:
             InvalidParameter: there are not so many.
@@ -54,9 +54,9 @@ class PeakFinder(ABC):
         self._runner.launch(count)
 
     def download(self, count: int) -> PeakBatch:
-        """Wait for the kernel and return the peaks of the first ``count`` lines."""
+        """Wait for the kernel and return the peaks of the first ``count`` scans."""
         return self._collect(self._runner.download(count))
 
     @abstractmethod
     def _collect(self, records: NDArray[np.void]) -> PeakBatch:
-        """Return the peaks of lines' records, which stand only until the next call."""
+        """Return the peaks of scans' records, which stand only until the next call."""

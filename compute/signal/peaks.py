@@ -1,4 +1,4 @@
-"""Peaks found in line scans: a batch as arrays, one peak as a value."""
+"""Peaks of scans: a batch as arrays, one peak as a value, and their flags."""
 
 from dataclasses import dataclass
 from enum import IntFlag
@@ -14,21 +14,21 @@ MAX_JOINT_PEAKS: Final = 4
 
 
 class PeakFlag(IntFlag):
-    """Why a peak is to be used with care."""
+    """Reasons to use a peak with care."""
 
     NONE = 0
     SATURATED = 1
     """A pixel of it is at full scale: its top, and with it the standard deviation, is wrong."""
     CLIPPED = 2
-    """It runs over an end of the line: its position is drawn inwards."""
+    """It runs over an end of the scan: its position is drawn inwards."""
     MERGED = 4
     """It has two maxima with a valley between them that noise does not explain."""
     TRUNCATED = 8
-    """Its line had more peaks than room; the faintest were left out."""
+    """Its scan had more peaks than room; the faintest were left out."""
     JOINT = 16
     """It was fitted together with neighbours that it overlaps: their errors are correlated."""
     POOR_FIT = 32
-    """The line's shape does not explain the pixels: the standard deviation is too small."""
+    """The line-spread function does not explain the pixels: the standard deviation is too small."""
     UNFITTED = 64
     """No fit was possible: the position is the candidate's, a centre of gravity or a pixel."""
     AMBIGUOUS = 128
@@ -37,14 +37,14 @@ class PeakFlag(IntFlag):
 
 @dataclass(frozen=True)
 class Peak:
-    """One peak of one line.
+    """One peak of one scan.
 
     Args:
-        sensor: name of the sensor whose line it is in.
-        position_px: the estimate [px]: a centre of gravity, a fitted line's position or a shadow's
+        sensor: name of the sensor whose scan it is in.
+        position_px: the estimate [px]: a centre of gravity, a fitted position or a shadow's
             reading; the centre of the first pixel is 0.
         sigma_px: standard deviation of the position by the noise model [px].
-        amplitude: maximum above the line's background [counts].
+        amplitude: maximum above the scan's background [counts].
         width_px: full width at the peak's own threshold [px].
         reduced_chi2: misfit of the fitted shape per degree of freedom; NaN for a centre of gravity.
         flags: names of the flags that hold, in lower case with hyphens.
@@ -61,14 +61,14 @@ class Peak:
 
 @dataclass(frozen=True, eq=False)
 class PeakBatch:
-    """The peaks of L lines, at most K a line, ordered by position; NaN where there is none.
+    """Peaks of L scans, at most K a scan, ordered by position; NaN where there is none.
 
     Args:
-        count: number of peaks of each line, int32, shape (L,).
-        position_px: centres of gravity, positions of fitted lines or readings of shadows [px],
+        count: number of peaks of each scan, int32, shape (L,).
+        position_px: centres of gravity, fitted positions or readings of shadows [px],
             float64, shape (L, K).
         sigma_px: standard deviations of the positions [px], float32, shape (L, K).
-        amplitude: maxima above the line's background [counts], float32, shape (L, K).
+        amplitude: maxima above the scan's background [counts], float32, shape (L, K).
         width_px: full widths at each peak's own threshold, interpolated between pixels [px],
             float32, shape (L, K). At a third of the maximum, a Gaussian image of standard
             deviation s has 2.96 s.
@@ -76,9 +76,9 @@ class PeakBatch:
         reduced_chi2: misfit of the fitted shape, chi-square per degree of freedom, float32,
             shape (L, K); NaN for a centre of gravity, and where no degree of freedom is left.
         covariance_px2: covariance of a peak's position with those of the next MAX_JOINT_PEAKS - 1
-            peaks of the line [px^2], float32, shape (L, K, MAX_JOINT_PEAKS - 1); zero but among peaks
-            that were fitted together. With the squares of ``sigma_px`` it is the whole covariance
-            of a line's positions; ``covariance`` puts it together.
+            peaks of the scan [px^2], float32, shape (L, K, MAX_JOINT_PEAKS - 1); zero but among
+            peaks that were fitted together. With the squares of ``sigma_px`` it is the whole
+            covariance of a scan's positions; ``covariance`` puts it together.
     """
 
     count: NDArray[np.int32]
@@ -91,11 +91,16 @@ class PeakBatch:
     covariance_px2: NDArray[np.float32]
 
     @classmethod
-    def empty(cls, lines: int, room: int) -> "PeakBatch":
-        """Return the batch of lines without any peak, with room for K peaks in each."""
-        shape = (lines, room)
+    def empty(cls, scans: int, room: int) -> "PeakBatch":
+        """Return a batch without peaks.
+
+        Args:
+            scans: L, the number of scans.
+            room: K, the peaks that each has room for.
+        """
+        shape = (scans, room)
         return cls(
-            np.zeros(lines, np.int32),
+            np.zeros(scans, np.int32),
             np.full(shape, np.nan),
             np.full(shape, np.nan, np.float32),
             np.full(shape, np.nan, np.float32),
@@ -106,35 +111,40 @@ class PeakBatch:
         )
 
     def __len__(self) -> int:
-        """Return the number of lines."""
+        """Return the number of scans."""
         return len(self.count)
 
-    def covariance(self, line: int) -> NDArray[np.float64]:
-        """Return the covariance of the positions of one line's k peaks, shape (k, k) [px^2]."""
-        count = int(self.count[line])
-        whole = np.diag(self.sigma_px[line, :count].astype(np.float64) ** 2)
+    def covariance(self, scan: int) -> NDArray[np.float64]:
+        """Return the covariance of the positions of one scan's k peaks, shape (k, k) [px^2]."""
+        count = int(self.count[scan])
+        whole = np.diag(self.sigma_px[scan, :count].astype(np.float64) ** 2)
         for ahead in range(1, min(MAX_JOINT_PEAKS, count)):
-            with_next = self.covariance_px2[line, : count - ahead, ahead - 1]
+            with_next = self.covariance_px2[scan, : count - ahead, ahead - 1]
             row = np.arange(count - ahead)
             whole[row, row + ahead] = whole[row + ahead, row] = with_next
         return whole
 
-    def peaks(self, line: int, sensor: str) -> tuple[Peak, ...]:
-        """Return one line's peaks as values; ``sensor`` is the name to give them."""
+    def peaks(self, scan: int, sensor: str) -> tuple[Peak, ...]:
+        """Return one scan's peaks as values.
+
+        Args:
+            scan: number of the scan.
+            sensor: name of its sensor.
+        """
         return tuple(
             Peak(
                 sensor,
-                float(self.position_px[line, k]),
-                float(self.sigma_px[line, k]),
-                float(self.amplitude[line, k]),
-                float(self.width_px[line, k]),
-                float(self.reduced_chi2[line, k]),
-                flag_names(PeakFlag(int(self.flags[line, k]))),
+                float(self.position_px[scan, k]),
+                float(self.sigma_px[scan, k]),
+                float(self.amplitude[scan, k]),
+                float(self.width_px[scan, k]),
+                float(self.reduced_chi2[scan, k]),
+                flag_names(PeakFlag(int(self.flags[scan, k]))),
             )
-            for k in range(int(self.count[line]))
+            for k in range(int(self.count[scan]))
         )
 
 
-def no_peaks(lines: int) -> PeakBatch:
-    """Return the batch of lines without any peak and without room for one."""
-    return PeakBatch.empty(lines, 0)
+def no_peaks(scans: int) -> PeakBatch:
+    """Return a batch of scans without peaks and without room for one."""
+    return PeakBatch.empty(scans, 0)

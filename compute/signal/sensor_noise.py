@@ -1,4 +1,4 @@
-"""SensorNoise: the conversion and noise of the sensors that the lines come from."""
+"""Noise model of the sensors: gain, read noise, offset, full scale."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ QUANTISATION_VARIANCE = 1.0 / 12.0
 
 @dataclass(frozen=True, eq=False)
 class SensorNoise:
-    """Noise of S sensors, one row each; line number l belongs to sensor ``l % S``.
+    """Noise of S sensors; scan l belongs to sensor ``l % S``.
 
     A pixel of v counts has the variance ``read^2/gain^2 + (v - offset)/gain + 1/12`` [counts^2]:
     read noise, photon noise and quantisation.
@@ -39,6 +39,12 @@ class SensorNoise:
         full_scale_counts: ArrayLike = 65535,
     ) -> "SensorNoise":
         """Make it from numbers or sequences; one number serves all sensors.
+
+        Args:
+            electrons_per_count: gain of the conversion.
+            read_noise_electrons: standard deviation of the read noise.
+            offset_counts: count without light.
+            full_scale_counts: count at which a pixel is saturated.
 
         Raises:
             InvalidParameter: shapes that do not agree, or a value outside its range.
@@ -72,6 +78,14 @@ class SensorNoise:
         """Return the number of sensors."""
         return len(self.electrons_per_count)
 
+    def of_scans(self, sensor: NDArray[np.int64]) -> "ScanNoise":
+        """Return the noise of scans of these sensors, shape (N,)."""
+        return ScanNoise(
+            self.dark_variance[sensor][:, None],
+            self.photon_variance[sensor][:, None],
+            self.offset_counts[sensor][:, None],
+        )
+
     @property
     def dark_variance(self) -> NDArray[np.float64]:
         """Variance of a pixel without light [counts^2], shape (S,)."""
@@ -81,6 +95,29 @@ class SensorNoise:
     def photon_variance(self) -> NDArray[np.float64]:
         """Variance that each count of light adds [counts], shape (S,)."""
         return 1.0 / self.electrons_per_count
+
+
+@dataclass(frozen=True, eq=False)
+class ScanNoise:
+    """Noise of N scans, or of windows cut out of them.
+
+    Args:
+        dark: variance of a pixel without light, shape (N, 1) [counts^2].
+        photon: variance that a count of light adds, shape (N, 1) [counts].
+        offset: the count without light, shape (N, 1).
+    """
+
+    dark: NDArray[np.float64]
+    photon: NDArray[np.float64]
+    offset: NDArray[np.float64]
+
+    def __getitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "ScanNoise":
+        """Return the noise of some of the scans."""
+        return ScanNoise(self.dark[rows], self.photon[rows], self.offset[rows])
+
+    def variance(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the variance of pixels of mean counts, shape (N, P) [counts^2]."""
+        return self.dark + self.photon * np.maximum(counts - self.offset, 0.0)
 
 
 def _require(name: str, values: NDArray[np.float64], good: NDArray[np.bool_], meaning: str) -> None:

@@ -1,1 +1,1 @@
-"""From readings over time to tracks: association, filters, identity, kinematics."""
+"""Tracking of markers: association, filtering, initiation, management, identification."""

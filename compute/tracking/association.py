@@ -1,10 +1,12 @@
-"""Association: which peaks of a frame are which track's, and the filter's update by them."""
+"""Association of peaks with tracks, sensor by sensor, and the filter update (JPDA)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.tracking.clustering import split_clusters
 from compute.tracking.imm_states import (
     CombinedState,
@@ -18,7 +20,6 @@ from compute.tracking.joint_events import (
     Marginals,
     event_marginals,
 )
-from compute.tracking.measurement_model import MeasurementModel
 from compute.tracking.measurement_update import (
     Innovation,
     PdaMixture,
@@ -26,7 +27,6 @@ from compute.tracking.measurement_update import (
     leave_one_out_residuals,
     pda_update,
 )
-from compute.tracking.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.settings import TrackerSettings
 
@@ -36,7 +36,7 @@ RELINEARISATION_STEP_MM = 0.3
 """A step as long as this is taken once more, with slopes at its end: 1e-4 px at 1.5 m."""
 MAX_ITERATIONS = 3
 LOST_SIGMA_FACTOR = 4.0
-"""A track is lost when a sensor's reading is predicted worse than so many ``max_prediction_sigma_px``."""
+"""Predicted sigma of a reading, in ``max_prediction_sigma_px``, beyond which a track is lost."""
 PRUNED_WEIGHT_THRESHOLD = 0.01
 """Share of joint hypotheses that were not followed, beyond which a track is ambiguous."""
 SUSPECT_RESIDUAL_SIGMA = 3.0
@@ -139,7 +139,7 @@ class _Work:
         self.predicted = model.predict(self.place)
         # A track that some sensor would see anywhere takes peaks that fit by chance.
         limit = (LOST_SIGMA_FACTOR * settings.max_prediction_sigma_px) ** 2
-        wide = self._variance(self.whole, self.predicted.jacobian) > limit
+        wide = self._variance(self.whole, self.predicted.jacobian_px_per_mm) > limit
         narrow: NDArray[np.bool_] = np.logical_not((wide & self.predicted.in_view).any(axis=1))
         self.contested = np.repeat(narrow[:, None], len(model), axis=1)
         self._gain = float(np.log(settings.detection_probability / settings.clutter_density_per_px))
@@ -147,7 +147,7 @@ class _Work:
     def associate_unambiguous(self, *, first: bool) -> None:
         """Find readings without rivals among what is open, and update by all of them at once."""
         reading = self._readings()
-        variance = self._variance(self.whole, self.predicted.jacobian)
+        variance = self._variance(self.whole, self.predicted.jacobian_px_per_mm)
         choice, contested = _unambiguous_peaks(
             reading,
             variance,
@@ -166,7 +166,7 @@ class _Work:
         noise = self.peaks.variance_px2[sensor, at]
         # A reading that all others contradict is a false peak in a wide gate.
         for _ in range(MAX_ITERATIONS):
-            innovation = Innovation.of(used, self.predicted.jacobian, noise, self.bias)
+            innovation = Innovation.of(used, self.predicted.jacobian_px_per_mm, noise, self.bias)
             off = leave_one_out_residuals(
                 self.whole, innovation, np.where(used, position - reading, 0.0)
             )
@@ -210,10 +210,10 @@ class _Work:
     ) -> tuple[ImmStates, Array, Array]:
         """Return the joint update, with slopes taken anew while steps are long."""
         for iteration in range(iterations):
-            innovation = Innovation.of(used, self.predicted.jacobian, noise, self.bias)
+            innovation = Innovation.of(used, self.predicted.jacobian_px_per_mm, noise, self.bias)
             apart = self.states.mean[..., :3] - self.place[:, None]
             expected = self.predicted.reading_px[:, None] + np.einsum(
-                "tsi,tmi->tms", self.predicted.jacobian, apart
+                "tsi,tmi->tms", self.predicted.jacobian_px_per_mm, apart
             )
             difference = np.where(used[:, None], position[:, None] - expected, 0.0)
             updated = joint_update(self.states, innovation, difference)
@@ -231,7 +231,7 @@ class _Work:
         """Take one sensor's peaks by the joint hypotheses of the tracks ``rows``."""
         states = self.states.rows(rows)
         whole = combine_modes(self.motion, states)
-        jacobian = self.predicted.jacobian[rows, sensor]
+        jacobian = self.predicted.jacobian_px_per_mm[rows, sensor]
         reading = self.predicted.reading_px[rows, sensor] + np.einsum(
             "ti,ti->t", jacobian, whole.mean[:, :3] - self.place[rows]
         )
@@ -300,7 +300,7 @@ class _Work:
     def _readings(self) -> Array:
         """Return the predicted readings at the states' present means, shape (T, S)."""
         apart = self.whole.mean[:, :3] - self.place
-        moved: Array = np.einsum("tsi,ti->ts", self.predicted.jacobian, apart)
+        moved: Array = np.einsum("tsi,ti->ts", self.predicted.jacobian_px_per_mm, apart)
         return self.predicted.reading_px + moved
 
     def _variance(self, whole: CombinedState, jacobian: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Seen: what each track saw in one exposure, gathered for the report."""
+"""Associations: the peaks that each track took in one exposure."""
 
 from dataclasses import dataclass, fields
 from typing import Self
@@ -16,7 +16,8 @@ class Associations:
     Args:
         peaks: index of each sensor's peak; -1: none, int32, shape (T, S).
         merged: whether one of them is shared with another track, shape (T,).
-        hypotheses_pruned: whether joint hypotheses were given up that might have mattered, shape (T,).
+        hypotheses_pruned: whether joint hypotheses were given up that might have mattered, shape
+            (T,).
         nis: normalised innovation squared; 0 where nothing was seen, shape (T,).
     """
 

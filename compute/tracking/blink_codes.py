@@ -1,4 +1,4 @@
-"""BlinkCodes: on/off words for markers, far enough from each other in every phase."""
+"""BlinkCodes: on/off code words with a minimum distance in every phase."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

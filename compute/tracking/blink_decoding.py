@@ -1,4 +1,4 @@
-"""Blinking markers: who is who, by the codes that they blink over successive scans.
+"""Blink decoding: identification of markers by their codes over successive scans.
 
 Thesis, section 4.6: a target "releases pulses of light, which could also be modulated for easier
 identification"; here by pulse codes, one bit a scan.
@@ -33,13 +33,15 @@ class BlinkModel:
 
     Args:
         miss_probability: chance that a scan in which the marker is on has no peak of it.
-        false_alarm_probability: chance that a scan in which it is off has a peak that is taken for it.
-        log_amplitude_sigma: standard deviation of the logarithm of its amplitude, from scan to scan.
+        false_alarm_probability: chance that a scan in which it is off has a peak that is taken for
+            it.
+        log_amplitude_sigma: standard deviation of the logarithm of its amplitude, from scan to
+            scan.
         log_amplitude_range: range of the logarithm of false peaks' amplitudes.
-        off_level: its light in "off" scans, relative to "on"; 0: none. A marker that only gets fainter
-            is seen in every scan.
-        non_marker_probability: chance beforehand that a light is no marker: a reflection, always on, or one that
-            comes and goes.
+        off_level: its light in "off" scans, relative to "on"; 0: none. A marker that only gets
+            fainter is seen in every scan.
+        non_marker_probability: chance beforehand that a light is no marker: a reflection, always
+            on, or one that comes and goes.
         confidence_threshold: chance with which a marker is named.
 
     Raises:
@@ -72,7 +74,8 @@ class BlinkModel:
             and 0.0 <= self.off_level < 1.0
         ):
             raise InvalidParameter(
-                f"log_amplitude_sigma, log_amplitude_range and off_level are {self.log_amplitude_sigma}, {self.log_amplitude_range} and {self.off_level}; "
+                f"log_amplitude_sigma, log_amplitude_range and off_level are "
+                f"{self.log_amplitude_sigma}, {self.log_amplitude_range} and {self.off_level}; "
                 "the first two must be positive, the last from 0 to less than 1"
             )
 

@@ -1,4 +1,4 @@
-"""BlinkIdentifier: tracks named by the codes that their markers blink, exposure by exposure."""
+"""BlinkIdentifier: identities of tracks from the codes that their markers blink."""
 
 from collections.abc import Sequence
 from dataclasses import replace

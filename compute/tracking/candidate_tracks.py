@@ -1,19 +1,19 @@
-"""Tracklets: markers, perhaps, each followed on its own until the peaks say which are."""
+"""CandidateTracks: tentative tracks of a dense scene, confirmed as a consistent set."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from math import log
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.tracking.imm_states import ImmStates, mean_positions, mix_and_predict
 from compute.tracking.max_weight_independent_set import (
     best_alternatives,
     max_weight_independent_set,
 )
-from compute.tracking.measurement_model import MeasurementModel
-from compute.tracking.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.native.associator import Associator
 from compute.tracking.settings import TrackerSettings
@@ -217,9 +217,11 @@ class CandidateTracks:
         step = np.full(len(kept), (time_ns - self._time_ns) * 1e-9)
         self._time_ns = time_ns
         states = mix_and_predict(self._motion, kept.states, step)
-        left = replace(peaks, usable=free)
+        left = peaks.only(free)
         self._free = free.sum(axis=1)
-        crowd = _log_peak_density(peaks, self._settings)
+        crowd = peaks.log_density(
+            self._settings.clutter_density_per_px, self._settings.resolution_px
+        )
         kept.peaks = np.roll(kept.peaks, -1, axis=1)
         kept.missed = np.roll(kept.missed, -1, axis=1)
         kept.score = np.roll(kept.score, -1, axis=1)
@@ -239,9 +241,7 @@ class CandidateTracks:
             kept.score[one, -1] = found.log_likelihood_ratio[0] - (used * (crowd - base)).sum()
             kept.nis[one] = found.nis[0]
         there = self._model.predict(mean_positions(kept.states))
-        with np.errstate(invalid="ignore"):
-            apart = np.abs(peaks.position_px - there.reading_px[..., None])
-            shared = ((apart <= self._settings.resolution_px) & peaks.usable).any(axis=2)
+        shared = peaks.is_near(there.reading_px, self._settings.resolution_px)
         kept.neighbours = update_neighbours(
             kept.neighbours, kept.peaks[:, -1], peaks, peaks.usable, step, self._settings
         )
@@ -369,18 +369,3 @@ def _shared(peaks: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp
     there = peaks >= 0
     same = (peaks[:, None] == peaks[None]) & there[:, None]
     return there.sum(axis=(1, 2)), same.sum(axis=(2, 3))
-
-
-def _log_peak_density(peaks: Measurements, settings: TrackerSettings) -> Array:
-    """Return the log of how densely peaks lie, whoever's they are, shape (S,)."""
-    place = np.where(peaks.usable, peaks.position_px, np.nan)
-    count = peaks.usable.sum(axis=1)
-    density = np.full(len(place), settings.clutter_density_per_px)
-    many = count >= 3
-    if many.any():
-        width = np.nanmax(place[many], axis=1) - np.nanmin(place[many], axis=1)
-        density[many] = np.maximum(
-            density[many], (count[many] - 1) / np.maximum(width, settings.resolution_px)
-        )
-    crowd: Array = np.log(density)
-    return crowd

@@ -1,4 +1,4 @@
-"""Clusters: tracks that contend for peaks of one sensor, and the peaks that they contend for."""
+"""Clusters of tracks that compete for peaks of one sensor."""
 
 from collections.abc import Iterator
 from math import sqrt

@@ -1,4 +1,4 @@
-"""ImmStates: the filtered states of T tracks under M models of motion, and how models interact."""
+"""ImmStates: states of T tracks under M motion models (interacting multiple models)."""
 
 from dataclasses import dataclass
 

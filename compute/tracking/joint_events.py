@@ -1,4 +1,4 @@
-"""Joint hypotheses: which of a sensor's peaks belongs to which of the tracks that contend for them.
+"""Joint association events of the tracks that compete for a sensor's peaks (JPDA).
 
 All of a cluster's hypotheses that matter as long as there are few; beyond, the most likely partial
 ones are carried on, track by track, and the weight of what is given up is bounded.
@@ -67,8 +67,9 @@ class _Partial:
 def merge_probability(apart_px: float, variance_px2: float, resolution_px: float) -> float:
     """Return the chance that two peaks, so far apart, are found as one.
 
-    ``exp(-log 2 (d / resolution_px)^2)`` (W. Koch, G. van Keuk, Multiple hypothesis track maintenance
-    with possibly unresolved measurements, 1997), averaged over the distance's own uncertainty.
+    ``exp(-log 2 (d / resolution_px)^2)`` (W. Koch, G. van Keuk, Multiple hypothesis track
+    maintenance with possibly unresolved measurements, 1997), averaged over the distance's own
+    uncertainty.
     """
     spread = 1.0 + 2.0 * _LOG_2 * variance_px2 / resolution_px**2
     return exp(-_LOG_2 * apart_px**2 / (resolution_px**2 * spread)) / sqrt(spread)

@@ -1,4 +1,4 @@
-"""The likeliest set of sequences of points of which no two have the same peaks."""
+"""Maximum-weight set of candidate tracks of which no two share a peak."""
 
 from typing import Final
 

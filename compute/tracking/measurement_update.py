@@ -1,4 +1,4 @@
-"""Filtering on readings: the joint update by all sensors, and the soft one by a single sensor."""
+"""Kalman updates on readings: joint over all sensors, or probabilistic by one sensor."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Models of motion: constant velocity and constant acceleration, exact for any time step."""
+"""Motion models: constant velocity and constant acceleration, exact for any time step."""
 
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,13 +1,13 @@
-"""Crowd: the search for markers where one exposure does not tell which peaks are whose."""
+"""MultiScanInitiator: track initiation over several exposures of a dense scene."""
 
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.tracking.candidate_tracks import CandidateTracks, ConfirmedCandidates
-from compute.tracking.measurement_model import MeasurementModel
-from compute.tracking.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.native.associator import Associator
 from compute.tracking.settings import TrackerSettings

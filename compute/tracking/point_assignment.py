@@ -1,4 +1,4 @@
-"""Points of left-over peaks matched with tracks that are new or were lost."""
+"""Assignment of points from unassociated peaks to tentative and lost tracks."""
 
 from dataclasses import dataclass
 
@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.reconstruction.triangulation import chi2_limit
 from compute.tracking.imm_states import ImmStates, combine_modes, update_mode_probabilities
-from compute.tracking.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.tracking.measurement_update import Innovation, joint_update
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.settings import TrackerSettings
@@ -49,7 +49,8 @@ class PointUpdate:
     Args:
         states: of T tracks.
         nis: shape (T,).
-        log_likelihood_ratio: log likelihood ratio of the readings to false peaks, missed ones with it, (T,).
+        log_likelihood_ratio: log likelihood ratio of the readings to false peaks, missed ones with
+            it, (T,).
         predicted: the readings of the points.
     """
 
@@ -74,9 +75,11 @@ def update_with_points(
     """
     used = np.isfinite(position_px)
     predicted = model.predict(position_mm)
-    innovation = Innovation.of(used, predicted.jacobian, variance_px2, bias)
+    innovation = Innovation.of(used, predicted.jacobian_px_per_mm, variance_px2, bias)
     apart = states.mean[..., :3] - position_mm[:, None]
-    expected = predicted.reading_px[:, None] + np.einsum("tsi,tmi->tms", predicted.jacobian, apart)
+    expected = predicted.reading_px[:, None] + np.einsum(
+        "tsi,tmi->tms", predicted.jacobian_px_per_mm, apart
+    )
     difference = np.where(used[:, None], position_px[:, None] - expected, 0.0)
     after, log, nis = joint_update(states, innovation, difference)
     top = log.max(axis=1)

@@ -1,4 +1,4 @@
-"""PriorTracks: places and velocities that markers are known to have, checked."""
+"""PriorTracks: known positions and velocities of markers, checked."""
 
 from dataclasses import dataclass
 

@@ -1,11 +1,11 @@
-"""The report: tracks and what they saw as a TrackBatch of one instant."""
+"""to_track_batch: the tracks after an exposure as a TrackBatch."""
 
 import numpy as np
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.tracking.associations import Associations
 from compute.tracking.imm_states import combine_modes, mix_and_predict
-from compute.tracking.measurement_model import MeasurementModel
-from compute.tracking.measurements import REPORTED_FLAGS, Measurements
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
 from compute.tracking.track_management import UNSUPPORTED_EXPOSURES
@@ -14,7 +14,7 @@ from compute.tracking.tracks import Tracks
 # As arrays' own numbers: an enumeration's operations take as long as an array's. TENTATIVE is 0.
 _CONFIRMED, _COASTING = np.int8(TrackState.CONFIRMED), np.int8(TrackState.COASTING)
 _MERGED, _AMBIGUOUS = np.int32(TrackFlag.MERGED), np.int32(TrackFlag.AMBIGUOUS)
-_FEW_SENSORS, _DOUBTFUL_PEAK = np.int32(TrackFlag.FEW_SENSORS), np.int32(TrackFlag.SUSPECT_PEAK)
+_FEW_SENSORS, _SUSPECT_PEAK = np.int32(TrackFlag.FEW_SENSORS), np.int32(TrackFlag.SUSPECT_PEAK)
 _OUTSIDE_MAP = np.int32(TrackFlag.OUTSIDE_MAP)
 
 
@@ -50,11 +50,10 @@ def to_track_batch(
     )
     flags |= doubt * _AMBIGUOUS
     flags |= (dof < 3) * _FEW_SENSORS
-    if peaks.flags.any():
+    if np.count_nonzero(peaks.suspect):
         sensor = np.arange(len(model))
-        marks = np.where(used, peaks.flags[sensor, np.maximum(seen.peaks, 0)], 0)
-        doubtful = (marks & REPORTED_FLAGS).any(axis=1)
-        flags |= doubtful * _DOUBTFUL_PEAK
+        suspect = used & peaks.suspect[sensor, np.maximum(seen.peaks, 0)]
+        flags |= suspect.any(axis=1) * _SUSPECT_PEAK
     if model.corrections is not None:
         outside = (used & ~model.inside_hull(mean[:, :3])).any(axis=1)
         flags |= outside * _OUTSIDE_MAP

@@ -1,4 +1,4 @@
-"""TrackerSettings: how markers move, what sensors miss and invent, when a track begins and ends."""
+"""TrackerSettings: motion, detection, initiation and termination parameters."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -22,22 +22,22 @@ class TrackerSettings:
         mean_sojourn_s: mean time that a marker keeps to one of two interacting models [s].
         start_speed_mm_s: standard deviation of a new track's velocity along each axis [mm/s].
         start_acceleration_mm_s2: likewise of its acceleration [mm/s^2].
-        detection_probability: probability that a sensor has a peak of a marker that lies in its view.
+        detection_probability: probability that a sensor has a peak of a marker that lies in its
+            view.
         clutter_density_per_px: expected number of false peaks per pixel and exposure.
         resolution_px: distance of two peaks at which every second pair is found as one peak [px].
         gate_sigma: readings further than this from their prediction are not a track's.
-        max_prediction_sigma_px: where a sensor's reading is predicted less well than this (standard deviation),
-            a track takes no peak of it; where one is four times as bad, it takes no single peaks
-            at all, but points of three sensors or more [px].
-        suspect_sigma_factor: by which standard deviations of saturated, overlapping and ill-fitted peaks
-            grow.
+        max_prediction_sigma_px: where a sensor's reading is predicted less well than this (standard
+            deviation), a track takes no peak of it; where one is four times as bad, it takes no
+            single peaks at all, but points of three sensors or more [px].
         confirm_hits: exposures that must have seen a track, after its first, before it is a marker.
         confirm_misses: exposures that may miss it until then; with one more it ends. The second one
             must see it.
         false_track_probability: chance that is accepted for a track of false peaks to be confirmed.
         coast_s: how long a confirmed track is predicted without being seen, then it ends [s].
-        initiation_interval_s: least time between two searches for new markers in peaks that are left over,
-            while none has just begun [s]. A strobed marker without a track is sought at once.
+        initiation_interval_s: least time between two searches for new markers in peaks that are
+            left over, while none has just begun [s]. A strobed marker without a track is sought at
+            once.
         max_hypotheses: joint hypotheses of one cluster and sensor that are kept.
 
     Raises:
@@ -55,7 +55,6 @@ class TrackerSettings:
     resolution_px: float = 4.0
     gate_sigma: float = 4.5
     max_prediction_sigma_px: float = 10.0
-    suspect_sigma_factor: float = 3.0
     confirm_hits: int = 3
     confirm_misses: int = 2
     false_track_probability: float = 1e-6
@@ -85,7 +84,7 @@ class TrackerSettings:
             if not 0.0 < value < 1.0:
                 raise InvalidParameter(f"{name} is {value}; it must lie between 0 and 1")
         _check("gate_sigma", self.gate_sigma, above=1.0)
-        for name in ("suspect_sigma_factor", "confirm_hits", "max_hypotheses"):
+        for name in ("confirm_hits", "max_hypotheses"):
             value = getattr(self, name)
             if not (isfinite(value) and value >= 1):
                 raise InvalidParameter(f"{name} is {value}; it must be 1 or more")

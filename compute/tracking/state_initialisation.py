@@ -1,11 +1,11 @@
-"""ImmStates of new tracks: at a place by readings, of any velocity, or as they are given."""
+"""Initial states of tracks, from readings at a point or from a prior."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.triangulation import chi2_limit
 from compute.tracking.imm_states import ImmStates, mix_and_predict
-from compute.tracking.measurement_model import MeasurementModel
 from compute.tracking.motion_model import STATE_SIZE, MotionModels
 from compute.tracking.point_assignment import update_with_points
 from compute.tracking.settings import TrackerSettings
@@ -43,8 +43,8 @@ def states_from_points(
     """
     count, sensors = sigma_px.shape
     used = np.isfinite(sigma_px)
-    bias = model.bias_covariance(position_mm)
-    jacobian = np.where(used[..., None], model.predict(position_mm).jacobian, 0.0)
+    bias = model.systematic_covariance(position_mm)
+    jacobian = np.where(used[..., None], model.predict(position_mm).jacobian_px_per_mm, 0.0)
     both = used[:, :, None] & used[:, None, :]
     noise = np.where(both, bias, 0.0)
     diagonal = np.arange(sensors)

@@ -1,4 +1,4 @@
-"""Tracks at one instant: a batch as arrays."""
+"""TrackBatch: tracks at one instant as arrays."""
 
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
@@ -32,7 +32,7 @@ class TrackFlag(IntFlag):
     FEW_SENSORS = 4
     """Fewer than three sensors saw it now: what the others would add is predicted."""
     SUSPECT_PEAK = 8
-    """One of its peaks is saturated or clipped."""
+    """One of its peaks is suspect by the flag policy."""
     OUTSIDE_MAP = 16
     """The correction table vouches for the reading of some used sensor not there."""
 

@@ -1,16 +1,14 @@
-"""TrackInitiator: markers found in left-over peaks, as new tracks or as those that were lost."""
-
-from dataclasses import replace
+"""TrackInitiator: new and recovered tracks from unassociated peaks."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence import PredictedPoints
 from compute.tracking.associations import Associations
 from compute.tracking.candidate_tracks import ConfirmedCandidates
 from compute.tracking.imm_states import combine_modes, is_finite, mean_positions
-from compute.tracking.measurement_model import MeasurementModel, PredictedMeasurements
-from compute.tracking.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.multi_scan_initiation import MultiScanInitiator
 from compute.tracking.native.associator import Associator
@@ -183,9 +181,7 @@ class TrackInitiator:
         """Update tentative tracks, of which the velocity is known, by peaks that are left."""
         if len(rows) == 0:
             return
-        unassociated = replace(
-            peaks, usable=free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_))
-        )
+        unassociated = peaks.only(free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_)))
         found = self._associator.associate(
             tracks.states.rows(rows), tracks.bias[rows], unassociated
         )
@@ -285,9 +281,7 @@ class TrackInitiator:
         if marker is not None or int(peaks.usable.sum(axis=1).max()) == 1:
             # A marker that is lit alone, or alone in view, has no ghosts.
             return np.ones(len(chosen), dtype=np.bool_)
-        with np.errstate(invalid="ignore"):
-            apart = np.abs(peaks.position_px - predicted.reading_px[..., None])
-            shared = ((apart <= self._settings.resolution_px) & peaks.usable).any(axis=2)
+        shared = peaks.is_near(predicted.reading_px, self._settings.resolution_px)
         count = ((chosen >= 0) | shared).sum(axis=1)
         few = predicted.in_view.sum(axis=1) < MIN_SUPPORT_SENSORS
         supported: NDArray[np.bool_] = (count >= MIN_SUPPORT_SENSORS) | few

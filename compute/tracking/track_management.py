@@ -1,4 +1,4 @@
-"""Life of tracks: which tentative one is a marker, which lost one it is, and when one ends."""
+"""Track management: confirmation, matching of lost tracks, expiry."""
 
 from math import log
 

@@ -1,4 +1,4 @@
-"""Tracker: many moving markers, followed directly on the sensors' readings."""
+"""Tracker: multi-target tracking on the sensors' readings."""
 
 from math import log
 
@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
-from compute.reconstruction.correspondence import MatchSettings, Predictor
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements, check_sensors
+from compute.reconstruction.correspondence import MatchSettings
 from compute.tracking.associations import Associations
 from compute.tracking.imm_states import ImmStates, combine_modes, mean_positions, mix_and_predict
-from compute.tracking.measurement_model import MeasurementModel
-from compute.tracking.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.prior_tracks import PriorTracks
 from compute.tracking.report import to_track_batch
@@ -97,7 +97,7 @@ class Tracker:
         solver = PointSolver(cameras, parameter_covariance, corrections, "cpu", threads=1)
         finder = UnassociatedPointFinder(
             lambda readings, sigma: solver.solve(readings, np.where(sigma > 0.0, sigma, 1.0)),
-            Predictor(cameras, parameter_covariance, corrections, pixels),
+            model,
             MatchSettings(
                 self.settings.detection_probability, self.settings.clutter_density_per_px
             ),
@@ -180,7 +180,7 @@ class Tracker:
         )
         begun = Tracks.create(
             states,
-            self.model.bias_covariance(starts.mean[:, :3]),
+            self.model.systematic_covariance(starts.mean[:, :3]),
             starts.mean[:, :3],
             first=self._newcomers.numbers(len(starts)),
             marker=marker,
@@ -195,24 +195,21 @@ class Tracker:
     def step(
         self,
         time_ns: int,
-        position_px: Array,
-        sigma_px: Array,
-        peak_flags: NDArray[np.int32],
+        peaks: Measurements,
         marker: int | None,
     ) -> TrackBatch:
         """Return all tracks after one exposure.
 
         Args:
-            time_ns: of the exposure's middle, later than the last one's.
-            position_px: peaks of each sensor, shape (S, K); NaN where there are fewer than K.
-            sigma_px: their standard deviations, shape (S, K).
-            peak_flags: PeakFlag values, shape (S, K).
-            marker: the one that was lit; None: all were.
+            time_ns: middle of the exposure [ns], later than the last one's.
+            peaks: the peaks of the S sensors.
+            marker: strobe slot that was lit; None: all markers.
 
         Raises:
-            InvalidParameter: other shapes, a time that is not later, a negative marker, or a
-                standard deviation that is not above 0.
+            InvalidParameter: peaks of other sensors, a time that is not later, or a negative
+                marker.
         """
+        check_sensors(peaks, len(self.model))
         if self._time_ns is not None and time_ns <= self._time_ns:
             raise InvalidParameter(
                 f"time_ns is {time_ns}, the exposure before was at {self._time_ns}; it must be "
@@ -225,7 +222,6 @@ class Tracker:
             )
         if marker is not None and marker < 0:
             raise InvalidParameter(f"marker is {marker}; it must be 0 or more, or None")
-        peaks = Measurements.of(position_px, sigma_px, peak_flags, len(self.model), self.settings)
         self._last_ns, self._time_ns = self._time_ns, time_ns
         tracks = self._tracks
         seen = Associations.empty(len(tracks), len(self.model))
@@ -263,7 +259,7 @@ class Tracker:
             if moved.any():
                 # The errors there are about as large, and of the same cause.
                 stale = rows[moved]
-                bias = self.model.bias_covariance(place[moved])
+                bias = self.model.systematic_covariance(place[moved])
                 diagonal = np.arange(len(self.model))
                 before = tracks.bias[stale][:, diagonal, diagonal]
                 ratio = bias[:, diagonal, diagonal] / np.where(before > 0.0, before, np.inf)
@@ -354,8 +350,6 @@ class Tracker:
         )
         if len(few):
             reading = self.model.predict(mean_positions(states)[few]).reading_px
-            with np.errstate(invalid="ignore"):
-                apart = np.abs(peaks.position_px - reading[..., None])
-                shared = ((apart <= self.settings.resolution_px) & peaks.usable).any(axis=2)
+            shared = peaks.is_near(reading, self.settings.resolution_px)
             possible[few] = ((own[few] >= 0) | shared).sum(axis=1)
         return possible

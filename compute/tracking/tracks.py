@@ -1,4 +1,4 @@
-"""Tracks: all that is kept of each track from frame to frame, as arrays."""
+"""Tracks: all state that is kept of each track between exposures, as arrays."""
 
 from dataclasses import dataclass, fields
 from typing import Self
@@ -25,13 +25,15 @@ class Tracks:
         time_ns: of the states, int64, shape (T,).
         seen_ns: when it was last seen beyond doubt, int64, shape (T,).
         hits: exposures that saw an unconfirmed track after its first, int32, shape (T,).
-        supported_hits: of these, how many saw it by as many sensors as vouch for a place, int32, (T,).
-        misses: exposures that did not, int32, shape (T,).
-        unsupported: how often, lately, too few sensors saw a confirmed one to vouch for it, int32, shape
+        supported_hits: of these, how many saw it by as many sensors as vouch for a place, int32,
             (T,).
-        probation_left: exposures in which a confirmed one that came of many peaks must yet be seen by as
-            many sensors as vouch for a place, int32, shape (T,).
-        log_likelihood_ratio: log likelihood ratio of an unconfirmed track to false peaks, shape (T,).
+        misses: exposures that did not, int32, shape (T,).
+        unsupported: how often, lately, too few sensors saw a confirmed one to vouch for it, int32,
+            shape (T,).
+        probation_left: exposures in which a confirmed one that came of many peaks must yet be seen
+            by as many sensors as vouch for a place, int32, shape (T,).
+        log_likelihood_ratio: log likelihood ratio of an unconfirmed track to false peaks, shape
+            (T,).
         bias: covariance of the readings' constant errors at ``bias_mm``, shape (T, S, S) [px^2].
         bias_mm: where that was worked out, shape (T, 3).
         neighbours: peaks of markers that are not tracked, beside its own; see ``strangers``, shape

@@ -1,4 +1,4 @@
-"""Points of peaks that no track explains."""
+"""Points from peaks that no track explains."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,18 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence import (
     IntersectionPoints,
     MatchSettings,
     PredictedPoints,
-    Predictor,
     SearchPart,
     group_peaks,
     intersection_points,
 )
 from compute.reconstruction.point_batch import PointBatch, PointFlag
-from compute.signal.peaks import PeakFlag
-from compute.tracking.measurements import Measurements
 
 Array = NDArray[np.float64]
 Solve = Callable[[Array, Array], PointBatch]
@@ -59,12 +58,12 @@ class UnassociatedPointFinder:
 
     Args:
         solve: readings to points.
-        predict: the same sensors, forward.
+        model: the measurement model.
         settings: of the grouping.
     """
 
     solve: Solve
-    predict: Predictor
+    model: MeasurementModel
     settings: MatchSettings
 
     def find(
@@ -77,32 +76,28 @@ class UnassociatedPointFinder:
             free: which of them to look at.
             expected: where markers are looked for: three sensors are enough there.
         """
-        packed = _pack_columns(peaks, free)
-        if packed is None:
+        starting = peaks.only(free & peaks.can_initiate)
+        if np.count_nonzero(starting.count) < 3:
             return None
-        order, position, sigma, merged = packed
         groups = group_peaks(
             self.solve,
-            position,
-            sigma,
-            predict=self.predict,
-            merged=merged,
+            starting,
+            model=self.model,
             predicted=expected if len(expected) else None,
             settings=self.settings,
         )
         if len(groups) == 0:
             return None
-        points = self.solve(groups.readings_px, groups.sigma_px)
+        points = groups.points
         good = np.isfinite(points.position_mm[:, 0]) & ((points.flags & _NO_POINT) == 0)
         if not good.any():
             return None
-        place = groups.peaks[good]
-        given = np.take_along_axis(order.T, np.maximum(place, 0), axis=0)
+        chosen = groups.peaks[good]
         return UnassociatedPoints(
             points.position_mm[good],
             points.covariance_mm2[good],
-            np.where(place >= 0, given, -1).astype(np.int32),
-            np.where(place >= 0, groups.sigma_px[good], np.nan),
+            chosen.astype(np.int32),
+            np.where(chosen >= 0, groups.sigma_px[good], np.nan),
             groups.ambiguous[good],
         )
 
@@ -112,27 +107,6 @@ class UnassociatedPointFinder:
         free: NDArray[np.bool_],
         part: SearchPart,
     ) -> tuple[IntersectionPoints, float]:
-        """Return all points, ghosts with them, where free peaks meet; see ``intersection_points``."""
-        there = free & peaks.can_initiate
-        position = np.where(there, peaks.position_px, np.nan)
-        sigma = np.where(there, np.sqrt(peaks.variance_px2), np.nan)
-        merged = (peaks.flags & PeakFlag.MERGED) != 0
-        return intersection_points(
-            self.solve, self.predict, position, sigma, merged, part, self.settings
-        )
-
-
-def _pack_columns(
-    peaks: Measurements, free: NDArray[np.bool_]
-) -> tuple[NDArray[np.intp], Array, Array, NDArray[np.bool_]] | None:
-    """Return free peaks side by side from the first column on: indices, places, sigma, merged."""
-    free = free & peaks.can_initiate
-    counts = free.sum(axis=1)
-    if (counts > 0).sum() < 3:
-        return None
-    order = np.argsort(~free, axis=1, kind="stable")[:, : int(counts.max())]
-    packed = np.take_along_axis(free, order, axis=1)
-    position = np.where(packed, np.take_along_axis(peaks.position_px, order, axis=1), np.nan)
-    sigma = np.sqrt(np.take_along_axis(peaks.variance_px2, order, axis=1))
-    flags = np.where(packed, np.take_along_axis(peaks.flags, order, axis=1), 0)
-    return order, position, np.where(packed, sigma, np.nan), (flags & PeakFlag.MERGED) != 0
+        """Return all intersections of free peaks, ghosts included."""
+        starting = peaks.only(free & peaks.can_initiate)
+        return intersection_points(self.solve, self.model, starting, part, self.settings)

@@ -1,4 +1,4 @@
-"""Strangers: peaks of markers that are not tracked, before they merge with a track's peak.
+"""Unresolved neighbours: untracked peaks that may merge with a track's peak.
 
 Two tracked markers that one peak shows are told by joint hypotheses. One that is not tracked yet
 draws the peak of the other just as much. So a peak that comes near a track's own is followed along
@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.measurements import Measurements
+from compute.measurement.measurements import Measurements
 from compute.tracking.settings import TrackerSettings
 
 Array = NDArray[np.float64]

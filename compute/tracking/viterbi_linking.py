@@ -1,4 +1,4 @@
-"""Sequences: points of several exposures that follow one another as a marker's would."""
+"""ViterbiLinker: points of several exposures linked to the likeliest sequences."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence import IntersectionPoints, SearchPart
 from compute.reconstruction.triangulation import chi2_limit
-from compute.tracking.measurements import Measurements
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.unassociated_points import UnassociatedPointFinder
 

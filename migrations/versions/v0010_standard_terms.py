@@ -2,7 +2,8 @@
 
 A calibration's document is hashed, and a correction table names that hash: where a document
 changes, its hash, the tables' parent hash and the tables' own hash are worked out again. Documents
-without a renamed member, and the audit log, stay as they are.
+without a renamed member, and the audit log, stay as they are. The settings of the thesis's trackers
+leave the devices, which do not track by them any more.
 """
 
 import hashlib
@@ -34,12 +35,13 @@ _CALIBRATION: Final[Names] = {
 }
 """Members of ``content.result`` of a calibration."""
 
+_REMOVED: Final = frozenset({"iteration_change_px", "derived"})
+"""Members of ``content.result`` that were removed, and so was ``settings.method``: the thesis's
+methods are no setting any more. All had defaults: a downgrade need not restore them."""
+
 _DOCUMENTS: Final[dict[tuple[str, str], tuple[Names, Names]]] = {
     ("devices", "tracking"): (
         {
-            "most_velocity_px_s": "max_velocity_px_s",
-            "least_interval_px": "min_interval_px",
-            "exchange_threshold": "swap_threshold",
             "white_acceleration": "acceleration_psd",
             "white_jerk": "jerk_psd",
             "tool_turn_acceleration_rad_s2": "tool_angular_acceleration_rad_s2",
@@ -103,6 +105,14 @@ _DOCUMENTS: Final[dict[tuple[str, str], tuple[Names, Names]]] = {
 }
 """By table and column: members renamed at any depth, and texts that are values."""
 
+_TRACKERS_OF_THE_THESIS: Final = frozenset(
+    {
+        "method", "window_markers", "window_points", "window_decision", "velocity_limit_px_s",
+        "most_velocity_px_s", "interval_velocity", "least_interval_px", "exchange_threshold",
+    }
+)  # fmt: skip
+"""Members of ``devices.tracking`` that are dropped: such a device is tracked on its readings."""
+
 _NAMED_BY_USERS: Final = frozenset({"readings", "sigma_px", "observed_as", "seen_as"})
 """Members whose own members are names that users gave: they stay."""
 
@@ -111,11 +121,25 @@ _ARRAYS: Final = {"coefficients_px": "<f8", "variance_px2": "<f8", "valid": "u1"
 
 
 def upgrade() -> None:
+    _drop_trackers()
     _rename(lambda names: names)
 
 
 def downgrade() -> None:
     _rename(lambda names: {new: old for old, new in names.items()})
+
+
+def _drop_trackers() -> None:
+    bind = op.get_bind()
+    rows = sa.Table("devices", sa.MetaData(), autoload_with=bind)
+    for key, tracking in bind.execute(sa.select(rows.c.id, rows.c.tracking)).all():
+        if tracking and not _TRACKERS_OF_THE_THESIS.isdisjoint(tracking):
+            kept = {
+                name: value
+                for name, value in tracking.items()
+                if name not in _TRACKERS_OF_THE_THESIS
+            }
+            bind.execute(rows.update().where(rows.c.id == key).values(tracking=kept or sa.null()))
 
 
 def _rename(direction: Callable[[Names], Names]) -> None:
@@ -125,6 +149,7 @@ def _rename(direction: Callable[[Names], Names]) -> None:
         for (table, column), (members, values) in _DOCUMENTS.items():
             _rename_column(bind, tables, table, column, direction(members), direction(values))
         _rename_calibrations(bind, tables, direction(_CALIBRATION))
+        _remove_method_of_runs(bind, tables)
 
 
 def _rename_column(
@@ -142,7 +167,7 @@ def _rename_calibrations(bind: sa.Connection, tables: sa.MetaData, members: Name
     for key, content in bind.execute(sa.select(rows.c.id, rows.c.content)).all():
         if not isinstance(content, dict) or "result" not in content:
             continue
-        result = _renamed(content["result"], members, {})
+        result = _without_removed(_renamed(content["result"], members, {}))
         if result == content["result"]:
             continue
         changed = content | {"result": result}
@@ -151,6 +176,30 @@ def _rename_calibrations(bind: sa.Connection, tables: sa.MetaData, members: Name
             rows.update().where(rows.c.id == key).values(content=changed, content_hash=digest)
         )
         _rename_parent(bind, sa.Table("correction_tables", tables, autoload_with=bind), key, digest)
+
+
+def _without_removed(result: dict[str, Any]) -> dict[str, Any]:
+    """Return a calibration's result without the members that were removed."""
+    kept: dict[str, Any] = _pruned(result)
+    if isinstance(kept.get("settings"), dict):
+        kept["settings"] = {k: v for k, v in kept["settings"].items() if k != "method"}
+    return kept
+
+
+def _pruned(document: Any) -> Any:
+    if isinstance(document, dict):
+        return {name: _pruned(value) for name, value in document.items() if name not in _REMOVED}
+    return [_pruned(value) for value in document] if isinstance(document, list) else document
+
+
+def _remove_method_of_runs(bind: sa.Connection, tables: sa.MetaData) -> None:
+    """Remove the method from requests of calibration runs, which know one method."""
+    rows = sa.Table("runs", tables, autoload_with=bind)
+    query = sa.select(rows.c.id, rows.c.request).where(rows.c.kind == "calibration")
+    for key, request in bind.execute(query).all():
+        if isinstance(request, dict) and "method" in request:
+            rest = {name: value for name, value in request.items() if name != "method"}
+            bind.execute(rows.update().where(rows.c.id == key).values(request=rest))
 
 
 def _rename_parent(bind: sa.Connection, rows: sa.Table, calibration: str, digest: str) -> None:

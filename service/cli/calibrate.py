@@ -8,12 +8,17 @@ import numpy as np
 from rich.table import Table
 
 from compute.calibration.assessment.cross_validation import control_errors
-from compute.calibration.calibrate_and_assess import calibrate_and_assess
+from compute.calibration.calibrate import calibrate_and_assess
 from compute.calibration.distortion_selection import refusals
-from compute.calibration.effective_readings import count_readings, effective_readings
 from compute.calibration.mislabels.finding import LabelFinding
-from compute.calibration.result import AxisErrors, Calibration, CrossValidation
-from compute.calibration.settings import CalibrationSettings, Distortion, LabelPolicy, Loss, Method
+from compute.calibration.result import (
+    AxisErrors,
+    Calibration,
+    CrossValidation,
+    count_readings,
+    effective_readings,
+)
+from compute.calibration.settings import CalibrationSettings, Distortion, LabelPolicy, Loss
 from compute.camera.model import SensorGeometry
 from compute.errors import InvalidParameter, LumilineError
 from service.cli.calibration_file import DOCUMENT
@@ -30,24 +35,19 @@ class CalibrateOptions:
 
     pixels: int
     pitch_um: float | None
-    method: str
     distortion: str
     control_sigma_mm: float | None
     loss: str
     labels: str
 
     def settings(self) -> CalibrationSettings:
-        """Return them for the computation; the methods of the thesis take no distortion.
+        """Return them for the computation.
 
         Raises:
             InvalidParameter: one means nothing, or contradicts another.
         """
-        chosen = self.distortion
-        if chosen == "auto" and self.method != "metric":
-            chosen = "none"
         return CalibrationSettings(
-            cast("Method", self.method),
-            _distortion(chosen),
+            _distortion(self.distortion),
             self.control_sigma_mm,
             cast("Loss", self.loss),
             cast("LabelPolicy", self.labels),
@@ -74,7 +74,7 @@ def run(
         rows = _error_rows(found, table)
     except LumilineError as error:
         raise fail(error.detail) from error
-    console.print(fit_table(found, f"{path}: {len(table.points_mm)} points, {settings.method}"))
+    console.print(fit_table(found, f"{path}: {len(table.points_mm)} points"))
     if found.distortion is not None:
         console.print(
             f"distortion: {found.distortion.chosen} ({found.distortion.reason})", highlight=False

@@ -20,14 +20,10 @@ def calibrate(
     pitch: Annotated[
         float | None, typer.Option(min=0.01, help="Pixel pitch \\[um]; helps wide-field lenses.")
     ] = None,
-    method: Annotated[
-        str, typer.Option(help="metric; or the published dlt-iterative, bundle-11.")
-    ] = "metric",
     distortion: Annotated[
         str,
         typer.Option(
-            help="Of metric: none, auto (by cross-validation), a set's name, or terms u^i v^j as "
-            "'3,0 1,2'."
+            help="none, auto (by cross-validation), a set's name, or terms u^i v^j as '3,0 1,2'."
         ),
     ] = "auto",
     control_sigma: Annotated[
@@ -46,7 +42,7 @@ def calibrate(
     """Calibrate from a CSV file of control points and readings, without a server."""
     from service.cli.calibrate import CalibrateOptions, run
 
-    options = CalibrateOptions(pixels, pitch, method, distortion, control_sigma, loss, labels)
+    options = CalibrateOptions(pixels, pitch, distortion, control_sigma, loss, labels)
     run(observations, options, output, report, report_figures)
 
 

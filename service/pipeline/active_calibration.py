@@ -8,10 +8,9 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.measurement_noise import MeasurementNoise
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, MeasurementNoise
 from compute.mapping.table import CorrectionTable
-from compute.reconstruction.correspondence import Predictor
+from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.solver import PointSolver
 
 Array = NDArray[np.float64]
@@ -53,8 +52,8 @@ class PreparedCalibration:
     table_id: str | None
     solver: PointSolver
     table: CorrectionTable | None = None
-    predictor: Predictor | None = None
-    """The cameras forward, for frames with many markers; None: only small ones are grouped."""
+    model: MeasurementModel | None = None
+    """The measurement model, for frames with many markers; None: only small ones are grouped."""
 
     @classmethod
     def of(
@@ -77,12 +76,12 @@ class PreparedCalibration:
             None if table is None else table_id,
             PointSolver(models, covariance, table, compute_device, threads=1),
             table,
-            Predictor.of(models, covariance, table),
+            MeasurementModel.of(models, covariance, table),
         )
 
     @cached_property
-    def trust(self) -> MeasurementNoise:
-        """How far the calibration trusts each sensor's readings."""
+    def measurement_noise(self) -> MeasurementNoise:
+        """Standard deviations of the sensors' readings, the calibration's misfit included."""
         return MeasurementNoise.of(self.calibration)
 
     @property

@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.flag_policy import STANDARD_POLICY, FlagPolicy
 from compute.planning.volume_scans import VolumeScans
 from compute.signal.centroid_finder import CentroidFinder
 from compute.signal.centroid_settings import CentroidSettings
@@ -19,7 +20,6 @@ from compute.signal.peaks import PeakBatch, PeakFlag, no_peaks
 from compute.signal.sensor_noise import SensorNoise
 from hardware.driver import DeviceDescription
 from service.pipeline.expected_scans import ExpectedScans
-from service.pipeline.measurements import PeakFlagPolicy
 
 Array = NDArray[np.float64]
 
@@ -103,15 +103,12 @@ class DetectionStage:
                 self.error_px, self.unfitted_error_px = _rms_errors(
                     self._find, model.volume, frames
                 )
-        shadow = self.method == "shadow"
-        suspect = PeakFlag.SATURATED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
-        if self.error_px is None and not shadow:
-            # Nothing else tells what a wrong shape costs.
-            suspect |= PeakFlag.POOR_FIT
-        # A line of light that runs over the sensor's end is drawn inwards by far more than its
-        # noise; a shadow is not.
-        self.use = PeakFlagPolicy(PeakFlag.NONE if shadow else PeakFlag.CLIPPED, suspect)
-        """What the peaks' flags mean for points."""
+        self.flag_policy = (
+            STANDARD_POLICY
+            if self.method is None
+            else FlagPolicy.of_method(self.method, known_shape=self.error_px is not None)
+        )
+        """What the peaks' flags mean for points, tracks and tools."""
 
     @property
     def reads(self) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from compute.errors import LumilineError
 from compute.optics.profiles.device_profile import DeviceProfile
 from compute.optics.profiles.profile_loader import load_profile, profile_names
-from compute.optics.profiles.shadow_templates import window_shadows
+from compute.optics.profiles.profile_optics import window_shadows
 from compute.planning.volume_scans import VolumeScans, volume_scans
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from hardware.driver import DeviceDescription

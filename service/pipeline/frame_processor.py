@@ -3,8 +3,8 @@
 A batch of frames of one device goes through these stages; each takes what the ones before it made:
 
 1. ``detection_stage``: pixels to peaks (position, sigma, width, flags).
-2. ``measurements``: peaks to measurements, by the one policy for their flags.
-3. ``point_stage``: measurements to points: correspondence, then triangulation with covariance.
+2. ``point_stage.weigh_peaks``: peaks to measurements, by the one policy for their flags.
+3. ``point_stage.solve_points``: measurements to points: correspondence, then triangulation.
 4. ``tracking_stage``: measurements to tracks of markers, then to poses of tools.
 
 Before them stand the reader thread and its ring (``reader_thread``), and the thread that calls them
@@ -21,6 +21,7 @@ import numpy as np
 from compute.calibration.result import Calibration
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
+from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.solver import load_kernels
 from compute.signal.peaks import PeakBatch
 from hardware.driver import DeviceDescription
@@ -30,7 +31,7 @@ from service.pipeline.compute_thread import limit_blas_threads
 from service.pipeline.detection_stage import DetectionStage
 from service.pipeline.expected_scans import ExpectedScans, expected_scans
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.point_stage import no_points, points_of, usable_peaks
+from service.pipeline.point_stage import solve_points, weigh_peaks
 from service.pipeline.tracker_factory import TrackerFactory
 from service.pipeline.tracking_config import TrackingConfig
 from service.pipeline.tracking_stage import TrackingStage
@@ -175,16 +176,16 @@ class FrameProcessor:
     ) -> FrameBatch:
         """Run the stages behind detection; arguments as of ``process``, with the frames' peaks."""
         active = self._active
-        usable = None
+        measurements = None
         if active is None or not self._detection.reads:
-            points, owner = no_points(len(self._names)), np.empty(0, dtype=np.intp)
+            points, owner = PointBatch.empty(len(self._names)), np.empty(0, dtype=np.intp)
         else:
-            usable = usable_peaks(active, frames, peaks, self._detection.use)
-            points, owner = points_of(active, frames, usable)
+            measurements = weigh_peaks(active, frames, peaks, self._detection.flag_policy)
+            points, owner = solve_points(active, frames, measurements)
         motion = None
         if self._is_tracking:
             begin = time.perf_counter()
-            motion = self._tracking.find(frames, usable, points, owner, track)
+            motion = self._tracking.find(frames, measurements, points, owner, track)
             self._tracking_s = time.perf_counter() - begin
         return FrameBatch(
             self._device_id,

@@ -1,129 +1,117 @@
-"""Point stage: correspondence of measurements, then triangulation to points with covariance."""
+"""Point stage: peaks to measurements, correspondence, triangulation to points with covariance."""
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.flag_policy import FlagPolicy
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence import group_peaks
 from compute.reconstruction.point_batch import PointBatch, PointFlag
-from compute.signal.peaks import PeakBatch, PeakFlag
+from compute.signal.peaks import PeakBatch
 from hardware.line_frame import LineFrame
 from service.pipeline.active_calibration import PreparedCalibration
-from service.pipeline.measurements import PeakFlagPolicy, PipelineMeasurements
-
-Array = NDArray[np.float64]
-
 
 MAX_SIMULTANEOUS_MARKERS: Final = 12
 """Peaks of a sensor up to which markers lit together are told apart, in some milliseconds a frame.
 On four sensors more of them are mostly ambiguous, and take longer than frames come."""
 
 
-def no_points(sensors: int) -> PointBatch:
-    """Return an empty batch of points for this number of sensors."""
-    return PointBatch(
-        np.empty((0, 3)),
-        np.empty((0, 3, 3)),
-        np.empty(0),
-        np.empty((0, sensors), dtype=np.bool_),
-        np.empty(0, dtype=np.int32),
-    )
+def weigh_peaks(
+    active: PreparedCalibration, frames: Sequence[LineFrame], peaks: PeakBatch, policy: FlagPolicy
+) -> Measurements:
+    """Return the measurements of F frames, by which points, tracks and tools are found.
 
-
-def reconstruct_points(
-    active: PreparedCalibration, frames: Sequence[LineFrame], peaks: PeakBatch, use: PeakFlagPolicy
-) -> tuple[PointBatch, NDArray[np.intp]]:
-    """Return the points of all frames and the frame that each belongs to.
+    The calibration's misfit is in the standard deviations, where no correction table takes it
+    away.
 
     Args:
         active: the active calibration, of S sensors.
         frames: F frames.
-        peaks: of their F x S lines.
-        use: which of them are used, and which doubted.
+        peaks: peaks of their F x S scans, K a scan at most.
+        policy: what the peaks' flags mean.
+
+    Returns:
+        Measurements of shape (F, S, K).
     """
-    return points_of(active, frames, usable_peaks(active, frames, peaks, use))
+    noise = active.measurement_noise
+    shape = (len(frames), len(noise.sensor_sigma_px), -1)
+    position, flags = peaks.position_px.reshape(shape), peaks.flags.reshape(shape)
+    # By frame, peak and sensor for the calibration's figures, which are by sensor.
+    own = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
+    sigma = noise.sigma(own)
+    if active.table_id is not None:
+        # The calibration's misfit, which would widen them, is what the table takes away.
+        sigma = np.where(np.isfinite(own), own, sigma)
+    amplitude = peaks.amplitude.reshape(shape)
+    return Measurements.weigh(position, sigma.transpose(0, 2, 1), flags, amplitude, policy)
 
 
-def usable_peaks(
-    active: PreparedCalibration, frames: Sequence[LineFrame], peaks: PeakBatch, use: PeakFlagPolicy
-) -> PipelineMeasurements:
-    """Return the peaks that points are made of; arguments as of ``reconstruct_points``."""
-    corrected = active.table_id is not None
-    return PipelineMeasurements.of(active.trust, len(frames), peaks, use, corrected=corrected)
-
-
-def points_of(
-    active: PreparedCalibration, frames: Sequence[LineFrame], usable: PipelineMeasurements
+def solve_points(
+    active: PreparedCalibration, frames: Sequence[LineFrame], measurements: Measurements
 ) -> tuple[PointBatch, NDArray[np.intp]]:
-    """Return the points of usable peaks, and the frame that each belongs to."""
-    position, spread = usable.position_px, usable.sigma_px
-    strobed, strobed_sigma = _select_brightest(position, spread, usable.amplitude)
-    if all(frame.marker is not None for frame in frames):
-        owners = np.arange(len(frames), dtype=np.intp)
-        points = active.solver.solve(strobed, strobed_sigma)
-        return _flag_ambiguous(points, strobed, usable, owners, []), owners
-    rows: list[Array] = []
-    sigmas: list[Array] = []
-    owner: list[int] = []
-    ambiguous: list[bool] = []
-    few = (np.isfinite(position).sum(axis=2).max(axis=1) <= MAX_SIMULTANEOUS_MARKERS).tolist()
+    """Return the points of F frames, and the index of the frame that each belongs to.
+
+    Args:
+        active: the active calibration, of S sensors.
+        frames: F frames.
+        measurements: of the frames, shape (F, S, K).
+    """
+    strobed = [index for index, frame in enumerate(frames) if frame.marker is not None]
+    parts: list[tuple[int, PointBatch]] = []
+    if len(strobed) == len(frames):
+        points = _solve_strobed(active, measurements)
+        return points, np.arange(len(frames), dtype=np.intp)
+    if strobed:
+        points = _solve_strobed(active, measurements.exposure(np.array(strobed)))
+        parts += [(frame, points.part(row, row + 1)) for row, frame in enumerate(strobed)]
     for index, frame in enumerate(frames):
-        if frame.marker is not None:
-            rows.append(strobed[index])
-            sigmas.append(strobed_sigma[index])
-            owner.append(index)
-            ambiguous.append(False)
-            continue
-        found = group_peaks(
-            active.solver.solve,
-            position[index],
-            spread[index],
-            predict=active.predictor if few[index] else None,
-            merged=(usable.flags[index] & int(PeakFlag.MERGED)) != 0,
-        )
-        rows.extend(found.readings_px)
-        sigmas.extend(found.sigma_px)
-        owner.extend([index] * len(found.readings_px))
-        ambiguous.extend(found.ambiguous.tolist())
-    if not rows:
-        return no_points(position.shape[1]), np.empty(0, dtype=np.intp)
-    readings, owners = np.array(rows), np.array(owner, dtype=np.intp)
-    points = active.solver.solve(readings, np.array(sigmas))
-    return _flag_ambiguous(points, readings, usable, owners, ambiguous), owners
+        if frame.marker is None:
+            parts.append((index, _solve_simultaneous(active, measurements.exposure(index))))
+    parts.sort(key=lambda part: part[0])
+    owner = np.repeat([index for index, _ in parts], [len(points) for _, points in parts])
+    return PointBatch.concatenate([points for _, points in parts]), owner.astype(np.intp)
 
 
-def _select_brightest(
-    position: Array, spread: Array, amplitude: NDArray[np.floating]
-) -> tuple[Array, Array]:
-    """Return the brightest peak of each sensor and its deviation, (F, S) each.
+def _solve_strobed(active: PreparedCalibration, measurements: Measurements) -> PointBatch:
+    """Return one point for each of the frames, which are all strobed.
 
     A strobed exposure shows one marker: the brightest peak is it, weaker ones are reflections.
     """
-    if position.shape[2] == 1:
-        return position[..., 0], spread[..., 0]
-    brightest = np.where(np.isfinite(position), amplitude, -1.0).argmax(axis=2)
-    frames, sensors, _ = position.shape
-    at = np.arange(frames)[:, None], np.arange(sensors), brightest
-    return position[at], spread[at]
+    position, sigma = measurements.position_px, measurements.sigma_px
+    at: tuple[Any, ...] = (..., 0)
+    if measurements.max_count > 1:
+        light = np.where(measurements.usable, measurements.amplitude, -1.0)
+        frame = np.arange(len(position))[:, None]
+        at = frame, np.arange(len(measurements)), light.argmax(axis=2)
+    points = active.solver.solve(position[at], sigma[at])
+    if not np.count_nonzero(measurements.suspect):
+        return points
+    return _flag_points(points, None, measurements.suspect[at])
 
 
-def _flag_ambiguous(
-    points: PointBatch,
-    readings: Array,
-    usable: PipelineMeasurements,
-    owner: NDArray[np.intp],
-    ambiguous: Sequence[bool],
+def _solve_simultaneous(active: PreparedCalibration, measurements: Measurements) -> PointBatch:
+    """Return the points of a frame in which all markers are lit."""
+    few = int(measurements.count.max(initial=0)) <= MAX_SIMULTANEOUS_MARKERS
+    groups = group_peaks(active.solver.solve, measurements, model=active.model if few else None)
+    suspect = measurements.suspect
+    if not np.count_nonzero(suspect):
+        return _flag_points(groups.points, groups.ambiguous, None)
+    sensor = np.arange(len(measurements))
+    chosen = suspect[sensor, groups.peaks] & (groups.peaks >= 0)
+    return _flag_points(groups.points, groups.ambiguous, chosen)
+
+
+def _flag_points(
+    points: PointBatch, ambiguous: NDArray[np.bool_] | None, suspect: NDArray[np.bool_] | None
 ) -> PointBatch:
-    """Return the points with their flags: ambiguous ones, and those of doubtful peaks."""
+    """Return the points with the flags of ambiguous groups (N,) and suspect peaks (N, S)."""
     flags = points.flags
-    if any(ambiguous):
+    if ambiguous is not None and ambiguous.any():
         flags = flags | np.where(ambiguous, int(PointFlag.AMBIGUOUS), 0)
-    if np.count_nonzero(np.isfinite(usable.suspect_px)):
-        # Each against its own frame's: what else is in the batch must not matter.
-        suspect = usable.suspect_px[owner]
-        from_doubtful = (readings[..., None] == suspect).any(axis=(1, 2))
-        flags = flags | np.where(from_doubtful, int(PointFlag.SUSPECT_PEAK), 0)
+    if suspect is not None and suspect.any():
+        flags = flags | np.where(suspect.any(axis=1), int(PointFlag.SUSPECT_PEAK), 0)
     return points if flags is points.flags else replace(points, flags=flags.astype(np.int32))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
+from compute.measurement.measurements import Measurements
 from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import ToolPose
 from compute.reconstruction.point_batch import PointBatch
@@ -18,14 +19,12 @@ Array = NDArray[np.float64]
 
 
 class MarkerTrackerProtocol(Protocol):
-    """Tracks markers from frame to frame; see compute/tracking/factory.py."""
+    """Tracks markers from frame to frame; see compute/tracking/tracker.py."""
 
     def step(
         self,
         time_ns: int,
-        position_px: Array,
-        sigma_px: Array,
-        peak_flags: NDArray[np.int32],
+        measurements: Measurements,
         marker: int | None,
     ) -> TrackBatch:
         """Process the readings of a frame; return the tracks after it."""
@@ -43,9 +42,7 @@ class ToolTrackerProtocol(Protocol):
         self,
         time_ns: int,
         sequence: int,
-        position_px: Array,
-        sigma_px: Array,
-        peak_flags: NDArray[np.int32],
+        measurements: Measurements,
         marker: int | None,
         points: PointBatch | None,
     ) -> tuple[ToolPose, ...]:
@@ -87,11 +84,11 @@ class DefaultTrackerFactory:
         self, active: PreparedCalibration, tracked: TrackingConfig
     ) -> MarkerTrackerProtocol:
         """Return the marker tracker."""
-        from compute.tracking.factory import create_tracker
         from compute.tracking.settings import TrackerSettings
+        from compute.tracking.tracker import Tracker
 
         models = active.calibration.models
-        return create_tracker(
+        return Tracker(
             CameraStack.of(models),
             TrackerSettings() if tracked.tracker is None else tracked.tracker,
             active.covariance,

@@ -7,7 +7,7 @@ if TYPE_CHECKING:
     from compute.pose.rigid_body import RigidBody
     from compute.pose.settings import ToolTrackerSettings
     from compute.tracking.blink_decoding import BlinkCodes, BlinkModel
-    from compute.tracking.factory import TrackingSettings
+    from compute.tracking.settings import TrackerSettings
     from service.pipeline.beam_hold_spec import BeamHoldConfig
 
 
@@ -26,7 +26,7 @@ class TrackingConfig:
 
     tracks: bool = False
     tools: tuple["RigidBody", ...] = ()
-    tracker: "TrackingSettings | None" = None
+    tracker: "TrackerSettings | None" = None
     tool_tracker: "ToolTrackerSettings | None" = None
     blinking: "tuple[BlinkCodes, BlinkModel] | None" = None
     holds: "tuple[BeamHoldConfig, ...]" = ()

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import LumilineError
+from compute.measurement.measurements import Measurements
 from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.reconstruction.point_batch import PointBatch
@@ -17,7 +18,6 @@ from compute.tracking.track_batch import TrackBatch
 from hardware.line_frame import LineFrame
 from service.pipeline.active_calibration import PreparedCalibration
 from service.pipeline.frame_batch import TrackingResult
-from service.pipeline.measurements import PipelineMeasurements
 from service.pipeline.tracker_factory import (
     DefaultTrackerFactory,
     MarkerTrackerProtocol,
@@ -136,7 +136,7 @@ class TrackingStage:
     def find(
         self,
         frames: Sequence[LineFrame],
-        usable: PipelineMeasurements | None,
+        measurements: Measurements | None,
         points: PointBatch,
         owner: NDArray[np.intp],
         track: Sequence[bool] | None = None,
@@ -145,7 +145,8 @@ class TrackingStage:
 
         Args:
             frames: F frames, in their order.
-            usable: their peaks; None: there is no calibration, or nothing is read.
+            measurements: of these, shape (F, S, K); None: there is no calibration, or no method
+                reads the scans.
             points: of these frames.
             owner: index of the frame of each.
             track: of each frame, whether anything is tracked in it; None: in all. In others tools
@@ -156,7 +157,7 @@ class TrackingStage:
         starts = owner.searchsorted(range(len(frames) + 1)).tolist()
         none = TrackBatch.empty(self._sensors)
         for index, frame in enumerate(frames):
-            if usable is None:
+            if measurements is None:
                 tracks.append(none)
                 poses.append(self._poses_unavailable(frame))
                 continue
@@ -166,13 +167,12 @@ class TrackingStage:
                 missing = _without(self._tracked.tools, frame, PoseStatus.MISSING, FRAME_SKIPPED)
                 poses.append(tuple(missing))
                 continue
-            readings = usable.position_px[index], usable.sigma_px[index], usable.flags[index]
-            amplitude = usable.amplitude[index]
-            tracks.append(self._track_markers(frame, *readings, amplitude) or none)
+            exposure = measurements.exposure(index)
+            tracks.append(self._track_markers(frame, exposure) or none)
             own = (
                 None if frame.marker is not None else points.part(starts[index], starts[index + 1])
             )
-            poses.append(self._track_tools(frame, *readings, own))
+            poses.append(self._track_tools(frame, exposure, own))
         return TrackingResult.of(tracks, poses, self._sensors)
 
     def _start_marker_tracker(self, active: PreparedCalibration) -> None:
@@ -224,23 +224,16 @@ class TrackingStage:
             if tracker is not None:
                 tracker.reset()
 
-    def _track_markers(
-        self,
-        frame: LineFrame,
-        position_px: NDArray[np.float64],
-        sigma_px: NDArray[np.float64],
-        flags: NDArray[np.int32],
-        amplitude: NDArray[np.floating],
-    ) -> TrackBatch | None:
+    def _track_markers(self, frame: LineFrame, measurements: Measurements) -> TrackBatch | None:
         if self._markers is None:
             return None
         # The device's clock: the host's has the jitter of the way to it.
         time_ns = frame.exposure_device_ns
         try:
-            found = self._markers.step(time_ns, position_px, sigma_px, flags, frame.marker)
+            found = self._markers.step(time_ns, measurements, frame.marker)
             if self._names is not None:
                 lit = frame.marker is None
-                found = self._names.name(frame.sequence, found, amplitude, lit=lit)
+                found = self._names.name(frame.sequence, found, measurements.amplitude, lit=lit)
         except Exception:  # noqa: BLE001 - logged
             self._restarts += 1
             again = self._restarts <= self.MAX_RESTARTS
@@ -258,9 +251,7 @@ class TrackingStage:
     def _track_tools(
         self,
         frame: LineFrame,
-        position_px: NDArray[np.float64],
-        sigma_px: NDArray[np.float64],
-        flags: NDArray[np.int32],
+        measurements: Measurements,
         points: PointBatch | None,
     ) -> tuple[ToolPose, ...]:
         found: list[ToolPose] = []
@@ -277,9 +268,7 @@ class TrackingStage:
                 found += group.tracker.step(
                     frame.exposure_device_ns,
                     frame.sequence,
-                    position_px,
-                    sigma_px,
-                    flags,
+                    measurements,
                     frame.marker,
                     points,
                 )

@@ -1,42 +1,47 @@
-"""One calibration, from its POST to the active pointer: the modules that run."""
+"""One calibration, from its POST to the device's active pointer: the modules that run."""
 
 from pathlib import Path
-from unittest.mock import patch
+from typing import Any
 
 from service.api.calibrations.examples import NEW_CALIBRATIONS
 from service.application.app import create_app
-from service.application.bootstrap import prepare
-from service.database.engine import Database
 from service.settings import Settings
 from tests.architecture.walks import differences, listed, tracing
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
-MAX_MODULES = 51
+MAX_REQUEST = 12
+MAX_CALIBRATION = 30
+BACKGROUND = {
+    "service.api.quality.drift_monitor",
+    "service.api.quality.store",
+    "service.api.recordings.recording_manager",
+    "service.jobs.run_manager",
+    "service.jobs.store",
+}
+"""Modules of threads that wake by themselves while the requests are served."""
 
 
-def test_walk_of_a_calibration_runs_the_modules_of_the_table(tmp_path: Path) -> None:
-    settings = Settings(data_dir=tmp_path)
-    database = Database(settings.effective_database_url)
-    prepare(settings, database)
-    database.close()
-    points = NEW_CALIBRATIONS["frame"]["value"]["points"]
+def calibrate(client: Any, name: str) -> None:
+    """Post a calibration of the frame and make it the active one."""
+    body = {
+        "id": name,
+        "device": "sim",
+        "points": NEW_CALIBRATIONS["frame"]["value"]["points"],
+        "distortion": "none",
+    }
+    assert client.post("/api/v1/calibrations", json=body).status_code == 201
+    assert client.post(f"/api/v1/calibrations/{name}/activate").status_code == 200
 
-    def calibrate(client: TestClient, identity: str) -> None:
-        body = {"id": identity, "device": "sim", "points": points, "distortion": "none"}
-        made = client.post("/api/v1/calibrations", json=body)
-        assert made.status_code == 201, made.text
-        active = client.post(f"/api/v1/calibrations/{identity}/activate")
-        assert active.status_code == 200, active.text
 
-    with (
-        # Looks after recordings in a thread of its own, whatever is asked for.
-        patch("service.api.recordings.recording_manager.RecordingManager._settle"),
-        tracing() as trace,
-        TestClient(create_app(settings, FakePipeline())) as client,
-    ):
-        calibrate(client, "first")
+def test_walk_of_a_calibration_runs_the_modules_of_the_tables(tmp_path: Path) -> None:
+    app = create_app(Settings(data_dir=tmp_path), FakePipeline())
+    with tracing() as trace, TestClient(app) as client:
+        calibrate(client, "before")  # what is loaded at first use
         trace.on = True
-        calibrate(client, "second")
+        calibrate(client, "traced")
         trace.on = False
-    assert not differences(trace.modules, listed("Calibration"))
-    assert len(trace.modules) <= MAX_MODULES
+        assert client.get("/api/v1/devices/sim").json()["active_calibration_id"] == "traced"
+    request, calibration = listed("What every request passes"), listed("A calibration")
+    assert not differences(trace.modules - BACKGROUND, [*request, *calibration])
+    assert len(request) <= MAX_REQUEST
+    assert len(calibration) <= MAX_CALIBRATION

@@ -230,9 +230,6 @@ def _() -> Sent:
     return post_reconstruction(with_reading(reconstruction(), "vertical", weighted))
 
 
-builds("unknown method")(lambda: post_calibration(calibration(method="eleven")))
-
-
 @builds("calibration of another device")
 def _() -> Sent:
     points = [{"name": "P", "readings": {"A": 1.0, "B": 2.0, "C": 3.0}}]
@@ -473,9 +470,6 @@ def flat(points: Json) -> Json:
 builds("neither points nor a capture for a run")(lambda: post_run(points=None))
 builds("both points and a capture for a run")(lambda: post_run(capture="begun"))
 builds("coplanar points for a run")(lambda: post_run(points=flat(calibration()["points"])))
-builds("distortion of a published method")(
-    lambda: post_run(method="dlt-iterative", distortion="all-3")
-)
 builds("distortion of too high an order")(lambda: post_run(distortion=[[3, 0], [50, 50]]))
 builds("unknown distortion")(lambda: post_run(distortion="everything"))
 builds("result id of a run taken")(lambda: post_run(result_id="sim-nominal"))

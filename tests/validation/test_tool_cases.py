@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from compute.pose.measurement_model import MeasurementModel
+from compute.measurement.measurement_model import MeasurementModel
 from validation.all_cases import ALL_CASES
 from validation.partial_view.case import MAX_RATIO, UNOBSERVABLE, bound, pairings, simulate_views
 from validation.partial_view.scene import CENTRE_MM, MARKERS_MM, SIGMA_PX, rig

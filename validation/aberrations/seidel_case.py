@@ -1,4 +1,4 @@
-"""Case seidel: coefficients of [3.8]-[3.20] of the lens of section 3.4, by sums and from rays."""
+"""Case seidel: coefficients [3.8]-[3.20] of the lens of section 3.4, by sums and by rays."""
 
 from dataclasses import astuple, fields
 from typing import Final

@@ -1,4 +1,4 @@
-"""Case tables-3.1-3.2: polynomials of orders 1 to 10 through the readings of Tables A.1 and A.2."""
+"""Case tables-3.1-3.2: polynomials of orders 1 to 10 fitted to Tables A.1 and A.2."""
 
 import csv
 from dataclasses import dataclass

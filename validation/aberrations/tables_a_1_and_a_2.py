@@ -1,185 +1,35 @@
 """Tables A.1 and A.2: the distortion of the lens of section 3.4, simulated and measured."""
 
-import csv
-from dataclasses import dataclass, replace
-from importlib.resources import files
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import least_squares
 
-from compute.optics.pixel_row import PixelRow
-from compute.optics.stripe_optics.stripe_profile import CELLS, Blur, StripeProfiles
-from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Alignment
-from validation.aberrations.thesis_lens import INDEX, LENS, RADIUS_MM, THICKNESS_MM
+from validation.aberrations.lens_set_up import (
+    CENTRE_A1_PX,
+    SOURCE_A1_MM,
+    SOURCE_A2_MM,
+    TILT_BOUND_RAD,
+    Estimator,
+    SetUp,
+    Side,
+    csv_rows_of,
+    fit_set_up,
+    rms,
+    table_a2,
+    traced_px,
+)
+from validation.aberrations.thesis_lens import INDEX, RADIUS_MM, THICKNESS_MM
 from validation.result_tables import ResultTable, TablesCase
 
 Array = NDArray[np.float64]
-Estimator = Literal["whole line", "third of the peak", "maximum", "chief ray"]
 
-PITCH_UM: Final = 14.0
 
-# Eight times the pitch, for lines of hundreds of pixels, and far longer than the sensor, so that
-# nothing of them is cut off.
-_COARSER: Final = 8
-_ROW: Final = PixelRow(2048, _COARSER * PITCH_UM, PITCH_UM)
-_SAMPLING: Final = RaySampling(17, 65, tolerance_px=0.02)
-_SMOOTHED_PX: Final = 2.0  # before the maximum is looked for
-_CENTRE_A2_PX: Final = 1024.0
-_CENTRE_A1_PX: Final = 1025.0
 _THESIS: Final = "thesis's tracer"
 _FIT_HEADINGS: Final = (
     "position of the line", "sensor mm", "offset mm", "lens tilt rad", "sensor tilt rad",
     "left", "right", "both", "largest",
 )  # fmt: skip
-_SOURCE_A2_MM: Final = 300.0
-_SOURCE_A1_MM: Final = 1500.0
-
-
-@dataclass(frozen=True)
-class SetUp:
-    """What the text leaves open of the set-up of Figure 3.16.
-
-    Args:
-        sensor_mm: distance of the sensor from the back of the lens [mm].
-        offset_mm: shift of the sensor along its pixels [mm].
-        lens_tilt_rad: turn of the lens about its own axis [rad].
-        sensor_tilt_rad: turn of the sensor about the same direction [rad].
-    """
-
-    sensor_mm: float
-    offset_mm: float = 0.0
-    lens_tilt_rad: float = 0.0
-    sensor_tilt_rad: float = 0.0
-
-
-STARTS: Final = (
-    SetUp(27.0, 0.0, 0.0, -0.05),
-    SetUp(25.0, -0.3, -0.03, 0.03),
-)
-_SCALES: Final = np.array([1.0, 0.3, 0.02, 0.02])  # mm, mm, rad, rad
-_STEP: Final = 0.1  # of the scales
-TILT_BOUND_RAD: Final = 0.1
-"""No mount is farther off than 5.7 degrees."""
-_LEAST: Final = np.array([15.0, -3.0, -TILT_BOUND_RAD, -TILT_BOUND_RAD]) / _SCALES
-_MOST: Final = np.array([40.0, 3.0, TILT_BOUND_RAD, TILT_BOUND_RAD]) / _SCALES
-_EVERY: Final = 4
-
-
-@dataclass(frozen=True, eq=False)
-class Side:
-    """The rows of Table A.2: lateral place, left positive [mm]; readings [px]."""
-
-    lateral_mm: Array
-    measured_px: Array
-    predicted_px: Array
-    left: NDArray[np.bool_]
-
-
-def traced_px(
-    set_up: SetUp, lateral_mm: Array, source_mm: float, estimator: Estimator, index: float = INDEX
-) -> Array:
-    """Return where the tracer sees a source, relative to the row's middle, shape (N,) [px].
-
-    The lens of section 3.4, flat side towards the source, at its full width.
-    """
-    tilted = Alignment(tilt_rad=(0.0, set_up.lens_tilt_rad, 0.0))
-    lens = replace(LENS, indices=(index,), alignment=tilted)
-    sensor = Alignment((set_up.offset_mm, 0.0), (0.0, set_up.sensor_tilt_rad, 0.0))
-    assembly = Assembly((lens,), THICKNESS_MM + set_up.sensor_mm, sensor)
-    # An emitter's size and diffraction are nothing beside this lens's own blur.
-    lines = TracedStripes(assembly, _ROW, Blur(None, 0.0), _SAMPLING)
-    points = np.stack(
-        [lateral_mm, np.zeros_like(lateral_mm), np.full_like(lateral_mm, source_mm)], axis=1
-    )
-    if estimator == "chief ray":
-        return _COARSER * (lines.chief_px(points) - _ROW.centre_px)
-    return _COARSER * (_position(lines.shapes(points), estimator) - _ROW.centre_px)
-
-
-def _position(shapes: StripeProfiles, estimator: Estimator) -> Array:
-    if estimator == "whole line":
-        return shapes.centroid_px
-    light = gaussian_filter1d(shapes.cell_sr, _SMOOTHED_PX * CELLS / _COARSER, axis=1)
-    peak = light.max(axis=1, keepdims=True)
-    if estimator == "maximum":
-        return np.take_along_axis(
-            shapes.centres_px, light.argmax(axis=1, keepdims=True), axis=1
-        ).ravel()
-    # Section 4.2.2: a third of the maximum for active targets, then [4.1].
-    above = np.where(light > peak / 3.0, light, 0.0)
-    centroid: Array = (above * shapes.centres_px).sum(axis=1) / above.sum(axis=1)
-    return centroid
-
-
-def table_a2() -> Side:
-    """Return Table A.2; the predicted 0.0 of the last row of each side is left out as NaN."""
-    rows = _rows("table_A2_measured_distortion.csv")
-    left = np.array([row["side"] == "left" for row in rows])
-    lateral = np.array([float(row["distance_mm"]) for row in rows])
-    predicted = np.array([float(row["predicted_px"]) for row in rows])
-    return Side(
-        np.where(left, lateral, -lateral),
-        np.array([float(row["measured_px"]) for row in rows]),
-        np.where(predicted == 0.0, np.nan, predicted),
-        left,
-    )
-
-
-def fit_set_up(
-    estimator: Estimator, index: float = INDEX, starts: tuple[SetUp, ...] = STARTS
-) -> tuple[SetUp, Array]:
-    """Fit the four parameters of the set-up to both sides of Table A.2 at once.
-
-    Every fourth row is fitted from each start, all rows from the best of what comes out.
-
-    Returns:
-        The set-up and the residuals, traced less measured, in the order of the table [px].
-    """
-    table = table_a2()
-    rows = np.arange(0, len(table.left), _EVERY)
-    found = [_fitted(start, estimator, index, table, rows) for start in starts]
-    best = min(found, key=lambda one: _rms(one[1]))[0]
-    return _fitted(best, estimator, index, table, np.arange(len(table.left)))
-
-
-def _fitted(
-    start: SetUp, estimator: Estimator, index: float, table: Side, rows: NDArray[np.int64]
-) -> tuple[SetUp, Array]:
-    # Both sides were counted downwards from 1024: on the right the image went the other way.
-    sign = np.where(table.left, 1.0, -1.0)[rows]
-    measured = sign * (_CENTRE_A2_PX - table.measured_px[rows])
-
-    def residuals(scaled: Array) -> Array:
-        set_up = SetUp(*(float(value) for value in scaled * _SCALES))
-        seen = traced_px(set_up, table.lateral_mm[rows], _SOURCE_A2_MM, estimator, index)
-        # A source whose light misses the row altogether counts as far off.
-        return np.nan_to_num(seen - measured, nan=1e3)
-
-    def slopes(scaled: Array) -> Array:
-        # Steps as wide as the caustics' edges need: the line's place is not quite smooth.
-        steps = _STEP * np.eye(len(scaled))
-        inside = [
-            np.clip(scaled + sign * step, _LEAST, _MOST) for step in steps for sign in (1, -1)
-        ]
-        seen = [residuals(place) for place in inside]
-        return np.stack(
-            [
-                (seen[2 * k] - seen[2 * k + 1]) / (inside[2 * k][k] - inside[2 * k + 1][k])
-                for k in range(len(scaled))
-            ],
-            axis=1,
-        )
-
-    first = np.array([start.sensor_mm, start.offset_mm, start.lens_tilt_rad, start.sensor_tilt_rad])
-    fitted = least_squares(
-        residuals, first / _SCALES, slopes, bounds=(_LEAST, _MOST), ftol=1e-3, max_nfev=10
-    )
-    return SetUp(*(float(value) for value in fitted.x * _SCALES)), fitted.fun
 
 
 def _measured_case() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
@@ -196,7 +46,7 @@ def _measured_case() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
         _FIT_HEADINGS,
         tuple(
             (name, fit.sensor_mm, fit.offset_mm, fit.lens_tilt_rad, fit.sensor_tilt_rad,
-             _rms(left[table.left]), _rms(left[~table.left]), _rms(left), float(abs(left).max()))
+             rms(left[table.left]), rms(left[~table.left]), rms(left), float(abs(left).max()))
             for name, (fit, left) in fits.items()
         ),
     )  # fmt: skip
@@ -218,7 +68,7 @@ def _measured_case() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
             for row in range(len(table.left))
         ),
     )
-    left_over = {name: _rms(residual) for name, (_, residual) in fits.items()}
+    left_over = {name: rms(residual) for name, (_, residual) in fits.items()}
     tilted = [
         name
         for name, (fit, _) in fits.items()
@@ -259,17 +109,17 @@ def _end_of_right(table: Side) -> float:
 
 
 def _simulated_case() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
-    rows = _rows("table_A1_simulated_distortion.csv")
+    rows = csv_rows_of("table_A1_simulated_distortion.csv")
     lateral = np.array([float(row["distance_mm"]) for row in rows])
-    thesis = _CENTRE_A1_PX - np.array([float(row["measured_px"]) for row in rows])
-    straight = _CENTRE_A1_PX - np.array([float(row["predicted_px"]) for row in rows])
+    thesis = CENTRE_A1_PX - np.array([float(row["measured_px"]) for row in rows])
+    straight = CENTRE_A1_PX - np.array([float(row["predicted_px"]) for row in rows])
     # Sharp for 1500 mm, by the thin lens and its principal plane at the curved face.
     focal = RADIUS_MM / (INDEX - 1.0)
-    sharp = 1.0 / (1.0 / focal - 1.0 / (_SOURCE_A1_MM + THICKNESS_MM / INDEX))
+    sharp = 1.0 / (1.0 / focal - 1.0 / (SOURCE_A1_MM + THICKNESS_MM / INDEX))
     shown: dict[str, Array] = {}
     estimators: tuple[Estimator, ...] = ("chief ray", "whole line", "maximum")
     for name in estimators:
-        shown[name] = traced_px(SetUp(sharp), lateral, _SOURCE_A1_MM, name)
+        shown[name] = traced_px(SetUp(sharp), lateral, SOURCE_A1_MM, name)
     readings = ResultTable(
         "distance from the middle [px of 14 um], sensor in focus",
         ("lateral mm", _THESIS, "thesis, straight", *shown),
@@ -286,13 +136,13 @@ def _simulated_case() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
         tuple((name, *_parts(lateral, curve)) for name, curve in curves.items()),
     )
     best = {
-        distance: _rms(traced_px(SetUp(distance), lateral, _SOURCE_A1_MM, "maximum") - thesis)
+        distance: rms(traced_px(SetUp(distance), lateral, SOURCE_A1_MM, "maximum") - thesis)
         for distance in np.arange(26.0, 39.0, 1.0).tolist()
     }
     nearest = min(best, key=lambda distance: best[distance])
     bent = {name: _bend(lateral, curve) for name, curve in curves.items()}
     table = table_a2()
-    angle = np.abs(np.abs(table.lateral_mm) / _SOURCE_A2_MM - lateral[-1] / _SOURCE_A1_MM)
+    angle = np.abs(np.abs(table.lateral_mm) / SOURCE_A2_MM - lateral[-1] / SOURCE_A1_MM)
     same = [np.flatnonzero(side)[angle[side].argmin()] for side in (table.left, ~table.left)]
     measured = abs(table.measured_px - table.predicted_px)[same]
     findings = (
@@ -327,7 +177,7 @@ def _parts(lateral_mm: Array, curve: Array) -> tuple[float, float, float, float]
     powers = np.stack([share, share**2, share**3], axis=1)
     parts, *_ = np.linalg.lstsq(powers, curve, rcond=None)
     linear, quadratic, cubic = (float(value) for value in parts)
-    return linear, quadratic, cubic, _rms(powers @ parts - curve)
+    return linear, quadratic, cubic, rms(powers @ parts - curve)
 
 
 def _bend(lateral_mm: Array, curve: Array) -> float:
@@ -335,15 +185,6 @@ def _bend(lateral_mm: Array, curve: Array) -> float:
     first = lateral_mm <= 0.1 * lateral_mm[-1]
     slope = (lateral_mm[first] @ curve[first]) / (lateral_mm[first] @ lateral_mm[first])
     return float(abs(curve[-1] - slope * lateral_mm[-1]))
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _rows(name: str) -> list[dict[str, str]]:
-    text = (files("validation") / "data" / name).read_text(encoding="utf-8")
-    return list(csv.DictReader(text.splitlines()))
 
 
 TABLE_A1: Final = TablesCase(

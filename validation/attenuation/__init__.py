@@ -1,1 +1,1 @@
-"""Attenuation."""
+"""Case attenuation: spherical against cylindrical lens."""

@@ -1,4 +1,4 @@
-"""Case attenuation: [3.28] and [3.29], spherical against cylindrical lens, from traced rays."""
+"""Case attenuation: [3.28] and [3.29], spherical against cylindrical lens, by traced rays."""
 
 from typing import Final
 

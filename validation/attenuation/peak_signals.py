@@ -1,4 +1,4 @@
-"""Peak signals of a bright disk behind a cylindrical and a spherical lens, from traced rays."""
+"""Peak signals of a bright disc behind a cylindrical and a spherical lens, by traced rays."""
 
 from dataclasses import dataclass
 from functools import cache

@@ -1,1 +1,1 @@
-"""Calibration convergence."""
+"""Case calibration-convergence."""

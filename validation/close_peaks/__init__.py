@@ -1,1 +1,1 @@
-"""Close peaks."""
+"""Case close-peaks: two peaks that overlap."""

@@ -1,4 +1,4 @@
-"""Case close-peaks: two close peaks by joint fit, valley cut and slope extension, side by side."""
+"""Case close-peaks: joint fit, valley cut and slope extension on two overlapping peaks."""
 
 from collections.abc import Sequence
 from math import isnan

@@ -1,4 +1,4 @@
-"""Two close peaks by the joint fit, the valley cut and slope extension: errors, by simulation."""
+"""Monte Carlo errors of two overlapping peaks by joint fit, valley cut and slope extension."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.fit.cramer_rao import position_bounds
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.cramer_rao import joint_position_bounds
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.peaks import PeakBatch, PeakFlag
 from compute.signal.thesis_pipeline.peak_separation import Separation, SlopeExtension, ValleyCut
@@ -126,9 +126,9 @@ def pair_figures(pair: Pair, count: int, chain_count: int, seed: int = 3) -> Pai
     bounds, errors = [], []
     for one in settings:
         sample = place[:: max(count // 64, 1)]
-        covariance = position_bounds(sample, pair.lights, AMBIENT, PIXELS, one, noise)
+        covariance = joint_position_bounds(sample, pair.lights, AMBIENT, PIXELS, one, noise)
         bounds.append(np.sqrt(np.diagonal(covariance.mean(axis=0))))
-        found = fit_lines(lines, one, noise, candidates=find(lines, one.search, READ_NOISE))
+        found = fit_scans(lines, one, noise, candidates=find(lines, one.search, READ_NOISE))
         errors.append(_fit_errors(found, place, bounds[-1]))
     some = rng.permutation(count)[:chain_count]
     cuts: tuple[Separation, ...] = (
@@ -229,7 +229,7 @@ def split_share(light: float, rate: float, count: int, seed: int = 4) -> tuple[f
         place = places_px(number, rng)[:, None]
         lines = expose(gaussian_electrons(place, WIDTH_PX, (light,)), READ_NOISE, rng)
         candidates = find(lines, settings.search, READ_NOISE)
-        found = fit_lines(lines, settings, line_noise(READ_NOISE), candidates=candidates)
+        found = fit_scans(lines, settings, line_noise(READ_NOISE), candidates=candidates)
         more += int(np.sum(found.count > candidates.count))
         poor += int(((found.flags & PeakFlag.POOR_FIT) != 0).any(axis=1).sum())
     return more / count, poor / count

@@ -1,4 +1,4 @@
-"""The picture of case close-peaks: three methods' errors by distance, and one line taken apart."""
+"""Figure of case close-peaks: errors of three methods by distance, and one fitted scan."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from compute.signal.fit.fit_settings import FitSettings
-from compute.signal.fit.group_fit import fit_line
+from compute.signal.fit.group_fit import fit_scan
 from validation.close_peaks.case import CUT_LINES, LINES
 from validation.close_peaks.monte_carlo import (
     LIGHTS,
@@ -56,7 +56,7 @@ def _line(axis: Axes) -> None:
     place = MIDDLE_PX + 0.3 + WIDTH_PX * np.array([[-1.0, 1.0]])
     line = expose(gaussian_electrons(place, WIDTH_PX, (1e4, 1e4)), READ_NOISE, rng)[0]
     settings = FitSettings(width_px=WIDTH_PX, width_log_sigma=0.0)
-    (group,) = fit_line(line, settings, line_noise(READ_NOISE))
+    (group,) = fit_scan(line, settings, line_noise(READ_NOISE))
     pixel = group.first_px + np.arange(len(group.values))
     axis.step(pixel, group.values, where="mid", color="0.5", label="counts")
     axis.plot(pixel, group.model, "o-", markersize=3, label="joint fit")

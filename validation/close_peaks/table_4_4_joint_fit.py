@@ -1,11 +1,11 @@
-"""Table 4.4's six markers by the joint fit, beside valley cut and slope extension."""
+"""The six markers of Table 4.4 by joint fit, beside valley cut and slope extension."""
 
 from typing import Final
 
 import numpy as np
 
-from compute.signal.fit.cramer_rao import position_bounds
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.cramer_rao import joint_position_bounds
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.sensor_noise import SensorNoise
 from validation.result_tables import Cell, ResultTable
@@ -51,7 +51,7 @@ def joint_fit(scene: CloseMarkers, *, width_log_sigma: float = 0.0) -> np.ndarra
     counts = scene.lines * _EXACT_GAIN if known is None else scene.lines + 100.0
     lines = np.clip(np.rint(counts), 0, 65535).astype(np.uint16)
     settings = FitSettings(width_px=scene.sigma_px, width_log_sigma=width_log_sigma)
-    found = fit_lines(lines, settings, noise).position_px
+    found = fit_scans(lines, settings, noise).position_px
     distance = np.abs(found[:, None, :] - scene.truth_px[None, :, None])
     nearest = np.argmin(np.where(np.isnan(distance), np.inf, distance), axis=2)
     return np.take_along_axis(found, nearest, axis=1)
@@ -62,7 +62,7 @@ def markers_bound_px(noise_counts: float) -> np.ndarray:
     light = PEAK_COUNTS * GAIN * SIGMA_PX * np.sqrt(2.0 * np.pi)
     settings = FitSettings(width_px=SIGMA_PX, width_log_sigma=0.0)
     noise = SensorNoise.of(GAIN, noise_counts * GAIN)
-    covariance = position_bounds([TRUE_PX], [light] * _MARKERS, 0.0, 512, settings, noise)[0]
+    covariance = joint_position_bounds([TRUE_PX], [light] * _MARKERS, 0.0, 512, settings, noise)[0]
     return np.asarray(np.sqrt(np.diag(covariance)))
 
 

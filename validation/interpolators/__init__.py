@@ -1,1 +1,1 @@
-"""Interpolators."""
+"""Case interpolators: correction maps."""

@@ -1,4 +1,4 @@
-"""Case interpolators: maps through the nodes and penalised ones, by pitch and by noise."""
+"""Case interpolators: interpolating and penalised correction maps, by pitch and noise."""
 
 from dataclasses import dataclass
 from functools import cache

@@ -1,4 +1,4 @@
-"""Picture of the case interpolators: errors of maps by pitch, one panel for each noise."""
+"""Figure of case interpolators: errors of maps by pitch, one panel for each noise."""
 
 from pathlib import Path
 from typing import Final

@@ -1,1 +1,1 @@
-"""Labels."""
+"""Case labels: mislabelled control points."""

@@ -1,4 +1,4 @@
-"""Label errors in simulated and measured control data: how many are found, and which."""
+"""Case labels: detection of mislabelled control points in simulated and measured data."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -8,15 +8,12 @@ import numpy as np
 
 from compute.calibration.calibrate import calibrate
 from compute.calibration.mislabels.detector import find_label_errors
+from compute.calibration.mislabels.evaluation import SensorReadings, evaluate
 from compute.calibration.mislabels.finding import LabelFinding
 from compute.calibration.mislabels.hypothesis import Hypothesis
 from compute.calibration.mislabels.marginal_likelihood import KNOWN_SIGMA
 from compute.calibration.mislabels.repair import repair
-from compute.calibration.mislabels.sensor_search import (
-    SensorReadings,
-    evaluate,
-    search_sensor_labels,
-)
+from compute.calibration.mislabels.sensor_search import search_sensor_labels
 from validation.labels.simulated_data import (
     SIGMA_PX,
     WIDE_SIGMA_PX,

@@ -1,4 +1,4 @@
-"""Frames of control points with label errors put in, seen by random devices."""
+"""Simulated control points with mislabelled readings, seen by random devices."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

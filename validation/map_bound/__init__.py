@@ -1,1 +1,1 @@
-"""Map bound."""
+"""Case map-bound: correction map against the noise bound."""

@@ -1,4 +1,4 @@
-"""Case map-bound: a calibrated and mapped bar beside the bound by its centroids' noise."""
+"""Case map-bound: errors of a calibrated and mapped bar beside the bound by noise."""
 
 from dataclasses import dataclass
 from typing import Final

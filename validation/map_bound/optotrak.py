@@ -1,4 +1,4 @@
-"""The Optotrak's profile, calibrated and mapped, at its published noise."""
+"""The Optotrak profile, calibrated and mapped, at its published noise."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Errors of points that are reconstructed with a camera and a map, beside the noise's bound."""
+"""Errors of points reconstructed with a camera and a map, beside the bound by noise."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The bar of Figure 5.2 with the stopped lens, exposed line by line: what its sensors read."""
+"""The bar of Figure 5.2 with the stopped-down lens: simulated scans and their readings."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -11,8 +11,9 @@ from compute.camera.model import SensorGeometry
 from compute.optics.detector import Detector
 from compute.optics.profiles.device_profile import DeviceProfile
 from compute.optics.profiles.profile_loader import load_profile
-from compute.planning.cramer_rao import position_bound, shifted_stripes
+from compute.planning.cramer_rao import shifted_stripes
 from compute.planning.planning_device import PlanningDevice, planning_device
+from compute.signal.cramer_rao import position_bound
 from validation.aberrations.thesis_lens import stopped_lens
 
 Array = NDArray[np.float64]
@@ -124,7 +125,9 @@ class Scene:
             )
         lines = shifted_stripes(shapes, pixels)
         bound = position_bound(
-            lines.mean_sr * light[..., None], lines.slope_sr_per_px * light[..., None], device.noise
+            lines.mean_sr * light[..., None],
+            lines.slope_sr_per_px * light[..., None],
+            device.noise.variance_electrons2,
         )
         return exact, position, sigma, np.where(np.isfinite(position), bound, np.nan)
 

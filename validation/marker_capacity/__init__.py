@@ -1,1 +1,1 @@
-"""Marker capacity."""
+"""Case marker-capacity: number of markers that can be lit at once."""

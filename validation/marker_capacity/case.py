@@ -1,4 +1,4 @@
-"""Case marker-capacity: how many markers can be lit at once before it is not clear who is who."""
+"""Case marker-capacity: number of simultaneous markers up to which correspondence holds."""
 
 from typing import Final
 
@@ -112,7 +112,8 @@ def _capacities(
         cells += [str(capacity_of(figures, rig, scene, markers)) for scene in scenes]
         rows.append(tuple(cells))
     return ResultTable(
-        f"Markers lit at once, up to which {RESOLVED_FRACTION:.0%} of the frames are resolved wholly",
+        f"Markers lit at once, up to which {RESOLVED_FRACTION:.0%} of the frames are "
+        "resolved wholly",
         ("configuration", "sensors", "noise [px]", *(scene.label for scene in scenes)),
         tuple(rows),
     )

@@ -1,4 +1,4 @@
-"""Frames of many markers, grouped: how many are resolved, in doubt, or wrong."""
+"""Monte Carlo correspondence of many markers: resolved, ambiguous and wrong exposures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence import Correspondence, PredictedPoints, group_peaks
+from compute.signal.peaks import PeakFlag
 from validation.marker_capacity.rigs import RIGS, Rig, with_noise
 
 Array = NDArray[np.float64]
@@ -138,10 +140,12 @@ def group(rig: Rig, scene: Scene, frame: Frame, rng: np.random.Generator) -> Cor
         predicted = PredictedPoints(frame.places_mm + away, spread)
     return group_peaks(
         rig.solver.solve,
-        frame.position_px,
-        frame.sigma_px,
-        predict=rig.predict,
-        merged=frame.merged,
+        Measurements.of(
+            frame.position_px,
+            frame.sigma_px,
+            np.where(frame.merged, PeakFlag.MERGED, 0).astype(np.int32),
+        ),
+        model=rig.model,
         predicted=predicted,
     )
 

@@ -1,4 +1,4 @@
-"""The picture of case marker-capacity: shares of frames by the number of markers."""
+"""Figure of case marker-capacity: shares of exposures by the number of markers."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The configurations of case marker-capacity: their cameras, noise and volumes."""
+"""Sensor configurations of case marker-capacity: cameras, noise, volumes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
+from compute.measurement.measurement_model import MeasurementModel
 from compute.optics.profiles.profile_loader import load_profile
 from compute.planning.coverage import Box, volume_grid
 from compute.planning.planning_device import planning_device
 from compute.planning.simulated_readings import simulate_readings
-from compute.reconstruction.correspondence import Predictor
 from compute.reconstruction.solver import PointSolver
 
 Array = NDArray[np.float64]
@@ -52,9 +52,9 @@ class Rig:
         return len(self.cameras)
 
     @property
-    def predict(self) -> Predictor:
-        """The same cameras, forward."""
-        return Predictor(self.cameras, pixels=(self.pixels,) * self.sensors)
+    def model(self) -> MeasurementModel:
+        """The measurement model of the cameras."""
+        return MeasurementModel(self.cameras, pixels=(self.pixels,) * self.sensors)
 
 
 @cache

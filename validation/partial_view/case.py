@@ -1,4 +1,4 @@
-"""Case partial-view: a tool, each marker seen by two of four sensors, beside its bound."""
+"""Case partial-view: pose errors of a tool whose markers two of four sensors see, and bound."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix, rotation_vector
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.estimation.pose_fit import PoseFit, fit_pose
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import point_jacobian
@@ -129,12 +129,12 @@ def bound(
     ``(J' S^-1 J)^-1`` with J by turn about the tip and shift of the tip, S the noise and the
     calibration's part of all readings together.
     """
-    expected = model.full(MARKERS_MM @ rotation.T + shift)
+    expected = model.predict(MARKERS_MM @ rotation.T + shift, with_common_errors=True)
     arms = point_jacobian((MARKERS_MM - TIP_MM) @ rotation.T)
-    slopes = (expected.gradient_px_per_mm @ arms)[mask]
+    slopes = (expected.jacobian_px_per_mm @ arms)[mask]
     covariance = sigma_px**2 * np.eye(len(slopes))
-    if expected.common_px.shape[2]:
-        common = expected.common_px[mask]
+    if expected.common_jacobian_px.shape[2]:
+        common = expected.common_jacobian_px[mask]
         covariance += common @ common.T
     found: Array = np.linalg.inv(slopes.T @ np.linalg.solve(covariance, slopes))
     return found

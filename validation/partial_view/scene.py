@@ -1,4 +1,4 @@
-"""The tool and the four sensors of case partial-view."""
+"""Tool and four sensors of case partial-view."""
 
 from typing import Final
 

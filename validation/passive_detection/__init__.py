@@ -1,1 +1,1 @@
-"""Passive detection."""
+"""Case passive-detection: faint passive markers."""

@@ -1,4 +1,4 @@
-"""Case passive-detection: faint passive markers, found and falsely found, beside the theory."""
+"""Case passive-detection: detection and false-alarm rates of faint markers, and theory."""
 
 from typing import Final
 

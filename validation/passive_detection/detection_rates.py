@@ -1,4 +1,4 @@
-"""Passive markers over a bright background: lines of light, and how often they are detected."""
+"""Detection rates of faint passive markers over a bright background."""
 
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -10,9 +10,8 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 from scipy.stats import norm, qmc
 
-from compute.signal.detection.detection_batch import DetectionBatch
 from compute.signal.detection.matched_filter import MatchedFilter, gaussian_filter, gaussian_shape
-from compute.signal.detection.peak_detector import DetectionSettings, PeakDetector
+from compute.signal.detection.peak_detector import DetectionBatch, DetectionSettings, PeakDetector
 from compute.signal.sensor_noise import SensorNoise
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""The picture of case passive-detection: operating curves, and what summing lines brings."""
+"""Figure of case passive-detection: operating curves, and the gain by summing scans."""
 
 from pathlib import Path
 from typing import Final
@@ -55,10 +55,18 @@ def _curves(axis: Axes) -> None:
     thresholds = [law.threshold_sigma(float(rate)) for rate in _RATES]
     for light, colour in zip(LIGHT_ELECTRONS, _COLOURS, strict=True):
         scene = Scene(light)
-        axis.plot(_RATES, [filter_detection_probability(scene, t) for t in thresholds], color=colour,
-                  label=f"{light:.0f} electrons, SNR {scene.snr:.1f}")  # fmt: skip
-        axis.plot(_RATES, [pixel_detection_probability(scene, pixel_threshold(float(r))) for r in _RATES], "--",
-                  color=colour)  # fmt: skip
+        axis.plot(
+            _RATES,
+            [filter_detection_probability(scene, t) for t in thresholds],
+            color=colour,
+            label=f"{light:.0f} electrons, SNR {scene.snr:.1f}",
+        )
+        axis.plot(
+            _RATES,
+            [pixel_detection_probability(scene, pixel_threshold(float(r))) for r in _RATES],
+            "--",
+            color=colour,
+        )
         for matched, pixel in curve(scene):
             for point, marker in ((matched, "o"), (pixel, "s")):
                 alarms = point.false_alarms.measured
@@ -82,10 +90,19 @@ def _sums(axis: Axes) -> None:
     matched = by_filter(some, AVERAGED_RATE).threshold_sigma
     single = pixel_threshold(AVERAGED_RATE)
     sums = [Scene(some.background_electrons, int(n)) for n in lines]
-    axis.plot(lines, [filter_detection_probability(scene, matched) for scene in sums], color=_COLOURS[3],
-              label="matched filter")  # fmt: skip
-    axis.plot(lines, [pixel_detection_probability(scene, single) for scene in sums], "--", color=_COLOURS[0],
-              label="single pixels")  # fmt: skip
+    axis.plot(
+        lines,
+        [filter_detection_probability(scene, matched) for scene in sums],
+        color=_COLOURS[3],
+        label="matched filter",
+    )
+    axis.plot(
+        lines,
+        [pixel_detection_probability(scene, single) for scene in sums],
+        "--",
+        color=_COLOURS[0],
+        label="single pixels",
+    )
     for number, scene in averaged_scenes().items():
         _point(axis, number, by_filter(scene, AVERAGED_RATE).detections, "o", _COLOURS[3])
         _point(axis, number, by_pixel(scene, AVERAGED_RATE).detections, "s", _COLOURS[0])

@@ -1,1 +1,1 @@
-"""Peak efficiency."""
+"""Case peak-efficiency: position estimators against the Cramer-Rao bound."""

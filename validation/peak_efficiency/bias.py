@@ -1,4 +1,4 @@
-"""The bias of the fit of one faint line by many lines, beside that which theory expects."""
+"""Bias of the fit of a faint peak: simulated, and as theory predicts."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from compute.signal.fit.cramer_rao import position_bounds
+from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.width_prior import width_prior
+from compute.signal.fit.score_information import width_prior
 from compute.signal.fit.window_model import Windows, evaluate
 from compute.signal.peaks import PeakBatch
 from validation.peak_efficiency.monte_carlo import (
@@ -111,7 +111,7 @@ def bias_figures(setting: Setting, name: str, count: int, seed: int = 1) -> Bias
     near = np.abs(error) < _NEAR_WIDTHS * max(width, 1.0)
     some_found = PeakBatch(**{key: values[near] for key, values in vars(found).items()})
     places = MIDDLE_PX + (np.arange(_PLACES) + 0.5) / (2 * _PLACES)
-    strict = position_bounds(
+    strict = joint_position_bounds(
         places[:, None], [setting.light], AMBIENT, PIXELS, fit_settings(KNOWN_WIDTH, width), noise,
         only_positions=True,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Case peak-efficiency: the fit and the centres of gravity beside the Cramer-Rao bound."""
+"""Case peak-efficiency: fit and centres of gravity beside the Cramer-Rao bound."""
 
 from collections.abc import Callable, Sequence
 from math import isnan
@@ -159,13 +159,15 @@ def _findings(lines: Sequence[Efficiency]) -> tuple[str, ...]:
     return (
         (
             f"Of {len(lines)} settings {len(good)} have a bound below {USEFUL_PX} px. There the "
-            f"fit with the width known has {min(ratios(KNOWN_WIDTH)):.3f} to {max(ratios(KNOWN_WIDTH)):.3f} "
+            f"fit with the width known has {min(ratios(KNOWN_WIDTH)):.3f} to "
+            f"{max(ratios(KNOWN_WIDTH)):.3f} "
             "of the bound for which nothing but the position is unknown, give or take "
             f"{(2 * LINES) ** -0.5:.3f} by chance. Its bias, at the worst place in a pixel, is "
             f"{bias.bias_px / biased.strict_px:.3f} +- "
             f"{bias.bias_error_px / biased.strict_px:.3f} of the bound at most "
             f"({bias.bias_px:.4f} px: {where(biased)}), and the squared errors in stated "
-            f"deviations average {min(squares(KNOWN_WIDTH)):.2f} to {max(squares(KNOWN_WIDTH)):.2f}."
+            f"deviations average {min(squares(KNOWN_WIDTH)):.2f} to "
+            f"{max(squares(KNOWN_WIDTH)):.2f}."
         ),
         (
             "A symmetric line's position is not correlated with light, level and width: unknown, "
@@ -189,7 +191,8 @@ def _findings(lines: Sequence[Efficiency]) -> tuple[str, ...]:
         (
             "Past the bound of 0.2 px, the fit with the width known: "
             + "; ".join(
-                f"{line.errors[KNOWN_WIDTH].rms_px / line.strict_px:.2f} of {line.strict_px:.2f} px "
+                f"{line.errors[KNOWN_WIDTH].rms_px / line.strict_px:.2f} of "
+                f"{line.strict_px:.2f} px "
                 f"({where(line)}, {100 * line.found:.0f} % found)"
                 for line in faint
             )
@@ -255,7 +258,8 @@ def _biased(biases: dict[str, list[Bias]]) -> str:
     ]
     return (
         f"Of biases 0.002 px or 2 % of the bound, the larger, is allowed. Nearest to it, by "
-        f"{BIAS_LINES} lines of each kind: with the width known {most(KNOWN_WIDTH)}, with the width "
+        f"{BIAS_LINES} lines of each kind: with the width known {most(KNOWN_WIDTH)}, with "
+        "the width "
         f"fitted {most(FITTED)}, as FitSettings comes {most(DEFAULT)}. More than is allowed: "
         f"{'; '.join(beyond) or 'nowhere'}. A line of 0.6 px, believed narrower or wider, is drawn "
         "towards or from its pixel's middle."

@@ -1,4 +1,4 @@
-"""A line whose shape changes along the sensor, fitted by shapes from elsewhere: what that costs."""
+"""Errors of a fit where the line-spread function varies along the sensor."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -8,8 +8,8 @@ import numpy as np
 
 from compute.optics.stripe_optics.stripe_profile import CELLS, Blur, StripeProfiles
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
-from compute.signal.fit.cramer_rao import position_bounds
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.cramer_rao import joint_position_bounds
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import PeakFlag
@@ -112,7 +112,7 @@ def place_figures(field: float, count: int, seed: int = 7) -> PlaceFigures:
     known = FitSettings(width_px=_UNIT_PX, width_log_sigma=0.0, max_joint_peaks=1)
     free = FitSettings(width_px=_UNIT_PX, width_log_sigma=np.inf, max_joint_peaks=1)
     noise = line_noise(READ_NOISE)
-    bound = position_bounds(place[::count, None], [LIGHT], AMBIENT, PIXELS, known, noise, own)
+    bound = joint_position_bounds(place[::count, None], [LIGHT], AMBIENT, PIXELS, known, noise, own)
     start = nearest(find(lines, known.search, READ_NOISE), place, _UNIT_PX, 1000.0, rng).peaks
     errors = {}
     for name, settings, shape in (
@@ -120,7 +120,7 @@ def place_figures(field: float, count: int, seed: int = 7) -> PlaceFigures:
         (FROM_MIDDLE, free, middle),
         (BY_PLACE, known, by_place),
     ):
-        found = fit_lines(lines, settings, noise, shape, start)
+        found = fit_scans(lines, settings, noise, shape, start)
         row, peak = np.arange(len(place)), match_true_peaks(found, place)
         error = found.position_px[row, peak] - place
         offset = float(error.mean())

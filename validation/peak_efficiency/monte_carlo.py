@@ -1,4 +1,4 @@
-"""How near estimators of one line's position come to the Cramer-Rao bound, by simulation."""
+"""Monte Carlo errors of position estimators of one peak, relative to the Cramer-Rao bound."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.signal.centroid_settings import CentroidSettings, Weighting
-from compute.signal.fit.cramer_rao import position_bounds
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.cramer_rao import joint_position_bounds
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.fit.window_model import Layout, Windows, evaluate
@@ -129,7 +129,7 @@ def efficiency(setting: Setting, count: int, seed: int = 1) -> Efficiency:
     lines = expose(electrons, read, rng)
     noise, known = line_noise(read), fit_settings(KNOWN_WIDTH, width)
     strict, nuisance = (
-        position_bounds(
+        joint_position_bounds(
             place[:: max(count // 64, 1), None], [light], AMBIENT, PIXELS,
             fit_settings(FITTED, width), noise, only_positions=only,
         ).mean()
@@ -143,7 +143,7 @@ def efficiency(setting: Setting, count: int, seed: int = 1) -> Efficiency:
     errors = {}
     start = nearest(find(lines, known.search, read), place, width, amplitude, rng)
     for name in (KNOWN_WIDTH, FITTED, PRIOR, DEFAULT):
-        fitted = fit_lines(lines, fit_settings(name, width), noise, candidates=start.peaks)
+        fitted = fit_scans(lines, fit_settings(name, width), noise, candidates=start.peaks)
         given = first_order if name == KNOWN_WIDTH else of_free
         errors[name] = errors_of(match_true_peaks(fitted, place), fitted, place, given)
     for name, weighting in _WEIGHTINGS.items():

@@ -1,4 +1,4 @@
-"""Lines whose shape is no Gaussian, from the optics: fitted as Gaussians and by their own shape."""
+"""Non-Gaussian stripes from the optics, fitted as Gaussians and by their own shape."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from compute.optics.stripe_optics.stripe_profile import CELLS, Blur
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
-from compute.signal.fit.cramer_rao import position_bounds
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.cramer_rao import joint_position_bounds
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import MAX_JOINT_PEAKS, PeakFlag
@@ -173,7 +173,7 @@ def shape_figures(optics: Optics, light: float, count: int, seed: int = 2) -> Sh
         ALLOWING: (replace(gaussian, shape_error=SHAPE_ERROR), LineSpreadFunction.gaussian()),
         AS_MEASURED: (own, line.shape),
     }
-    bound = position_bounds(
+    bound = joint_position_bounds(
         place[::count, None], [light], AMBIENT, PIXELS, own, noise, line.shape
     ).mean()
     start = nearest(
@@ -182,9 +182,9 @@ def shape_figures(optics: Optics, light: float, count: int, seed: int = 2) -> Sh
     errors = {}
     row = np.arange(len(place))
     for name, (settings, shape) in ways.items():
-        found = fit_lines(lines, settings, noise, shape, start.peaks)
+        found = fit_scans(lines, settings, noise, shape, start.peaks)
         joint = replace(settings, max_joint_peaks=MAX_JOINT_PEAKS)
-        more = fit_lines(
+        more = fit_scans(
             lines[::CELLS], joint, noise, shape, find(lines[::CELLS], own.search, READ_NOISE)
         )
         nearest_peak = match_true_peaks(found, place)

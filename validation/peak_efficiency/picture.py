@@ -1,4 +1,4 @@
-"""The picture of case peak-efficiency: RMS errors by the bound, against the line's width."""
+"""Figure of case peak-efficiency: RMS errors over the bound, by width."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Tables of case peak-efficiency about lines that are no Gaussians, and what they show."""
+"""Tables of case peak-efficiency about non-Gaussian stripes."""
 
 from collections.abc import Sequence
 from typing import Final

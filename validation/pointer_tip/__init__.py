@@ -1,1 +1,1 @@
-"""Pointer tip."""
+"""Case pointer-tip."""

@@ -1,4 +1,4 @@
-"""Case pointer-tip: the tip of a 150 mm pointer in a 500 mm cube before the Optotrak's sensors."""
+"""Case pointer-tip: tip errors of a 150 mm pointer in a 500 mm cube before the Optotrak."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurements import Measurements
 from compute.pose.estimation.pose_fit import fit_pose
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ToolTrackerSettings
@@ -117,9 +118,11 @@ def strobed(
             (pose,) = tracker.step(
                 round(1e9 * FRAME_S * k),
                 k,
-                readings[k][:, None],
-                sigma[k][:, None],
-                np.zeros((len(readings[k]), 1), dtype=np.int32),
+                Measurements.of(
+                    readings[k][:, None],
+                    sigma[k][:, None],
+                    np.zeros((len(readings[k]), 1), dtype=np.int32),
+                ),
                 marker,
             )
         if pose.status is PoseStatus.OK:

@@ -1,4 +1,4 @@
-"""The Optotrak's sensors, what they read of a pointer, and how it is moved."""
+"""The Optotrak's sensors, a pointer, its motion and its readings."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix
+from compute.measurement.measurement_model import MeasurementModel
 from compute.optics.profiles.profile_loader import load_profile
 from compute.planning.coverage import is_visible
-from compute.planning.cramer_rao import position_bound
-from compute.pose.measurement_model import MeasurementModel
+from compute.signal.cramer_rao import position_bound
 from validation.map_bound.optotrak import CONTROL, RESOLUTION_MM, fit_scale
 from validation.map_bound.point_errors import fit, mapped
 from validation.map_bound.scene import Readings, Scene, random_points_in_box
@@ -98,7 +98,7 @@ class Laboratory:
         """Return readings and their deviations of points (N, 3), shapes (N, S) [px]."""
         exact, sigma = simulate_readings(self.scene, points_mm, self.sigma_px)
         if not self.traced:
-            exact = np.where(np.isfinite(exact), self.model.expected(points_mm)[0], np.nan)
+            exact = np.where(np.isfinite(exact), self.model.linearise(points_mm)[0], np.nan)
         return exact + sigma * rng.standard_normal(exact.shape), sigma
 
 
@@ -147,7 +147,9 @@ def simulate_readings(
             assert look.lines is not None
             light = device.electrons_per_sr(part)[..., None]
             bound = position_bound(
-                look.lines.mean_sr * light, look.lines.slope_sr_per_px * light, device.noise
+                look.lines.mean_sr * light,
+                look.lines.slope_sr_per_px * light,
+                device.noise.variance_electrons2,
             )
         else:
             bound = np.full(sees.shape, sigma_px)

@@ -1,1 +1,1 @@
-"""Section 6."""
+"""Scenes and metrics that the cases of chapter 6 share."""

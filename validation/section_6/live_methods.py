@@ -1,4 +1,4 @@
-"""The thesis's methods as a running device follows markers by them, beside ours."""
+"""The thesis's trackers, exposure by exposure, beside the live tracker."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final
@@ -6,16 +6,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.factory import TrackingSettings
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.thesis.settings import ThesisSettings
 from validation.result_tables import ResultTable
-from validation.section_6.spatial_tracks import NEAR_MM, SpaceTracks
+from validation.section_6.spatial_tracks import NEAR_MM, SpaceTracks, TrackingSettings
 from validation.section_6_2.track_quality import (
     TrackQuality,
     mean_track_quality,
     spatial_track_quality,
 )
+from validation.thesis_tracking.settings import ThesisSettings
 
 Array = NDArray[np.float64]
 TrackFunction = Callable[[TrackingSettings], tuple[SpaceTracks, Array]]
@@ -80,7 +79,7 @@ def live_table(
             )  # fmt: skip
     return (
         ResultTable(
-            "followed live, exposure by exposure, on our peaks (`tracking.method` of a device): "
+            "tracked exposure by exposure, as a device does live, on our peaks: "
             "share of markers and exposures on the marker's first track, on one that began "
             "elsewhere, on none; how often a marker's track became another one; false tracks; RMS "
             f"and median error in space of what is within {NEAR_MM:g} mm [mm]",

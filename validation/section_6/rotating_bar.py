@@ -1,4 +1,4 @@
-"""The rotating bar of chapter 6 before the cameras of the frame at 1 m: markers and readings."""
+"""The rotating bar of chapter 6: markers, cameras and readings."""
 
 from dataclasses import dataclass
 from functools import cache

@@ -1,4 +1,4 @@
-"""Line profiles of the bar's markers, and the peaks in them: by the thesis's chain, and fitted."""
+"""Simulated scans of the bar's markers, and their peaks by the thesis's chain and by fit."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -10,7 +10,7 @@ from compute.camera.model import SensorModel
 from compute.optics.detector import Detector
 from compute.optics.stripe_images import stripe_images
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.peaks import PeakBatch
 from compute.signal.sensor_noise import SensorNoise
@@ -96,7 +96,7 @@ def fitted_peaks(lines: NDArray[np.uint16], sigma_px: float) -> PeakBatch:
     settings = FitSettings(
         search=CentroidSettings(max_peaks=4), width_px=sigma_px, width_log_sigma=0.02
     )
-    return fit_lines(lines, settings, line_noise())
+    return fit_scans(lines, settings, line_noise())
 
 
 def pad_batches(batches: Sequence[PeakBatch], frame: int) -> tuple[Array, Array, NDArray[np.int32]]:

@@ -1,4 +1,4 @@
-"""How well tracks follow two markers along a sensor: identity, spikes, RMS errors."""
+"""Errors of two tracks along a sensor: identity, spikes, RMS."""
 
 from dataclasses import dataclass
 from typing import Final

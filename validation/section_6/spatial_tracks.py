@@ -1,4 +1,4 @@
-"""Our tracker on the readings of all sensors, and its tracks beside the markers."""
+"""Tracks in space, assigned to the true markers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,11 +10,18 @@ from scipy.optimize import linear_sum_assignment
 
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
+from compute.measurement.measurements import Measurements
 from compute.signal.peaks import PeakBatch
-from compute.tracking.factory import TrackingSettings, create_tracker
+from compute.tracking.settings import TrackerSettings
 from compute.tracking.track_batch import TrackBatch, TrackState
+from compute.tracking.tracker import Tracker
+from validation.thesis_tracking.settings import ThesisSettings
+from validation.thesis_tracking.thesis_tracker import ThesisTracker
 
 Array = NDArray[np.float64]
+
+TrackingSettings = TrackerSettings | ThesisSettings
+"""The live tracker on readings, or a method of the thesis's chapter 6."""
 
 NEAR_MM: Final = 30.0
 """A track further than this from a marker is not the marker's."""
@@ -65,16 +72,21 @@ def track(
         markers_mm: where the markers are, shape (N, M, 3).
         settings: of the tracker: ours, or a method of the thesis.
     """
-    tracker = create_tracker(
-        CameraStack.of(list(models)), settings, pixels=tuple(model.pixels for model in models)
-    )
+    stack, pixels = CameraStack.of(list(models)), tuple(model.pixels for model in models)
+    tracker: Tracker | ThesisTracker
+    if isinstance(settings, ThesisSettings):
+        tracker = ThesisTracker(stack, settings, pixels=pixels)
+    else:
+        tracker = Tracker(stack, settings, pixels=pixels)
     room = max(batch.position_px.shape[1] for batch in peaks)
     rows = [
         tracker.step(
             round(float(time) * 1e9),
-            _stacked([batch.position_px[frame] for batch in peaks], room),
-            _stacked([batch.sigma_px[frame] for batch in peaks], room),
-            _stacked([batch.flags[frame] for batch in peaks], room, 0.0).astype(np.int32),
+            Measurements.of(
+                _stacked([batch.position_px[frame] for batch in peaks], room),
+                _stacked([batch.sigma_px[frame] for batch in peaks], room),
+                _stacked([batch.flags[frame] for batch in peaks], room, 0.0).astype(np.int32),
+            ),
             None,
         )
         for frame, time in enumerate(time_s)

@@ -1,1 +1,1 @@
-"""Section 6 1."""
+"""Case section-6.1: two active markers."""

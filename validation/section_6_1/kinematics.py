@@ -1,4 +1,4 @@
-"""Section 6.1 in space, Figure 6.17: points by the tracked readings, filtered, and our tracks."""
+"""Kinematics of section 6.1 in space (Figure 6.17): differences, 8-state filter, our tracker."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -8,10 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
-from compute.tracking.factory import TrackingSettings
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.thesis.eight_state import EightState, EightStateModel
-from compute.tracking.thesis.pair_tracker import Decision
 from validation.section_6.rotating_bar import (
     BAR_MM,
     RATE_HZ,
@@ -22,8 +19,10 @@ from validation.section_6.rotating_bar import (
     readings,
 )
 from validation.section_6.sensor_track_errors import SPIKE, SensorFigures, sensor_figures
-from validation.section_6.spatial_tracks import SpaceTracks, track
+from validation.section_6.spatial_tracks import SpaceTracks, TrackingSettings, track
 from validation.section_6_1.thesis_tracking import ActiveScene, differences, in_space, record
+from validation.thesis_tracking.eight_state import EightState, EightStateModel
+from validation.thesis_tracking.pair_tracker import Decision
 
 Array = NDArray[np.float64]
 

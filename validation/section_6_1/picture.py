@@ -1,4 +1,4 @@
-"""The picture of case section-6.1: Figures 6.3, 6.5, 6.6 and 6.17, the thesis's way beside ours."""
+"""Figure of case section-6.1: Figures 6.3, 6.5, 6.6 and 6.17, beside ours."""
 
 from pathlib import Path
 from typing import Final

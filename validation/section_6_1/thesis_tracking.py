@@ -1,4 +1,4 @@
-"""The thesis's way through section 6.1: subsets, pair tracking along each sensor, differences."""
+"""The thesis's method of section 6.1: subsets, pair tracking along each sensor, differences."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -10,9 +10,6 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.reconstruction.linear_triangulation import triangulate_linear
 from compute.signal.peaks import PeakBatch
-from compute.tracking.thesis.pair_tracker import Decision
-from compute.tracking.thesis.pair_tracking import PairTracking
-from compute.tracking.thesis.subsets import order_by_detection
 from validation.section_6.rotating_bar import (
     FRAMES,
     RATE_HZ,
@@ -26,6 +23,9 @@ from validation.section_6.rotating_bar import (
 )
 from validation.section_6.scans import active_lines, fitted_peaks, thesis_points
 from validation.section_6.sensor_track_errors import SensorFigures, sensor_figures
+from validation.thesis_tracking.pair_tracker import Decision
+from validation.thesis_tracking.pair_tracking import PairTracking
+from validation.thesis_tracking.subsets import order_by_detection
 
 Array = NDArray[np.float64]
 

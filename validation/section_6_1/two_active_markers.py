@@ -1,4 +1,4 @@
-"""Case section-6.1: two active markers on the rotating bar, told apart through all crossings."""
+"""Case section-6.1: identity of two active markers on the rotating bar at crossings."""
 
 from functools import cache
 from typing import Final
@@ -6,16 +6,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.factory import TrackingSettings
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.thesis.gap_filling import fill_gaps
 from validation.progress import report_progress
 from validation.result_tables import ResultTable, TablesCase
 from validation.section_6.live_methods import TrackFunction, live_methods, live_table
 from validation.section_6.rotating_bar import TURNING, cameras
 from validation.section_6.scans import MISSED, NARROW_PX, NOISE_COUNTS, WIDE_PX
 from validation.section_6.sensor_track_errors import SensorFigures, together
-from validation.section_6.spatial_tracks import SpaceTracks
+from validation.section_6.spatial_tracks import SpaceTracks, TrackingSettings
 from validation.section_6_1.kinematics import (
     JERK,
     SpaceFigures,
@@ -37,6 +35,7 @@ from validation.section_6_1.thesis_tracking import (
     track_pair,
 )
 from validation.section_6_2.track_quality import TrackQuality
+from validation.thesis_tracking.gap_filling import fill_gaps
 
 Array = NDArray[np.float64]
 
@@ -262,7 +261,8 @@ def _findings() -> tuple[str, ...]:
             "of the frame at 1 m, before the cameras that Test 5.4 calibrates (those of Table "
             '5.10, "Table 5.8" in the text, would not see it); lines with deviations of '
             f"{WIDE_PX:g} px (section 4.1) and {NARROW_PX:g} px; {NOISE_COUNTS:g} counts of noise "
-            f"in 8 bits; {MISSED:.0%} of the peaks missed; exposures {1e3 * TIMING_SIGMA_S:g} ms about "
+            f"in 8 bits; {MISSED:.0%} of the peaks missed; exposures "
+            f"{1e3 * TIMING_SIGMA_S:g} ms about "
             f"their places; the velocity limit {LIMIT_SHARE:g} of the greatest velocity. 350 "
             "frames are 300 of turning and 25 of rest at either end; figures are of the frames of "
             "even turning, for at rest sensor 1 sees the markers one behind the other."

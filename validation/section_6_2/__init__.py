@@ -1,1 +1,1 @@
-"""Section 6 2."""
+"""Case section-6.2: three passive markers."""

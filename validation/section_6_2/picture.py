@@ -1,4 +1,4 @@
-"""The picture of case section-6.2: Figures 6.7 and 6.8, and the tracks made of these points."""
+"""Figure of case section-6.2: Figures 6.7 and 6.8, and the tracks."""
 
 from pathlib import Path
 from typing import Final

@@ -11,7 +11,7 @@ from compute.optics.detector import Detector
 from compute.optics.stripe_images import stripe_images
 from compute.signal.centroid_settings import CentroidSettings
 from compute.signal.detection.peak_detector import DetectionSettings, PeakDetector
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.peaks import PeakBatch
 from compute.signal.sensor_noise import SensorNoise
@@ -137,5 +137,5 @@ def our_peaks(seed: int = SEED, frames: int = PASSIVE_FRAMES) -> tuple[PeakBatch
         start.amplitude[there] = batch.amplitude[there]
         start.width_px[there] = 2.0 * np.sqrt(2.0 * np.log(3.0)) * WIDTH_PX
         start.flags[there] = batch.flags[there]
-        found.append(fit_lines(lines, settings, noise, candidates=start))
+        found.append(fit_scans(lines, settings, noise, candidates=start))
     return tuple(found)

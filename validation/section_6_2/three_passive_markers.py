@@ -1,4 +1,4 @@
-"""Case section-6.2: three faint passive markers on the bar, by the probabilistic model and ours."""
+"""Case section-6.2: three faint markers, by the probabilistic model and by our tracker."""
 
 from functools import cache
 from typing import Final
@@ -6,16 +6,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.factory import TrackingSettings
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.thesis.intervals import IntervalSettings, PositionInterval
-from compute.tracking.thesis.probabilistic_tracker import AssociationSettings
-from compute.tracking.thesis.track_swap import printed_6_10, swap_probability
 from validation.progress import report_progress
 from validation.result_tables import Cell, ResultTable, TablesCase
 from validation.section_6.live_methods import OURS, TrackFunction, live_methods, live_table
 from validation.section_6.rotating_bar import PASSIVE_FRAMES, PASSIVE_RADII_MM, RATE_HZ, cameras
-from validation.section_6.spatial_tracks import SpaceTracks, track
+from validation.section_6.spatial_tracks import SpaceTracks, TrackingSettings, track
 from validation.section_6_1.kinematics import JERK
 from validation.section_6_2.scene import (
     BACKGROUND_ELECTRONS,
@@ -35,6 +31,9 @@ from validation.section_6_2.track_quality import (
     spatial_track_quality,
     thesis_tracks,
 )
+from validation.thesis_tracking.intervals import IntervalSettings, PositionInterval
+from validation.thesis_tracking.probabilistic_tracker import AssociationSettings
+from validation.thesis_tracking.track_swap import printed_6_10, swap_probability
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""How well tracks hold several markers: right, wrong, lost, exchanged, false."""
+"""Quality of tracks of several markers: right, wrong, lost, swapped, false."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
@@ -7,9 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.thesis.probabilistic_tracker import AssociationSettings, ProbabilisticTracker
-from compute.tracking.thesis.sensor_track import SensorTrack
 from validation.section_6.spatial_tracks import SpaceTracks
+from validation.thesis_tracking.probabilistic_tracker import (
+    AssociationSettings,
+    ProbabilisticTracker,
+)
+from validation.thesis_tracking.sensor_track import SensorTrack
 
 Array = NDArray[np.float64]
 

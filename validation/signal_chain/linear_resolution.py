@@ -1,4 +1,4 @@
-"""The linear resolution test of section 4.2.2 repeated: an LED moved before a camera's line."""
+"""Linear resolution test of section 4.2.2: an LED displaced before a camera."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -90,7 +90,7 @@ class Laboratory:
         peaks = result.peaks
         best = np.nanargmax(np.nan_to_num(peaks.amplitude, nan=-1.0), axis=1)
         centroid = peaks.position_px[np.arange(len(lines)), best]
-        top = result.stages[-1].lines.argmax(axis=1).astype(np.float64)
+        top = result.stages[-1].scans.argmax(axis=1).astype(np.float64)
         return top, centroid
 
 

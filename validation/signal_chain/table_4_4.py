@@ -1,4 +1,4 @@
-"""Table 4.4: six close markers on one line, by valley cut and by slope extension."""
+"""Table 4.4: six close markers in one scan, by valley cut and by slope extension."""
 
 from dataclasses import dataclass
 from typing import Final

@@ -1,4 +1,4 @@
-"""Table 4.5: the peaks of Tests 4.1 and 4.2, by the thesis's chain from simulated lines."""
+"""Table 4.5: peaks of Tests 4.1 and 4.2 by the thesis's chain from simulated scans."""
 
 from typing import Final
 
@@ -9,7 +9,11 @@ from compute.optics.background import background_scans
 from compute.optics.detector_array import DetectorArray
 from compute.optics.ideal_optics import IdealOptics
 from compute.optics.stripe_images import stripe_images
-from compute.optics.thesis_scenes import (
+from compute.signal.sensor_noise import SensorNoise
+from compute.signal.thesis_pipeline.result import ChainResult
+from compute.signal.thesis_pipeline.signal_chain import SignalChain
+from validation.result_tables import Cell, ResultTable, TablesCase
+from validation.signal_chain.target_scenes import (
     PEAK_CENTROIDS_PX,
     PEAK_MAXIMA_PX,
     PIXELS,
@@ -17,10 +21,6 @@ from compute.optics.thesis_scenes import (
     scene_of_test_4_1,
     scene_of_test_4_2,
 )
-from compute.signal.sensor_noise import SensorNoise
-from compute.signal.thesis_pipeline.result import ChainResult
-from compute.signal.thesis_pipeline.signal_chain import SignalChain
-from validation.result_tables import Cell, ResultTable, TablesCase
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Tables C.1 to C.4: slope, scatter, shift and order by every filter, and what filters move."""
+"""Tables C.1 to C.4: slope, scatter, shift and order of positions by every filter."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -223,7 +223,8 @@ def _findings() -> tuple[str, ...]:
             "another amount at each place within a pixel; a third of it is then another level of "
             "the slopes, which are cut between pixels. The filtered line's centroid is off its "
             f"true place by {worst.error_px:.4f} px at most, that of the line as it was by "
-            f"{worst.intrinsic_error_px:.4f} px. The whole line's centre of gravity knows no level, and "
+            f"{worst.intrinsic_error_px:.4f} px. The whole line's centre of gravity knows "
+            "no level, and "
             f"moves by {most(medians, 'phase', None):.4f} px."
         ),
         (

@@ -1,4 +1,4 @@
-"""Tables C.1 to C.4: positions of one LED by thirteen filters, read from their CSV file."""
+"""Data of Tables C.1 to C.4: positions of one LED by thirteen filters."""
 
 import csv
 from dataclasses import dataclass
@@ -9,7 +9,8 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter, MedianFilter
+from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter
+from compute.signal.thesis_pipeline.median_filter import MedianFilter
 from compute.signal.thesis_pipeline.steps import Compensation, ScanFilter
 
 Array = NDArray[np.float64]

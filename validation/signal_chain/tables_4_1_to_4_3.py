@@ -1,4 +1,4 @@
-"""Tables 4.1 to 4.3: ten positions 0.1 mm apart, and how many come out in order."""
+"""Tables 4.1 to 4.3: order of ten positions 0.1 mm apart, by every filter."""
 
 from dataclasses import dataclass
 from functools import cache, partial
@@ -224,7 +224,8 @@ def _findings(names: tuple[str, ...], published: dict[str, Column]) -> tuple[str
             "a whole, and 'in ascending order' in the captions is the order of positions. But "
             f"{len(in_order)} of 8 linear filters have 9 of 9 ({', '.join(in_order)}): with "
             "independent scatter of 0.17 px, which these filters have in Table C.2, one column "
-            f"has that with {probability_in_order(0.17):.1%}, with the 0.10 to 0.19 px of Table C.4 "
+            f"has that with {probability_in_order(0.17):.1%}, with the 0.10 to 0.19 px of "
+            "Table C.4 "
             f"itself with {probability_in_order(0.10):.0%} to {probability_in_order(0.19):.1%}."
         ),
         (

@@ -1,1 +1,1 @@
-"""Skew effect."""
+"""Case skew-effect: distortion by skew rays."""

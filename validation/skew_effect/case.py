@@ -1,4 +1,4 @@
-"""Case skew-effect: what a camera, a polynomial in u, and terms in u and v leave of distortion."""
+"""Case skew-effect: residual distortion of a camera, of terms in u, and of terms in u and v."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""The picture of case skew-effect: what three models leave, over both field angles."""
+"""Figure of case skew-effect: residuals of three models over both field angles."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Points over a sensor's field or a device's cube, their traced readings, and fits to them."""
+"""Traced readings of points over a sensor's field or a device's cube, and fits to them."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final

@@ -1,1 +1,1 @@
-"""Stop and focus."""
+"""Case stop-and-focus: width and position of the stop, and focus."""

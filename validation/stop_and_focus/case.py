@@ -1,4 +1,4 @@
-"""Case stop-and-focus: which stop, where, and where to focus; what each costs."""
+"""Case stop-and-focus: effects of the stop and the focus on precision and distortion."""
 
 from dataclasses import dataclass
 from functools import cache

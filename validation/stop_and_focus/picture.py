@@ -1,4 +1,4 @@
-"""The picture of case stop-and-focus: lines by the place of the stop, and figures by its width."""
+"""Figure of case stop-and-focus: stripes by the position of the stop, figures by its width."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Final

@@ -1,4 +1,4 @@
-"""What a stop and a focus do to light lines: width, lopsidedness, light, bound, distortion."""
+"""Quality of stripes by stop and focus: width, skewness, light, bound, distortion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,8 @@ from compute.optics.tracing.assembly import Assembly
 from compute.optics.tracing.elements import Lens, Stop
 from compute.optics.tracing.shapes import Conic, Plane
 from compute.optics.tracing.surfaces import Aperture
-from compute.planning.cramer_rao import PixelNoise, position_bound, shifted_stripes
+from compute.planning.cramer_rao import PixelNoise, shifted_stripes
+from compute.signal.cramer_rao import position_bound
 from validation.aberrations.thesis_lens import (
     FOCUSED_MM,
     INDEX,
@@ -127,7 +128,7 @@ def line_bound(lines: StripeProfiles, background_electrons: float) -> Array:
     noise = PixelNoise(READ_NOISE_ELECTRONS, 0.0, background_electrons)
     moved = shifted_stripes([lines], LONG_ROW.count)
     electrons = moved.mean_sr * ELECTRONS_PER_SR, moved.slope_sr_per_px * ELECTRONS_PER_SR
-    return position_bound(*electrons, noise)[:, 0]
+    return position_bound(*electrons, noise.variance_electrons2)[:, 0]
 
 
 def gravity_error(lines: StripeProfiles, background_electrons: float) -> Array:

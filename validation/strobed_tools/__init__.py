@@ -1,1 +1,1 @@
-"""Strobed tools."""
+"""Case strobed-tools."""

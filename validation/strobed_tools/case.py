@@ -1,4 +1,4 @@
-"""Case strobed-tools: tools whose markers are lit one by one, at rest and moved, slow and fast."""
+"""Case strobed-tools: pose errors of tools with strobed markers, at rest and in motion."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_vector
+from compute.measurement.measurements import Measurements
 from compute.pose.settings import ImmSettings, MotionMode, ToolTrackerSettings
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from validation.partial_view.scene import COVARIANCE, SIGMA_PX, rig
@@ -40,7 +41,8 @@ class Scores:
         nees: normalised errors squared of the poses, NaN without, shape (N,).
         off_mm2: squared errors of the tips, likewise [mm^2].
         stated_mm2: their variances in space, likewise [mm^2].
-        cycles_since_change: since the motion changed [turns of the strobe]; NaN where it never does.
+        cycles_since_change: since the motion changed [turns of the strobe]; NaN where it never
+            does.
     """
 
     ok: NDArray[np.bool_]
@@ -87,7 +89,10 @@ def track_run(run: Run, course: str, rate_hz: float, imm: ImmSettings) -> Scores
     tips = run.tip_mm
     for k in range(count):
         (pose,) = tracker.step(
-            int(run.time_ns[k]), k, run.readings_px[k][:, None], sigma, flags, int(run.marker[k])
+            int(run.time_ns[k]),
+            k,
+            Measurements.of(run.readings_px[k][:, None], sigma, flags),
+            int(run.marker[k]),
         )
         ok[k] = pose.valid
         if pose.covariance is None:

@@ -1,4 +1,4 @@
-"""Tools whose markers are lit one by one, how they are moved, and what the sensors read of them."""
+"""Tools with strobed markers: their motion and their readings."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

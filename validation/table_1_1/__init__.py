@@ -1,1 +1,1 @@
-"""Table 1 1."""
+"""Table 1.1: published resolution and accuracy of devices."""

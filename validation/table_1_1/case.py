@@ -1,4 +1,4 @@
-"""Table 1.1 beside predictions: published resolution and accuracy of every device profile."""
+"""Table 1.1: published resolution and accuracy of every device profile beside predictions."""
 
 from collections.abc import Mapping, Sequence
 from functools import cache

@@ -1,4 +1,4 @@
-"""Table 1.1: what the sources say of a device's figures, beside figures of its plan."""
+"""Remarks to Table 1.1: the sources' figures of a device beside those of its plan."""
 
 from collections.abc import Callable, Mapping
 from typing import Final
@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from compute.camera.model import Vector3
-from compute.optics.coded_aperture.correlation_decoding import mask_template
+from compute.optics.coded_aperture.correlation_decoding import mask_template, read_by_correlation
 from compute.optics.profiles.device_profile import DeviceProfile
 from compute.optics.profiles.profile_optics import light_source, mask_optics
 from compute.planning.plan_result import AxisSummary, Plan
@@ -63,7 +63,7 @@ def template_errors_px(
     for number, sensor in enumerate(profile.sensors):
         start, aim = np.array(sensor.position_mm), np.array(sensor.aim_mm)
         on_axis = start + (aim - start) * (template_mm - start[2]) / (aim - start)[2]
-        read = mask_template(optics, on_axis, number).read(lines[:, number])
+        read = read_by_correlation(lines[:, number], mask_template(optics, on_axis, number))
         errors[:, number] = read - exact[:, number]
     return errors
 

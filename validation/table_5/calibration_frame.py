@@ -1,4 +1,4 @@
-"""The frame at 1 m, measured, and what section 5.6 does with it, for Tables 5.10 to 5.14."""
+"""The measured frame at 1 m and its use in section 5.6, for Tables 5.10 to 5.14."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -8,7 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.calibrate import calibrate
-from compute.calibration.thesis_methods.eleven_parameter_bundle import (
+from compute.camera.dlt import collinearity_parameters_of
+from compute.camera.model import SensorModel
+from validation.thesis_data import DFW_V500, csv_rows, load_test
+from validation.thesis_methods.eleven_parameter_bundle import (
     PARAMETER_ORDER,
     THESIS_SWEEPS,
     StepGrid,
@@ -16,9 +19,6 @@ from compute.calibration.thesis_methods.eleven_parameter_bundle import (
     project_eleven_parameters,
     stepwise_bundle,
 )
-from compute.camera.dlt import collinearity_parameters_of
-from compute.camera.model import SensorModel
-from validation.thesis_data import DFW_V500, csv_rows, load_test
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The statistics of chapter 5's tables: printed ones, and the same five of ours."""
+"""The five error statistics of chapter 5's tables, printed and computed."""
 
 from collections.abc import Mapping
 from functools import cache

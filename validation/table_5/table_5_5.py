@@ -1,4 +1,4 @@
-"""Table 5.5 worked out again: several detectors of four sensors, and how they share the error."""
+"""Table 5.5: several detectors of four sensors, and their shares of the error."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Tables 5.10 to 5.14: the thesis's optimisation of eleven coefficients, run again."""
+"""Tables 5.10 to 5.14: the thesis's optimisation of eleven coefficients, repeated."""
 
 from collections.abc import Callable
 from typing import Final
@@ -6,12 +6,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.thesis_methods.eleven_parameter_bundle import (
-    PARAMETER_ORDER,
-    THESIS_SWEEPS,
-    from_array,
-    project_eleven_parameters,
-)
 from compute.camera.dlt import CollinearityParameters
 from compute.camera.model import SensorModel
 from validation.result_tables import Cell, ResultTable, TablesCase
@@ -27,6 +21,12 @@ from validation.table_5.calibration_frame import (
     parameters,
     stepwise,
 )
+from validation.table_5.coefficient_tables import (
+    Worked,
+    coefficient_table,
+    error_table,
+    labelled_rows,
+)
 from validation.table_5.error_statistics import of_column, printed, statistics_tables
 from validation.tests_5_1_to_5_8 import (
     AS_PUBLISHED,
@@ -36,48 +36,25 @@ from validation.tests_5_1_to_5_8 import (
     generated_columns,
 )
 from validation.thesis_data import DFW_V500, LONG_DFW_V500, csv_rows
+from validation.thesis_methods.eleven_parameter_bundle import (
+    PARAMETER_ORDER,
+    THESIS_SWEEPS,
+    from_array,
+    project_eleven_parameters,
+)
 
 Array = NDArray[np.float64]
-Worked = tuple[tuple[ResultTable, ...], tuple[str, ...]]
 
 LONG_PASSES: Final = 50
-
-
-def _rows(labels: tuple[str, ...], values: Array) -> list[tuple[Cell, ...]]:
-    """Return rows of a label and four sensors; values of shape (labels, 4)."""
-    return [
-        (label, *(float(value) for value in row)) for label, row in zip(labels, values, strict=True)
-    ]
-
-
-def _errors_of(sets: dict[str, Array]) -> ResultTable:
-    rows = _rows(
-        tuple(sets),
-        np.array([[error_mm2(values[k], k) for k in range(4)] for values in sets.values()]),
-    )
-    return ResultTable(
-        "E of [5.28] on the measured readings of the frame at 1 m (Test 5.4), mm^2",
-        ("coefficients", *SENSORS),
-        tuple(rows),
-    )
-
-
-def _coefficients(title: str, sets: dict[str, Array]) -> ResultTable:
-    rows: list[tuple[Cell, ...]] = [
-        (name, label, *(float(values[k, index]) for k in range(4)))
-        for index, name in enumerate(PARAMETER_ORDER)
-        for label, values in sets.items()
-    ]
-    return ResultTable(title, ("", "of", *SENSORS), tuple(rows))
 
 
 def _table_5_10() -> Worked:
     set_up, metric = parameters("5.10"), metric_coefficients()
     tables = (
-        _coefficients("coefficients as set up and as calibrated, mm", {
+        coefficient_table("coefficients as set up and as calibrated, mm", {
             "Table 5.10": set_up, "metric": metric,
         }),
-        _errors_of({"Table 5.10": set_up, "metric": metric}),
+        error_table({"Table 5.10": set_up, "metric": metric}),
     )  # fmt: skip
     distances = ", ".join(f"{value:.1f}" for value in metric[:, 0])
     return tables, (
@@ -108,13 +85,13 @@ def _table_5_11() -> Worked:
         f"{PARAMETER_ORDER[index]} of sensor {k + 1}" for k, index in np.argwhere(~inside).tolist()
     ]
     tables = (
-        _coefficients("coefficients, mm", {"Table 5.11": start}),
+        coefficient_table("coefficients, mm", {"Table 5.11": start}),
         ResultTable(
             "steps from Table 5.11 to Table 5.12, of 500",
             ("", "step of one iteration", *SENSORS),
             tuple(rows),
         ),
-        _errors_of({"Table 5.11": start, "Table 5.11, sensor 2 mirrored": mirrored_start()}),
+        error_table({"Table 5.11": start, "Table 5.11, sensor 2 mirrored": mirrored_start()}),
     )
     return tables, (
         (
@@ -142,7 +119,7 @@ def _table_5_12() -> Worked:
         "E of [5.28] on the measured readings of the frame at 1 m (Test 5.4), mm^2",
         ("", *SENSORS),
         tuple(
-            _rows(
+            labelled_rows(
                 (
                     "thesis, Table 5.12",
                     *(f"stepwise, after {p} of 13 steps" for p in passes),
@@ -156,13 +133,13 @@ def _table_5_12() -> Worked:
     at = ResultTable(
         "iteration of each coefficient's minimum in the last step, of 500",
         ("", *SENSORS),
-        tuple(_rows(PARAMETER_ORDER, np.array([bundle.at_iteration for bundle in ours]).T)),
+        tuple(labelled_rows(PARAMETER_ORDER, np.array([bundle.at_iteration for bundle in ours]).T)),
     )
     flat = ResultTable(
         "singular values of the readings' slopes by the eleven coefficients, over the largest",
         ("", *SENSORS),
         tuple(
-            _rows(
+            labelled_rows(
                 tuple(str(k + 1) for k in range(len(PARAMETER_ORDER))),
                 np.array([free_directions(k) for k in range(4)]).T,
             )
@@ -170,7 +147,9 @@ def _table_5_12() -> Worked:
     )
     ratio = (late / least)[0]
     tables = (
-        _coefficients("coefficients, mm", {"Table 5.12": parameters("5.12"), "stepwise": ended}),
+        coefficient_table(
+            "coefficients, mm", {"Table 5.12": parameters("5.12"), "stepwise": ended}
+        ),
         errors,
         at,
         flat,

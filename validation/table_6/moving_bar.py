@@ -1,4 +1,4 @@
-"""The bar of Tables 6.1 and 6.2: generated readings of both markers, and ways to reconstruct them.
+"""The moving bar of Tables 6.1 and 6.2: generated readings and reconstructions.
 
 Figures 5.6 and 5.5 and Table 5.8, which chapter 6 names, are Figures 5.9 and 5.8 and Table 5.10.
 """
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from compute.calibration.calibrate import calibrate
 from compute.calibration.result import AxisErrors
-from compute.calibration.thesis_methods.iterative_dlt import iterative_dlt
 from compute.camera.dlt import (
     CollinearityParameters,
     model_from_collinearity,
@@ -24,6 +23,7 @@ from compute.reconstruction.linear_triangulation import triangulate_linear
 from validation.section_6.rotating_bar import BAR_MM, RATE_HZ, STILL_FRAMES, TURN_S
 from validation.table_5.error_statistics import STATISTICS, statistics_of
 from validation.thesis_data import LONG_DFW_V500, csv_rows, generate_readings, load_test
+from validation.thesis_methods.iterative_dlt import iterative_dlt
 
 Array = NDArray[np.float64]
 Cameras = tuple[CollinearityParameters, ...]

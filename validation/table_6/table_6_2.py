@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.thesis_methods.eleven_parameter_bundle import from_array
 from validation.result_tables import ResultTable, TablesCase
 from validation.section_6.rotating_bar import BAR_MM
 from validation.table_5.calibration_frame import parameters
@@ -24,6 +23,7 @@ from validation.table_6.moving_bar import (
     statistics,
 )
 from validation.thesis_data import csv_rows, load_cameras, load_test
+from validation.thesis_methods.eleven_parameter_bundle import from_array
 
 Array = NDArray[np.float64]
 

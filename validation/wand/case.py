@@ -1,4 +1,4 @@
-"""Case wand: a bar of known length at unknown poses, beside a frame of known points."""
+"""Case wand: calibration by a bar of known length, beside a frame of known points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

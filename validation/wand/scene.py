@@ -1,4 +1,4 @@
-"""The device, volume, wand and frame of the case wand."""
+"""Device, volume, wand and frame of case wand."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,1 +1,1 @@
-"""Assessment."""
+"""Assessment of a calibration: cross-validation and diagnosis."""

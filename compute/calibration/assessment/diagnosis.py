@@ -1,6 +1,5 @@
-"""What control points leave open: weak parameters, coverage, and which measurement would help."""
+"""Diagnosis: weak parameters, coverage by control points, and the most useful further point."""
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -15,22 +14,22 @@ from compute.calibration.single_sensor.design_matrix import (
 )
 from compute.camera.model import vector3
 from compute.camera.stack import CameraStack
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 VOLUME_GRID_NODES: Final = 5
-"""Nodes along each axis of the grid over the control points' box at which points are judged."""
+"""Nodes along each axis of the grid over the control points' box for the precision."""
 CANDIDATE_GRID_NODES: Final = 7
 CANDIDATE_BOX_FACTOR: Final = 1.15
-"""Further control points are looked for in the control points' box, so much larger."""
+"""Box of the candidates over the control points' box."""
 MAX_SUGGESTIONS: Final = 5
 MIN_SEPARATION_FRACTION: Final = 0.2
-"""How far suggestions lie apart at least, of the box's diagonal."""
+"""Smallest distance between suggestions, as a fraction of the box's diagonal."""
 MIN_PIXEL_SHARE: Final = 0.6
 MIN_RELATIVE_DEPTH_RANGE: Final = 0.05
 WEAK_CONDITION_THRESHOLD: Final = 1e-4
-"""Condition below which a sensor's parameters hang on single readings."""
+"""Condition below which a sensor's parameters depend on single readings."""
 
 _PARAMETER_DESCRIPTIONS: Final = {
     "principal_distance_px": "the principal distance",
@@ -50,17 +49,17 @@ def diagnose(
     readings_px: Array,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Say how well control points determine a calibration, and where a further one helps most.
+    """Diagnose how well control points determine a calibration, and where another helps most.
 
-    A point's deviation that the calibration causes is that of a reconstruction from all sensors
-    that see it, by the calibration's covariance; a candidate lowers the covariance as one more
-    control point, read with the sensors' deviations, does in the linearised model.
+    The precision of a point is that of its reconstruction from all sensors that see it, propagated
+    from the calibration's covariance. A candidate control point lowers that covariance as one more
+    observation with the sensors' noise, in the linearised model.
 
     Args:
-        calibration: of these points.
+        calibration: the calibration of these points.
         points_mm: control points, shape (N, 3) [mm].
-        readings_px: their readings, shape (N, S) [px]; NaN where not seen.
-        progress: called with the fraction done and the stage; what it raises passes through.
+        readings_px: readings that the fit used, shape (N, S) [px]; NaN where not.
+        progress: called with the fraction done and the stage.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     readings = np.asarray(readings_px, dtype=np.float64)
@@ -71,7 +70,7 @@ def diagnose(
         )
     )
     if progress is not None:
-        progress(0.2, "which measurement would help most")
+        progress(0.2, "most useful further point")
     influence = _PrecisionPredictor(calibration, points)
     mean, largest = influence.current()
     return Diagnosis(
@@ -86,12 +85,12 @@ def diagnose(
 def _sensor(fit: SensorFit, points: Array, readings: Array) -> SensorDiagnosis:
     model = fit.model
     centre = points.mean(axis=0)
-    here = recentred_camera(model, centre)
-    matrix = design_matrix(here, points - centre, np.full(len(points), 1.0 / fit.sigma_px))
+    recentred = recentred_camera(model, centre)
+    matrix = design_matrix(recentred, points - centre, np.full(len(points), 1.0 / fit.sigma_px))
     scale = np.linalg.norm(matrix, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     _, singular, right = np.linalg.svd(matrix / scale, full_matrices=False)
-    # By what each parameter adds to its own reach: columns of length 1.
+    # Shares of scaled parameters: columns of length 1.
     shares = right[-1] ** 2
     names = [model.parameter_names[column] for column in fitted_columns(model)]
     order = np.argsort(-shares, kind="stable")[:4]
@@ -120,17 +119,17 @@ def _sensor(fit: SensorFit, points: Array, readings: Array) -> SensorDiagnosis:
 def _describe_combination(names: list[str], shares: Array) -> str:
     order = np.argsort(-shares, kind="stable")
     count = int(np.searchsorted(np.cumsum(shares[order]), 0.8)) + 1
-    parts = [
-        f"{_PARAMETER_DESCRIPTIONS.get(names[k], f'the distortion term {names[k]}')} ({shares[k]:.0%})"
-        for k in order[: min(count, 4)]
-    ]
+    parts = []
+    for k in order[: min(count, 4)]:
+        description = _PARAMETER_DESCRIPTIONS.get(names[k], f"the distortion term {names[k]}")
+        parts.append(f"{description} ({shares[k]:.0%})")
     if len(parts) == 1:
         return parts[0]
     return f"{', '.join(parts[:-1])} against {parts[-1]}"
 
 
 class _PrecisionPredictor:
-    """How a calibration's covariance moves points of the volume, and what lowers it."""
+    """Precision over the volume from the calibration's covariance, and candidate control points."""
 
     def __init__(self, calibration: Calibration, points: Array) -> None:
         self.cameras = CameraStack.of(calibration.models)
@@ -142,7 +141,7 @@ class _PrecisionPredictor:
         self.point_derivatives = self._point_jacobian(jacobian, rows) if len(volume) else None
 
     def _visible(self, points: Array) -> tuple[Array, Array, Array]:
-        """Return points that three sensors see, slopes by the point and by the parameters.
+        """Return the points that three sensors see, with Jacobians by point and by parameters.
 
         Shapes (M, 3), (M, S, 3) and (M, S, P); both are 0 where a sensor does not see the point.
         """
@@ -151,11 +150,11 @@ class _PrecisionPredictor:
             inside = (readings >= -0.5) & (readings <= self.pixels - 0.5)
         keep = inside.sum(axis=1) >= 3
         points, inside, jacobian = points[keep], inside[keep], jacobian[keep]
-        own = self.cameras.parameter_jacobian(points)
+        by_parameter = self.cameras.parameter_jacobian(points)
         rows = np.zeros((*inside.shape, len(self.covariance)))
         for sensor, columns in enumerate(self.cameras.parameter_index):
-            here = columns >= 0
-            rows[:, sensor, columns[here]] = own[:, sensor, here]
+            fitted = columns >= 0
+            rows[:, sensor, columns[fitted]] = by_parameter[:, sensor, fitted]
         rows = np.where(inside[..., None], rows, 0.0)
         return points, np.where(inside[..., None], jacobian, 0.0), rows
 
@@ -197,10 +196,14 @@ class _PrecisionPredictor:
         found = []
         for position, row in zip(positions, rows, strict=True):
             sees = row.any(axis=1)
-            here = row[sees]
+            jacobian = row[sees]
             noise = np.diag(self.sigma[sees] ** 2)
-            gain = np.linalg.solve(noise + here @ self.covariance @ here.T, here @ towards)
-            lowered = (gain * (here @ towards)).reshape(len(here), nodes, 3).sum(axis=(0, 2))
+            gain = np.linalg.solve(
+                noise + jacobian @ self.covariance @ jacobian.T, jacobian @ towards
+            )
+            lowered = (
+                (gain * (jacobian @ towards)).reshape(len(jacobian), nodes, 3).sum(axis=(0, 2))
+            )
             mean, largest = _summary(np.maximum(before - lowered, 0.0))
             found.append(Suggestion(vector3(position), mean, largest))
         found.sort(key=lambda one: one.mean_sigma_mm)
@@ -238,17 +241,17 @@ def _remarks(calibration: Calibration, sensors: tuple[SensorDiagnosis, ...]) -> 
             remarks.append(
                 f"Sensor {one.sensor}: its control points lie between {near:.0f} and {far:.0f} mm "
                 "from the lens; over so little depth, the principal distance and the distance "
-                "from the points can hardly be told apart."
+                "from the points are hardly distinguishable."
             )
         if one.condition < WEAK_CONDITION_THRESHOLD:
             remarks.append(
-                f"Sensor {one.sensor}: {one.weakest_description} hang on small differences between "
-                f"readings (condition {one.condition:.1e}); spread the points further in all "
-                "three directions."
+                f"Sensor {one.sensor}: {one.weakest_description} depend on small differences "
+                f"between readings (condition {one.condition:.1e}); spread the points further in "
+                "all three directions."
             )
         if fit.chi2_per_dof is not None and fit.chi2_per_dof > 2.0:
             remarks.append(
                 f"Sensor {one.sensor}: its residuals are {fit.chi2_per_dof**0.5:.1f} times what "
-                "the stated deviations explain; look at distortion, labels, or the deviations."
+                "the given standard deviations explain; check distortion, labels and noise."
             )
     return tuple(remarks)

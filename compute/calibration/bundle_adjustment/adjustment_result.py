@@ -1,12 +1,23 @@
-"""AdjustmentResult: what an adjustment ends with, with the covariance of everything in it."""
+"""AdjustmentResult: solution of a bundle adjustment with the covariance of its parameters."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.bundle_adjustment.normal_equations import ReducedEquations
+from compute.calibration.bundle_adjustment.normal_equations import (
+    AdjustmentState,
+    ReducedEquations,
+    build_normal_equations,
+)
+from compute.calibration.bundle_adjustment.parameter_covariance import (
+    check_poses,
+    global_covariance,
+)
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
+from compute.calibration.bundle_adjustment.robust_loss import loss_weights, total_loss
+from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.camera.model import SensorModel
 
 Array = NDArray[np.float64]
@@ -14,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class AdjustmentResult:
-    """Sensors, shapes and poses that fit the readings best.
+    """Least-squares (or robust) estimate of sensors, shapes and poses.
 
     Args:
         models: the sensors.
@@ -50,9 +61,9 @@ class AdjustmentResult:
         return self._reduced.inverses[index], self._reduced.back_substitution[index]
 
     def pose_covariance(self, index: int = 0) -> Array:
-        """Return the covariances of one set's poses, the sensors' part included, (B, d, d).
+        """Return the covariances of one set's poses, the sensors' uncertainty included.
 
-        In the order of a pose's unknowns: its turns, then its translation [mm].
+        Shape (B, d, d), in the order of a pose's unknowns: rotations [rad], then translation [mm].
         """
         carried = self._reduced.back_substitution[index]
         covariance: Array = self._reduced.inverses[index] + np.einsum(
@@ -65,13 +76,66 @@ class AdjustmentResult:
         carried: Array = -self._reduced.back_substitution[index] @ self.global_covariance
         return carried
 
-    def marker_covariance(self, index: int = 0) -> Array:
-        """Return the covariances of one set's markers, shape (B, K, 3, 3) [mm^2].
 
-        Of the pose only: a shape's own uncertainty is left out.
-        """
-        slopes = self.pose_sets[index].marker_jacobian()
-        covariance: Array = np.einsum(
-            "bkid,bde,bkje->bkij", slopes, self.pose_covariance(index), slopes, optimize=True
-        )
-        return covariance
+def assemble_result(
+    state: AdjustmentState,
+    residuals: Sequence[Array],
+    prior: SensorPrior | None,
+    adjusted_parameters: NDArray[np.bool_],
+    *,
+    limit: float,
+    free_datum: bool,
+    iterations: int,
+) -> AdjustmentResult:
+    """Return the result of an adjustment with its covariance and statistics.
+
+    Args:
+        state: the solution.
+        residuals: over sigma, shape (B, K, S) for each pose set.
+        prior: of the sensors' parameters, or None.
+        adjusted_parameters: which globals were adjusted, shape (F,).
+        limit: Huber's limit of the loss; inf: least squares.
+        free_datum: see ``adjust``.
+        iterations: number of trial steps.
+
+    Raises:
+        UndeterminedParameters: the readings do not determine a pose or a combination of
+            parameters.
+    """
+    weights = loss_weights(residuals, limit)
+    equations = build_normal_equations(state, weights, prior)
+    check_poses(state, equations)
+    reduced = equations.reduced()
+    noise_equations = None
+    if any((one < 1.0).any() for one in weights):
+        variances = [np.where(one < 1.0, limit**2, 1.0) for one in weights]
+        noise_equations = build_normal_equations(state, variances, prior)
+    covariance = global_covariance(state, reduced, adjusted_parameters, free_datum, noise_equations)
+    full = [(one >= 1.0) & poses.seen for one, poses in zip(weights, state.pose_sets, strict=True)]
+    chi2 = total_loss(
+        state,
+        [np.where(use, one, 0.0) for use, one in zip(full, residuals, strict=True)],
+        prior,
+        np.inf,
+    )
+    known = sum(int(use.sum()) for use in full)
+    for poses in state.pose_sets:
+        known += len(poses.shape.equations()[0]) + (3 * len(poses) if poses.prior() else 0)
+    if prior is not None:
+        known += int(np.linalg.matrix_rank(prior.information, hermitian=True))
+    unknown = int(adjusted_parameters.sum()) - (6 if free_datum else 0)
+    unknown += sum(len(poses) * poses.unknowns for poses in state.pose_sets)
+    return AdjustmentResult(
+        state.models,
+        state.pose_sets,
+        covariance,
+        tuple(
+            np.where(poses.seen, one, np.nan)
+            for poses, one in zip(state.pose_sets, residuals, strict=True)
+        ),
+        tuple(weights),
+        chi2,
+        known - unknown,
+        iterations,
+        reduced,
+    )

@@ -1,6 +1,5 @@
-"""Joint adjustment of all sensors and of control points that have an uncertainty of their own."""
+"""Joint adjustment of all sensors and uncertain control points."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,25 +14,26 @@ from compute.calibration.single_sensor.design_matrix import fitted_columns
 from compute.calibration.single_sensor.sensor_fits import ControlObservations, SensorFits
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 MIN_REDUNDANCY: Final = 4.0
-"""Readings of a sensor that must check others before their residuals tell its deviation."""
+"""Smallest redundancy of a sensor from which its noise is estimated."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """Sensors and points that fit the readings and the given points best.
+    """Jointly adjusted sensors and control points.
 
     Args:
-        models: the cameras.
-        covariance: joint, shape (P, P), for the deviations as given; 0 for what is not fitted.
-        residuals_px: fitted minus measured, with the points where they are now, shape (N, S).
-        shifts_mm: fitted minus given points, shape (N, 3).
-        sigma_ratio: each sensor's deviation, as its residuals show it, over the one given, (S,).
-        redundancy: readings of each sensor that check others, their number in all, (S,).
+        models: the S cameras.
+        covariance: joint, shape (P, P), for the standard deviations as given; 0 for parameters that
+            are not fitted.
+        residuals_px: fitted minus measured readings at the adjusted points, shape (N, S) [px].
+        shifts_mm: adjusted minus given points, shape (N, 3) [mm].
+        sigma_ratio: each sensor's noise estimated from its residuals over the given, shape (S,).
+        redundancy: sum of each sensor's redundancy numbers, shape (S,).
     """
 
     models: tuple[SensorModel, ...]
@@ -51,16 +51,16 @@ def adjust_control_points(
     control_sigma_mm: float,
     progress: Progress | None = None,
 ) -> JointFit:
-    """Fit all sensors and the control points at once; each coordinate has a prior.
+    """Adjust all sensors and the control points jointly; each coordinate has a prior.
 
-    A point that is not where it was said to be moves the readings of all sensors that see it:
-    their parameters are correlated by it.
+    An error of a control point shifts the readings of all sensors that see it, so that their
+    parameters are correlated.
 
     Args:
-        observed: the readings.
-        fits: cameras to start from, with the readings' weights and the offsets' prior.
-        sigma_px: deviations of the readings, shape (N, S) [px].
-        control_sigma_mm: standard deviation of each coordinate.
+        observed: control points and readings.
+        fits: starting cameras, with the readings' weights and the offsets' prior.
+        sigma_px: standard deviations of the readings, shape (N, S) [px].
+        control_sigma_mm: standard deviation of each coordinate of the points [mm].
         progress: called with the fraction done and the stage.
 
     Raises:
@@ -97,14 +97,23 @@ def adjust_control_points(
 def projected_point_sigma(
     models: tuple[SensorModel, ...], points_mm: Array, sigma_mm: float
 ) -> Array:
-    """Return the deviation of readings that the points' own uncertainty makes, (N, S) [px]."""
+    """Project the control points' uncertainty onto the readings.
+
+    Args:
+        models: S cameras.
+        points_mm: control points, shape (N, 3) [mm].
+        sigma_mm: standard deviation of each coordinate [mm].
+
+    Returns:
+        Standard deviations of the readings due to the points, shape (N, S) [px].
+    """
     jacobian = CameraStack.of(models).linearise(points_mm)[1]
     point_sigma: Array = sigma_mm * np.linalg.norm(jacobian, axis=2)
     return point_sigma
 
 
 def _prior(fits: SensorFits) -> SensorPrior | None:
-    """Return the prior of the offsets along the slits; None without any."""
+    """Return the prior of the lens offsets along the slits; None without distortion."""
     at_prior, information = [], []
     for row, model in enumerate(fits.models):
         diagonal = np.zeros(model.parameter_count)

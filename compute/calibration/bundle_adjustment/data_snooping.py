@@ -1,22 +1,32 @@
-"""Which readings are wrong: residuals over their own deviations (Baarda's data snooping)."""
+"""Data snooping (Baarda): redundancy, normalised residuals, outliers and noise estimates."""
+
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
 from compute.camera.stack import CameraStack
+from compute.robust_statistics import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
 REDUNDANCY_FLOOR = 1e-3
-"""Share of a reading that others must check before its residual says anything of it."""
+"""Smallest redundancy number at which a residual is tested."""
 
 
 def redundancy(adjusted: AdjustmentResult, index: int = 0) -> Array:
-    """Return which share of each reading's error shows in its residual, (B, K, S) in 0 .. 1.
+    """Return the redundancy numbers of the readings: 1 - var(fitted) / var(reading).
 
-    1 less the variance of the fitted reading over that of the reading; 0 where not seen.
-    Baarda, A testing procedure for use in geodetic networks, 1968.
+    The share of a reading's error that appears in its residual, 0 to 1 (Baarda, "A testing
+    procedure for use in geodetic networks", 1968).
+
+    Args:
+        adjusted: the adjustment.
+        index: which of its pose sets.
+
+    Returns:
+        Shape (B, K, S); 0 where not seen.
     """
     poses = adjusted.pose_sets[index]
     cameras = CameraStack.of(adjusted.models)
@@ -24,22 +34,22 @@ def redundancy(adjusted: AdjustmentResult, index: int = 0) -> Array:
     full = (*poses.readings_px.shape, -1)
     _, by_place = cameras.linearise(marker)
     scale = np.where(poses.seen, 1.0 / poses.sigma_px, 0.0)[..., None]
-    slope = np.nan_to_num(by_place).reshape(full) * scale
-    local = slope @ poses.marker_jacobian()
+    position_jacobian = np.nan_to_num(by_place).reshape(full) * scale
+    local = position_jacobian @ poses.marker_jacobian()
     by_parameter = np.nan_to_num(cameras.parameter_jacobian(marker)).reshape(full) * scale
     size = len(adjusted.global_covariance)
-    here = np.flatnonzero(cameras.parameter_mask)
-    order = cameras.parameter_index.ravel()[here]
+    present = np.flatnonzero(cameras.parameter_mask)
+    order = cameras.parameter_index.ravel()[present]
     sensors, width = cameras.parameter_index.shape
     rows = np.zeros((*poses.readings_px.shape, sensors * width))
     sensor = np.arange(sensors)[:, None]
     rows[:, :, sensor, sensor * width + np.arange(width)] = by_parameter
     by_globals = np.zeros((*poses.readings_px.shape, size))
-    by_globals[..., order] = rows[..., here]
+    by_globals[..., order] = rows[..., present]
     if poses.shape.unknowns:
-        first = len(here) + sum(p.shape.unknowns for p in adjusted.pose_sets[:index])
+        first = len(present) + sum(p.shape.unknowns for p in adjusted.pose_sets[:index])
         changes = np.einsum("bij,mkj->bkim", poses.rotation, poses.shape.basis)
-        by_globals[..., first : first + poses.shape.unknowns] = slope @ changes
+        by_globals[..., first : first + poses.shape.unknowns] = position_jacobian @ changes
     inverse, carried = adjusted.eliminated(index)
     by_globals -= local @ carried[:, None]
     fitted = ((by_globals @ adjusted.global_covariance) * by_globals).sum(axis=-1)
@@ -48,9 +58,70 @@ def redundancy(adjusted: AdjustmentResult, index: int = 0) -> Array:
 
 
 def normalised_residuals(adjusted: AdjustmentResult, index: int = 0) -> Array:
-    """Return residuals over their own standard deviations, (B, K, S); 0 where unchecked."""
+    """Return residuals over their own standard deviations.
+
+    Args:
+        adjusted: the adjustment.
+        index: which of its pose sets.
+
+    Returns:
+        Shape (B, K, S); 0 where the redundancy is too small.
+    """
     share = redundancy(adjusted, index)
     residual = np.nan_to_num(adjusted.residuals[index])
     return np.where(
         share > REDUNDANCY_FLOOR, residual / np.sqrt(np.maximum(share, REDUNDANCY_FLOOR)), 0.0
     )
+
+
+REJECTION_LIMIT: Final = 4.5
+"""Normalised residual beyond which a reading is rejected; 0.7 of 100,000 good ones exceed it."""
+SIGMA_FLOOR_PX: Final = 1e-6
+"""Exact data still leave rounding."""
+
+
+def sensor_sigma(adjusted: AdjustmentResult, robust: bool) -> Array:
+    """Estimate each sensor's noise relative to the standard deviations assumed.
+
+    Args:
+        adjusted: the adjustment.
+        robust: True: from the median of the normalised residuals, which outliers hardly change.
+            False: from squared residuals over their redundancy (Helmert's variance components).
+
+    Returns:
+        Ratios, shape (S,).
+    """
+    ratios = []
+    normalised = [normalised_residuals(adjusted, i) for i in range(len(adjusted.pose_sets))]
+    shares = [redundancy(adjusted, i) for i in range(len(adjusted.pose_sets))]
+    for sensor in range(len(adjusted.models)):
+        if robust:
+            sizes = np.concatenate([np.abs(one[..., sensor]).ravel() for one in normalised])
+            sizes = sizes[sizes > 0.0]
+            ratios.append(MAD_TO_SIGMA * float(np.median(sizes)) if len(sizes) else 1.0)
+            continue
+        squares = sum(float(np.nansum(one[..., sensor] ** 2)) for one in adjusted.residuals)
+        share = sum(float(one[..., sensor].sum()) for one in shares)
+        ratios.append(float(np.sqrt(squares / share)) if share > 1.0 else 1.0)
+    return np.array(ratios)
+
+
+def worst_readings(adjusted: AdjustmentResult, index: int) -> tuple[NDArray[np.intp], Array]:
+    """Return the largest outlier of each pose that has one.
+
+    Only one for each pose, as an outlier distorts the residuals of its neighbours.
+
+    Args:
+        adjusted: the adjustment.
+        index: which of its pose sets.
+
+    Returns:
+        Indices (pose, marker, sensor), shape (N, 3), and normalised residuals, shape (N,).
+    """
+    normalised = normalised_residuals(adjusted, index)
+    flat = np.abs(normalised).reshape(len(normalised), -1)
+    worst = flat.argmax(axis=1)
+    beyond = np.flatnonzero(flat.max(axis=1) > REJECTION_LIMIT)
+    marker_and_sensor = np.unravel_index(worst[beyond], normalised.shape[1:])
+    where = np.stack([beyond, *marker_and_sensor], axis=1).astype(np.intp)
+    return where, normalised[tuple(where.T)]

@@ -1,4 +1,4 @@
-"""The world frame where no coordinates are known: rigid motions, and how one frame is chosen."""
+"""Gauge freedom of a free network: rigid motions of the world and inner constraints."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,9 +16,9 @@ _AXES = np.eye(3)
 
 
 def rigid_motion_jacobian(models: Sequence[SensorModel]) -> Array:
-    """Return d parameters / d (turn, shift) of the world, shape (P, 6).
+    """Return d parameters / d (rotation, translation) of the world, shape (P, 6).
 
-    For ``X <- X + w x X + t`` with cameras that go on reading the same of the moved points.
+    For ``X <- X + w x X + t`` with cameras whose readings of the moved points do not change.
     """
     blocks = []
     for model in models:
@@ -32,10 +32,16 @@ def rigid_motion_jacobian(models: Sequence[SensorModel]) -> Array:
 
 
 def transform_world(model: SensorModel, rotation: Array, translation_mm: Array) -> SensorModel:
-    """Return a camera that reads of ``rotation X + translation`` what it has read of X."""
-    turned = model.rotation @ rotation.T
-    shift = turned @ translation_mm
-    x, y, z = Rotation.from_matrix(turned).as_rotvec().tolist()
+    """Return a camera after a rigid motion of the world; its readings do not change.
+
+    Args:
+        model: the camera before ``X <- rotation X + translation``.
+        rotation: shape (3, 3).
+        translation_mm: shape (3,) [mm].
+    """
+    rotated = model.rotation @ rotation.T
+    shift = rotated @ translation_mm
+    x, y, z = Rotation.from_matrix(rotated).as_rotvec().tolist()
     distortion = model.distortion
     if distortion is not None:
         distortion = replace(distortion, offset_y_mm=distortion.offset_y_mm - float(shift[1]))
@@ -49,12 +55,11 @@ def transform_world(model: SensorModel, rotation: Array, translation_mm: Array) 
 
 
 def inner_constraints(cameras: CameraStack, points_mm: Array, weights: Array) -> Array:
-    """Return D, shape (P, 6), of the datum ``D' dp = 0``: the cloud of points stays in its place.
+    """Return the inner constraints D of a free network, ``D' dp = 0``, shape (P, 6).
 
-    Its place is where the unchanged cameras would read best what was read of it, if it moved as
-    a rigid body. With A the readings' slopes by the points, M the points' slopes by a rigid
-    motion and J the readings' slopes by the parameters that is ``M'A' W J dp = 0``: the inner
-    constraints of a free network, over readings.
+    They hold the cloud of points in its place: where the unchanged cameras would fit its readings
+    best if it moved as a rigid body. With A the Jacobian of readings by points, M of points by a
+    rigid motion and J of readings by parameters, that is ``M'A' W J dp = 0``.
 
     Args:
         cameras: S cameras.
@@ -65,20 +70,25 @@ def inner_constraints(cameras: CameraStack, points_mm: Array, weights: Array) ->
     whitened = np.nan_to_num(jacobian) * weights[..., None]
     by_parameter = np.nan_to_num(cameras.parameter_jacobian(points_mm)) * weights[..., None]
     arms = points_mm - points_mm.mean(axis=0)
-    # A turn w about the middle moves a point by w x arm, its readings by (arm x slope).w
-    turned = np.cross(arms[:, None], whitened)
-    by_motion = np.concatenate([turned, whitened], axis=2)
+    # A rotation w about the centroid moves a point by w x arm, its readings by (arm x slope).w
+    rotated = np.cross(arms[:, None], whitened)
+    by_motion = np.concatenate([rotated, whitened], axis=2)
     datum = np.einsum("nsm,nsp->msp", by_motion, by_parameter).reshape(6, -1)
-    here = np.flatnonzero(cameras.parameter_mask)
-    ordered = np.empty((6, len(here)))
-    ordered[:, cameras.parameter_index.ravel()[here]] = datum[:, here]
+    present = np.flatnonzero(cameras.parameter_mask)
+    ordered = np.empty((6, len(present)))
+    ordered[:, cameras.parameter_index.ravel()[present]] = datum[:, present]
     return np.ascontiguousarray(ordered.T)
 
 
 def centring(models: Sequence[SensorModel], centre_mm: Array) -> Array:
-    """Return T, shape (P, P), that turns steps into those of cameras with the origin at a point.
+    """Return T, shape (P, P), from steps of cameras to steps with the origin at a point.
 
-    Seen from the middle of what is measured, turns and shifts of a camera differ most.
+    Seen from the centre of the measured volume, rotations and translations of a camera correlate
+    least.
+
+    Args:
+        models: the cameras, with P parameters in all.
+        centre_mm: the new origin, shape (3,) [mm].
     """
     size = sum(model.parameter_count for model in models)
     change = np.eye(size)
@@ -95,7 +105,7 @@ def centring(models: Sequence[SensorModel], centre_mm: Array) -> Array:
 
 
 def orthogonal_complement(columns: Array) -> Array:
-    """Return orthonormal columns orthogonal to the given ones."""
+    """Return an orthonormal basis of the orthogonal complement of some columns."""
     basis, _ = np.linalg.qr(columns, mode="complete")
     rest: Array = basis[:, columns.shape[1] :]
     return rest

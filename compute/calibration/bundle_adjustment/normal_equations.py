@@ -1,7 +1,7 @@
-"""Normal equations of an adjustment: built for all poses at once, reduced to the globals."""
+"""Normal equations of a bundle adjustment: assembly, and reduction by Schur complement."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class AdjustmentState:
-    """Where an adjustment is: the sensors and the poses."""
+    """Current values of an adjustment.
+
+    Args:
+        models: the sensors.
+        pose_sets: the targets' shapes and poses, with their readings.
+    """
 
     models: tuple[SensorModel, ...]
     pose_sets: tuple[PoseSet, ...]
@@ -34,10 +39,32 @@ class AdjustmentState:
             found.append(np.where(poses.seen, difference / poses.sigma_px, 0.0))
         return found
 
+    def retract(self, step: Array, local: Sequence[Array]) -> "AdjustmentState":
+        """Return the state after a step.
+
+        Args:
+            step: of the globals, shape (F,).
+            local: of the poses, shape (B, d) for each set.
+        """
+        models = []
+        first = 0
+        for model in self.models:
+            models.append(model.retract(step[first : first + model.parameter_count]))
+            first += model.parameter_count
+        pose_sets = []
+        for poses, one in zip(self.pose_sets, local, strict=True):
+            after = poses.retract(one)
+            if poses.shape.unknowns:
+                shape = poses.shape.retract(step[first : first + poses.shape.unknowns])
+                after = replace(after, shape=shape)
+                first += poses.shape.unknowns
+            pose_sets.append(after)
+        return AdjustmentState(tuple(models), tuple(pose_sets))
+
 
 @dataclass(frozen=True, eq=False)
 class PoseBlocks:
-    """The normal equations' part of one set of poses.
+    """One pose set's blocks of the normal equations.
 
     Args:
         normal: V of each pose, shape (B, d, d).
@@ -91,7 +118,7 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class ReducedEquations:
-    """The globals' equations after the poses are eliminated, and the way back.
+    """Equations of the globals after elimination of the poses, and the back-substitution.
 
     Args:
         normal: S, shape (F, F).
@@ -106,7 +133,12 @@ class ReducedEquations:
     back_substitution: tuple[Array, ...]
 
     def local_steps(self, equations: NormalEquations, step: Array) -> list[Array]:
-        """Return the poses' steps (B, d) that go with a step of the globals (F,)."""
+        """Return the poses' steps by back-substitution, (B, d) for each set.
+
+        Args:
+            equations: the equations before elimination.
+            step: step of the globals, shape (F,).
+        """
         return [
             -np.einsum("bij,bj->bi", inverse, block.gradient) - carried @ step
             for inverse, carried, block in zip(
@@ -116,18 +148,18 @@ class ReducedEquations:
 
 
 def _damp(normal: Array, damping: float) -> None:
-    """Scale up the diagonals of matrices (..., n, n) in place; an empty row gets a 1."""
+    """Damp the diagonals of matrices (..., n, n) in place; an empty row gets a 1."""
     if damping == 0.0:
         return
-    places = np.arange(normal.shape[-1])
-    diagonal = normal[..., places, places]
-    normal[..., places, places] += np.where(diagonal > 0.0, damping * diagonal, 1.0)
+    diagonal_index = np.arange(normal.shape[-1])
+    diagonal = normal[..., diagonal_index, diagonal_index]
+    normal[..., diagonal_index, diagonal_index] += np.where(diagonal > 0.0, damping * diagonal, 1.0)
 
 
 def build_normal_equations(
     state: AdjustmentState, weights: Sequence[Array], prior: SensorPrior | None
 ) -> NormalEquations:
-    """Build the normal equations at a state.
+    """Assemble the normal equations at a state.
 
     Args:
         state: sensors and poses, every marker that was read in front of the lenses.
@@ -135,9 +167,9 @@ def build_normal_equations(
         prior: of the sensors.
     """
     cameras = CameraStack.of(state.models)
-    here = np.flatnonzero(cameras.parameter_mask)
-    order = cameras.parameter_index.ravel()[here]
-    count = len(here)
+    present = np.flatnonzero(cameras.parameter_mask)
+    order = cameras.parameter_index.ravel()[present]
+    count = len(present)
     size = count + sum(poses.shape.unknowns for poses in state.pose_sets)
     normal, gradient = np.zeros((size, size)), np.zeros(size)
     sensors, width = cameras.parameter_index.shape
@@ -163,13 +195,13 @@ def build_normal_equations(
         sensor_gradient += np.einsum("bksp,bks->sp", globals_, residual)
 
         flat = local.reshape(len(poses), -1, poses.unknowns)
-        own = flat.transpose(0, 2, 1)
-        block_normal = own @ flat
-        block_gradient = (own @ residual.reshape(len(poses), -1, 1))[..., 0]
+        transposed = flat.transpose(0, 2, 1)
+        block_normal = transposed @ flat
+        block_gradient = (transposed @ residual.reshape(len(poses), -1, 1))[..., 0]
         # (B, S, width, K) @ (B, S, K, d)
         crossed = globals_.transpose(0, 2, 3, 1) @ local.transpose(0, 2, 1, 3)
         mixed = np.zeros((len(poses), size, poses.unknowns))
-        mixed[:, order] = crossed.reshape(len(poses), sensors * width, -1)[:, here]
+        mixed[:, order] = crossed.reshape(len(poses), sensors * width, -1)[:, present]
         if poses.shape.unknowns:
             changes = np.einsum("bij,mkj->bkim", poses.rotation, poses.shape.basis)
             shape_jacobian = weighted_position_jacobian @ changes  # (B, K, S, M)
@@ -178,16 +210,16 @@ def build_normal_equations(
             gradient[shape] += rows.T @ residual.ravel()
             with_sensors = np.einsum("bksp,bksm->spm", globals_, shape_jacobian, optimize=True)
             part = np.zeros((count, poses.shape.unknowns))
-            part[order] = with_sensors.reshape(sensors * width, -1)[here]
+            part[order] = with_sensors.reshape(sensors * width, -1)[present]
             normal[:count, shape] += part
             normal[shape, :count] += part.T
             mixed[:, shape] = shape_jacobian.reshape(*flat.shape[:2], -1).transpose(0, 2, 1) @ flat
         known, known_jacobian = poses.shape.equations()
         normal[shape, shape] += known_jacobian.T @ known_jacobian
         gradient[shape] += known_jacobian.T @ known
-        placed = poses.prior()
-        if placed is not None:
-            difference, information = placed
+        pose_prior = poses.prior()
+        if pose_prior is not None:
+            difference, information = pose_prior
             block_normal[:, -3:, -3:] += information
             block_gradient[:, -3:] += np.einsum("bij,bj->bi", information, difference)
         blocks.append(PoseBlocks(block_normal, mixed, block_gradient))
@@ -195,9 +227,9 @@ def build_normal_equations(
     together = np.zeros((sensors, width, sensors, width))
     index = np.arange(sensors)
     together[index, :, index] = sensor_normal
-    square = together.reshape(sensors * width, -1)[np.ix_(here, here)]
+    square = together.reshape(sensors * width, -1)[np.ix_(present, present)]
     normal[np.ix_(order, order)] += square
-    gradient[order] += sensor_gradient.ravel()[here]
+    gradient[order] += sensor_gradient.ravel()[present]
     if prior is not None:
         difference, prior_jacobian = prior.difference(state.models)
         normal[:count, :count] += prior_jacobian.T @ prior.information @ prior_jacobian

@@ -1,4 +1,4 @@
-"""The covariance of an adjustment's globals, and whether the readings determine them."""
+"""Covariance of an adjustment's global parameters, and tests that they are determined."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -27,17 +27,25 @@ Array = NDArray[np.float64]
 
 MIN_SINGULAR_RATIO: Final = 1e-11
 """Smallest eigenvalue of the globals' normal matrix with a diagonal of 1, of the largest, that
-is told from rounding: a parameter combination 3e5 times less certain than the best."""
+is distinguishable from rounding: a parameter combination 3e5 times less certain than the best."""
 MAX_NAMED_PARAMETERS: Final = 4
 """Parameters that a message names of an open combination."""
 
 
 def check_poses(state: AdjustmentState, equations: NormalEquations) -> None:
-    """Raise UndeterminedParameters for the first pose that its readings do not determine."""
+    """Check that the readings determine every pose.
+
+    Args:
+        state: sensors and poses.
+        equations: their normal equations.
+
+    Raises:
+        UndeterminedParameters: the first pose that they do not.
+    """
     for number, block in enumerate(equations.blocks):
-        open_ = np.flatnonzero(_is_singular(block.normal))
-        if len(open_):
-            pose = int(open_[0])
+        undetermined = np.flatnonzero(_is_singular(block.normal))
+        if len(undetermined):
+            pose = int(undetermined[0])
             seen = int(state.pose_sets[number].seen[pose].sum())
             raise UndeterminedParameters(
                 f"pose {pose + 1} (set {number + 1}) is not determined by its {seen} readings; "
@@ -48,7 +56,15 @@ def check_poses(state: AdjustmentState, equations: NormalEquations) -> None:
 
 
 def undetermined_poses(models: Sequence[SensorModel], poses: PoseSet) -> NDArray[np.bool_]:
-    """Return which poses their readings do not determine, shape (B,)."""
+    """Return which poses the readings do not determine.
+
+    Args:
+        models: the sensors, held fixed.
+        poses: B poses with their readings.
+
+    Returns:
+        Mask, shape (B,).
+    """
     weights = np.ones(poses.readings_px.shape)
     return _is_singular(
         build_normal_equations(AdjustmentState(tuple(models), (poses,)), [weights], None)
@@ -58,7 +74,7 @@ def undetermined_poses(models: Sequence[SensorModel], poses: PoseSet) -> NDArray
 
 
 def _is_singular(normal: Array) -> NDArray[np.bool_]:
-    """Return which matrices (B, d, d) are as good as singular."""
+    """Return which matrices (B, d, d) are numerically singular."""
     diagonal = np.sqrt(np.maximum(np.einsum("bii->bi", normal), 1e-300))
     scaled = normal / (diagonal[:, :, None] * diagonal[:, None])
     return np.asarray(~(np.linalg.eigvalsh(scaled)[:, 0] > MIN_SINGULAR_RATIO))
@@ -71,27 +87,27 @@ def global_covariance(
     free_datum: bool,
     noise_equations: NormalEquations | None,
 ) -> Array:
-    """Return the covariance of the globals, shape (F, F); 0 for those not varied.
+    """Return the covariance of the global parameters, shape (F, F); 0 for held ones.
 
     Args:
         state: the solution.
-        reduced: its undamped equations.
-        adjusted_parameters: which globals were adjusted.
+        reduced: its undamped reduced equations.
+        adjusted_parameters: which globals were adjusted, shape (F,).
         free_datum: see ``adjust``.
-        noise_equations: with a robust loss, the equations with the variances of the loss's slopes as
-            weights; None: least squares.
+        noise_equations: with a robust loss, the equations weighted by the variance of the loss's
+            derivative; None: least squares.
 
     Raises:
-        UndeterminedParameters: a combination of parameters is open.
+        UndeterminedParameters: a combination of parameters is undetermined.
     """
     if not adjusted_parameters.any():
         return np.zeros((len(adjusted_parameters), len(adjusted_parameters)))
     sensors = sum(model.parameter_count for model in state.models)
-    middle = np.concatenate(
+    centroid = np.concatenate(
         [poses.marker_positions().reshape(-1, 3) for poses in state.pose_sets]
     ).mean(axis=0)
     centre = np.eye(len(adjusted_parameters))
-    centre[:sensors, :sensors] = centring(state.models, middle)
+    centre[:sensors, :sensors] = centring(state.models, centroid)
     back = np.linalg.inv(centre)
     # What is held is held in the user's frame: the columns of those that vary.
     change = (
@@ -143,7 +159,7 @@ def _check_determined(scaled: Array, motion: Array | None, names: Sequence[str])
         "the readings leave a combination of parameters open, mainly "
         f"{', '.join(names[index] for index in order)} (eigenvalue ratio "
         f"{max(values[0], 0.0) / values[-1]:.1e}, at least {MIN_SINGULAR_RATIO:g} is needed); add "
-        "poses that differ in place and direction, or a length",
+        "poses that differ in position and orientation, or a length",
         parameters=tuple(names[index] for index in order),
     )
 

@@ -1,4 +1,4 @@
-"""PoseSet: one shape at B unknown poses, with what the sensors read of its markers."""
+"""PoseSet: one target shape at B unknown poses, with the readings of its markers."""
 
 from dataclasses import dataclass, field, replace
 
@@ -16,10 +16,10 @@ _AXES = np.eye(3)
 
 @dataclass(frozen=True, eq=False)
 class PoseSet:
-    """A shape that was read at B poses; each pose's unknowns are its turns, then its translation.
+    """A target at B poses; a pose's unknowns are its rotations, then its translation.
 
-    Turns are small rotations about the body's own axes (``R <- R exp([w]x)``), as many as
-    ``shape.turns``: none for a point, two for markers on a line, three for a body.
+    Rotations are about the body's own axes (``R <- R exp([w]x)``), those of
+    ``shape.rotation_axes``: none for a point, two for markers on a line, three for a body.
 
     Args:
         shape: K markers.
@@ -104,7 +104,7 @@ class PoseSet:
 
     @property
     def unknowns(self) -> int:
-        """Unknowns of a pose: 3, 5 or 6."""
+        """Number of unknowns of a pose: 3, 5 or 6."""
         return 3 + len(self.shape.rotation_axes)
 
     @property
@@ -114,11 +114,11 @@ class PoseSet:
 
     def marker_positions(self) -> Array:
         """Return the markers in the world, shape (B, K, 3) [mm]."""
-        turned: Array = np.einsum("bij,kj->bki", self.rotation, self.shape.marker_mm)
-        return turned + self.translation_mm[:, None]
+        rotated: Array = np.einsum("bij,kj->bki", self.rotation, self.shape.marker_mm)
+        return rotated + self.translation_mm[:, None]
 
     def marker_jacobian(self) -> Array:
-        """Return d marker / d (turns, translation), shape (B, K, 3, unknowns)."""
+        """Return d marker / d (rotations, translation), shape (B, K, 3, unknowns)."""
         rotation_axes = list(self.shape.rotation_axes)
         jacobian = np.zeros((len(self), len(self.shape), 3, self.unknowns))
         if rotation_axes:
@@ -140,10 +140,14 @@ class PoseSet:
         return replace(self, translation_mm=translation, rotation=rotation)
 
     def transformed(self, rotation: Array, translation_mm: Array) -> "PoseSet":
-        """Return the poses in a world moved by ``X <- rotation X + translation_mm``.
+        """Return the poses after a motion of the world, ``X <- rotation X + translation_mm``.
+
+        Args:
+            rotation: shape (3, 3).
+            translation_mm: shape (3,) [mm].
 
         Raises:
-            InvalidParameter: positions are known, and the world is theirs.
+            InvalidParameter: known positions fix the world frame.
         """
         if self.known_mm is not None:
             raise InvalidParameter("poses with known positions cannot be moved to another frame")

@@ -1,4 +1,4 @@
-"""What is known of the sensors beforehand: parameters held, or near given values."""
+"""SensorPrior: Gaussian prior of the sensors' parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,19 +14,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SensorPrior:
-    """Values of all sensors' parameters with their information.
+    """Prior means of all sensors' parameters with their information.
 
     Args:
-        models: the values; the same sensors with the same terms as are adjusted.
+        models: the means; the sensors that are adjusted, with the same terms.
         information: inverse covariance, shape (P, P), sensor by sensor in the order of
-            ``SensorModel.parameter_names``; 0 for what is not known. It may be singular.
+            ``SensorModel.parameter_names``; 0 for parameters without a prior. It may be singular.
     """
 
     models: tuple[SensorModel, ...]
     information: Array
 
     def difference(self, models: Sequence[SensorModel]) -> tuple[Array, Array]:
-        """Return models minus values (P,), and its slope by the models' parameters (P, P)."""
+        """Return models minus means (P,), and its Jacobian by the parameters (P, P)."""
         steps = [step_between(old, new) for old, new in zip(self.models, models, strict=True)]
         jacobian = np.eye(sum(len(step) for step in steps))
         first = 0
@@ -38,15 +38,23 @@ class SensorPrior:
 
 
 def step_between(start: SensorModel, end: SensorModel) -> Array:
-    """Return the step of the parameters with ``start.retract(step) == end``."""
-    turned = (
+    """Return the parameter step with ``start.retract(step) == end``.
+
+    Args:
+        start: a camera.
+        end: the same camera with other values.
+
+    Returns:
+        Shape (``parameter_count``,), in the order of ``SensorModel.parameter_names``.
+    """
+    rotation = (
         Rotation.from_rotvec(end.rotation_vector_rad)
         * Rotation.from_rotvec(start.rotation_vector_rad).inv()
     )
     step = np.empty(start.parameter_count)
     step[0] = end.principal_distance_px - start.principal_distance_px
     step[1] = end.principal_point_px - start.principal_point_px
-    step[2:5] = turned.as_rotvec()
+    step[2:5] = rotation.as_rotvec()
     step[5] = end.offset_x_mm - start.offset_x_mm
     step[6] = end.offset_z_mm - start.offset_z_mm
     if start.distortion is not None and end.distortion is not None:

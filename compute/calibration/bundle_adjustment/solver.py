@@ -1,22 +1,21 @@
-"""adjust: Levenberg-Marquardt over sensors, shapes and poses, poses eliminated in each step."""
+"""Bundle adjustment by Levenberg-Marquardt; poses are eliminated in each step."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
+from compute.calibration.bundle_adjustment.adjustment_result import (
+    AdjustmentResult,
+    assemble_result,
+)
 from compute.calibration.bundle_adjustment.gauge import orthogonal_complement, rigid_motion_jacobian
 from compute.calibration.bundle_adjustment.normal_equations import (
     AdjustmentState,
     build_normal_equations,
-)
-from compute.calibration.bundle_adjustment.parameter_covariance import (
-    check_poses,
-    global_covariance,
 )
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.robust_loss import (
@@ -29,16 +28,16 @@ from compute.calibration.bundle_adjustment.robust_loss import (
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.camera.model import SensorModel
 from compute.errors import InvalidParameter, NoConvergence
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 MAX_ITERATIONS: Final = 200
 CONVERGENCE_TOLERANCE: Final = 1e-9
-"""Largest decrease of chi2 that a step may still promise at the end: its length is then less
-than 3e-5 standard deviations."""
+"""Predicted decrease of chi2 below which the search ends: the step is then shorter than 3e-5
+standard deviations."""
 ROUNDING_TOLERANCE: Final = 1e-13
-"""The same, relative to chi2: what its own rounding hides."""
+"""The same, relative to chi2, for rounding."""
 SCALE_TOLERANCE: Final = 1e-3
 """The same for the stages of a robust loss with a wider limit."""
 ROBUST_TOLERANCE: Final = 1e-6
@@ -46,9 +45,9 @@ ROBUST_TOLERANCE: Final = 1e-6
 COARSE_TOLERANCE: Final = 1e-2
 COARSE_STEPS: Final = 60
 UNDAMPED_THRESHOLD: Final = 1e-3
-"""Largest damping at which what a step promises tells how far the minimum is."""
+"""Largest damping at which the predicted decrease measures the distance to the minimum."""
 MAX_DAMPING: Final = 1e14
-"""Damping at which no step at all makes the sum smaller."""
+"""Damping at which no step decreases the loss."""
 
 
 def adjust(
@@ -62,25 +61,25 @@ def adjust(
     max_iterations: int = MAX_ITERATIONS,
     progress: Progress | None = None,
 ) -> AdjustmentResult:
-    """Fit sensors, shapes and poses to the readings, each over its standard deviation.
+    """Adjust sensors, shapes and poses to the readings.
 
-    The world frame must come from somewhere: from known positions, from the prior, or, with
-    ``free_datum``, from what the caller makes of it afterwards: the solution's frame is any,
-    and the covariance is that of ``gauge.inner_constraints``.
+    The world frame comes from known positions or from the prior. With ``free_datum`` nothing fixes
+    it: the solution's frame is arbitrary, to be chosen by the caller, and the covariance is that of
+    ``gauge.inner_constraints``.
 
     Args:
-        models: the sensors to start from, without a cubic term.
-        pose_sets: poses to start from, with their readings.
-        prior: what is known of the sensors.
+        models: the starting cameras, without a cubic term.
+        pose_sets: the starting poses, with their readings.
+        prior: of the sensors' parameters.
         free: which of the sensors' parameters are adjusted, shape (P,); None: all.
-        free_datum: nothing here knows the world's frame.
+        free_datum: nothing fixes the world frame.
         loss: "linear", least squares, or "robust", Huber's loss.
-        max_iterations: steps that are tried at most.
-        progress: called with the fraction done and the stage; what it raises passes through.
+        max_iterations: largest number of trial steps.
+        progress: called with the fraction done and the stage.
 
     Raises:
         InvalidParameter: shapes that do not fit, or a cubic term.
-        NoConvergence: a marker that was read starts behind a lens, or the steps do not settle.
+        NoConvergence: an observed marker starts behind a lens, or the search does not converge.
         UndeterminedParameters: more than one solution fits.
     """
     state = _check_inputs(models, pose_sets)
@@ -98,10 +97,10 @@ def adjust(
     try:
         search.run_stages(loss, 0.0)
     except NoConvergence:
-        # In a valley without an end no step settles: then the parameters are open, and named.
-        _assemble_result(search, limit, free_datum)
+        # Undetermined parameters explain the failure better.
+        search.result(limit)
         raise
-    return _assemble_result(search, limit, free_datum)
+    return search.result(limit)
 
 
 def approximate_solution(
@@ -113,10 +112,18 @@ def approximate_solution(
     loss: Loss = "linear",
     steps: int = COARSE_STEPS,
 ) -> AdjustmentState:
-    """Come near a solution from a bad start: as ``adjust``, but it ends early, wherever it is.
+    """Approach a solution from a bad start: ``adjust`` with early termination.
 
-    It ends when a step promises less than a hundredth of chi2, or after ``steps``; nothing says
-    that what it has come to is determined.
+    It ends when a step predicts a decrease of less than a hundredth of chi2, or after ``steps``.
+    The solution need not be determined.
+
+    Args:
+        models: the starting cameras, without a cubic term.
+        pose_sets: the starting poses, with their readings.
+        prior: of the sensors' parameters.
+        free_datum: nothing fixes the world frame.
+        loss: "linear" or "robust".
+        steps: largest number of trial steps.
 
     Raises:
         InvalidParameter, NoConvergence: as ``adjust``, for the start.
@@ -132,7 +139,7 @@ def approximate_solution(
 
 @dataclass(eq=False)
 class _Search:
-    """The state of a search and its steps."""
+    """Levenberg-Marquardt search: its state, residuals and number of iterations."""
 
     state: AdjustmentState
     prior: SensorPrior | None
@@ -154,12 +161,28 @@ class _Search:
                     pose=int(pose) + 1,
                 )
 
+    def result(self, limit: float) -> AdjustmentResult:
+        """Return the current state with its covariance.
+
+        Raises:
+            UndeterminedParameters: the readings do not determine it.
+        """
+        return assemble_result(
+            self.state,
+            self.residuals,
+            self.prior,
+            self.adjusted_parameters,
+            limit=limit,
+            free_datum=self.free_datum,
+            iterations=self.iterations,
+        )
+
     def run_stages(self, loss: Loss, tolerance: float) -> None:
-        """Run with a loss; a robust one from a wide limit to its own."""
+        """Minimise the loss; a robust one from a wide limit to its own."""
         if loss == "linear":
             self.run(np.inf, tolerance)
             return
-        # Far from the minimum all residuals are large, and none says yet which is wrong.
+        # Far from the minimum all residuals are large, and outliers are not yet distinguishable.
         scale = robust_scale(self.state, self.residuals)
         while scale > 1.0:
             self.run(HUBER_LIMIT * scale, max(tolerance, SCALE_TOLERANCE))
@@ -167,28 +190,28 @@ class _Search:
         self.run(HUBER_LIMIT, max(tolerance, ROBUST_TOLERANCE))
 
     def _motion(self) -> Array:
-        """Return the globals' slopes by rigid motions of the world, shape (F, 6)."""
+        """Return the globals' Jacobian by rigid motions of the world, shape (F, 6)."""
         jacobian = rigid_motion_jacobian(self.state.models)
         motion = np.zeros((len(self.adjusted_parameters), 6))
         motion[: len(jacobian)] = jacobian
         return motion
 
     def run(self, limit: float, tolerance: float) -> None:
-        """Step until the next one promises less than a share ``tolerance`` of the loss."""
+        """Iterate until a step predicts a relative decrease of less than ``tolerance``."""
         damping = 1e-4
         loss = total_loss(self.state, self.residuals, self.prior, limit)
         while True:
             weights = loss_weights(self.residuals, limit)
             equations = build_normal_equations(self.state, weights, self.prior)
-            # A prior that knows the frame a little would turn the whole world in the end, by
-            # steps that are straight where the way is bent.
+            # A weak prior of the frame would slowly rotate the whole world, by linear steps on a
+            # curved path.
             motion = self._motion() if self.free_datum else None
             while True:
                 if self.progress is not None:
                     self.progress(min(self.iterations / self.max_iterations, 1.0), "adjustment")
                 if self.iterations >= self.max_iterations:
                     raise NoConvergence(
-                        f"the adjustment has not settled after {self.iterations} steps "
+                        f"the adjustment has not converged after {self.iterations} steps "
                         f"(chi2 {loss:.6g}); start nearer, or look for wrong readings"
                     )
                 self.iterations += 1
@@ -200,11 +223,11 @@ class _Search:
                     motion,
                 )
                 local = reduced.local_steps(equations, step)
-                promised = -float(equations.gradient @ step) - sum(
+                predicted = -float(equations.gradient @ step) - sum(
                     float((block.gradient * one).sum())
                     for block, one in zip(equations.blocks, local, strict=True)
                 )
-                trial = retract(self.state, step, local)
+                trial = self.state.retract(step, local)
                 new = np.inf
                 if all(model.principal_distance_px > 0.0 for model in trial.models):
                     residuals = trial.residuals()
@@ -213,12 +236,12 @@ class _Search:
                 better = new <= loss
                 ending = (
                     damping <= UNDAMPED_THRESHOLD
-                    and promised <= CONVERGENCE_TOLERANCE + (tolerance + ROUNDING_TOLERANCE) * loss
+                    and predicted <= CONVERGENCE_TOLERANCE + (tolerance + ROUNDING_TOLERANCE) * loss
                 )
                 if better:
-                    # Less than was promised: the way bends, and shorter steps follow it.
-                    kept = (loss - new) / promised if promised > 0.0 else 1.0
-                    damping *= 0.1 if kept > 0.75 else 1.0 if kept > 0.25 else 3.0
+                    # A smaller decrease than predicted: the problem is curved, shorten the steps.
+                    gain_ratio = (loss - new) / predicted if predicted > 0.0 else 1.0
+                    damping *= 0.1 if gain_ratio > 0.75 else 1.0 if gain_ratio > 0.25 else 3.0
                     damping = max(damping, 1e-12)
                     self.state, self.residuals, loss = trial, residuals, new
                     break
@@ -252,7 +275,7 @@ def _check_inputs(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -
 
 
 def _solve_damped(normal: Array, right: Array, motion: Array | None) -> Array:
-    """Solve the damped equations, scaled to a diagonal of 1, without rigid motions (F, 6)."""
+    """Solve the damped equations, scaled to a unit diagonal, without rigid motions (F, 6)."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), np.finfo(np.float64).tiny))
     scaled = normal * scale[:, None] * scale
     try:
@@ -263,64 +286,3 @@ def _solve_damped(normal: Array, right: Array, motion: Array | None) -> Array:
         return np.asarray(scale * (basis @ inner), dtype=np.float64)
     except np.linalg.LinAlgError:
         return np.zeros_like(right)
-
-
-def retract(state: AdjustmentState, step: Array, local: Sequence[Array]) -> AdjustmentState:
-    """Return the state after a step of the globals (F,) and the poses (B, d) of each set."""
-    models = []
-    first = 0
-    for model in state.models:
-        models.append(model.retract(step[first : first + model.parameter_count]))
-        first += model.parameter_count
-    pose_sets = []
-    for poses, one in zip(state.pose_sets, local, strict=True):
-        after = poses.retract(one)
-        if poses.shape.unknowns:
-            shape = poses.shape.retract(step[first : first + poses.shape.unknowns])
-            after = replace(after, shape=shape)
-            first += poses.shape.unknowns
-        pose_sets.append(after)
-    return AdjustmentState(tuple(models), tuple(pose_sets))
-
-
-def _assemble_result(search: _Search, limit: float, free_datum: bool) -> AdjustmentResult:
-    state, residuals = search.state, search.residuals
-    weights = loss_weights(residuals, limit)
-    equations = build_normal_equations(state, weights, search.prior)
-    check_poses(state, equations)
-    reduced = equations.reduced()
-    noise_equations = None
-    if any((one < 1.0).any() for one in weights):
-        variances = [np.where(one < 1.0, limit**2, 1.0) for one in weights]
-        noise_equations = build_normal_equations(state, variances, search.prior)
-    covariance = global_covariance(
-        state, reduced, search.adjusted_parameters, free_datum, noise_equations
-    )
-    full = [(one >= 1.0) & poses.seen for one, poses in zip(weights, state.pose_sets, strict=True)]
-    chi2 = total_loss(
-        state,
-        [np.where(use, one, 0.0) for use, one in zip(full, residuals, strict=True)],
-        search.prior,
-        np.inf,
-    )
-    known = sum(int(use.sum()) for use in full)
-    for poses in state.pose_sets:
-        known += len(poses.shape.equations()[0]) + (3 * len(poses) if poses.prior() else 0)
-    if search.prior is not None:
-        known += int(np.linalg.matrix_rank(search.prior.information, hermitian=True))
-    unknown = int(search.adjusted_parameters.sum()) - (6 if free_datum else 0)
-    unknown += sum(len(poses) * poses.unknowns for poses in state.pose_sets)
-    return AdjustmentResult(
-        state.models,
-        state.pose_sets,
-        covariance,
-        tuple(
-            np.where(poses.seen, one, np.nan)
-            for poses, one in zip(state.pose_sets, residuals, strict=True)
-        ),
-        tuple(weights),
-        chi2,
-        known - unknown,
-        search.iterations,
-        reduced,
-    )

@@ -1,4 +1,4 @@
-"""Shapes of what is moved before the sensors: a point, markers on a line, a rigid body."""
+"""Shapes of calibration targets: a point, markers on a line, a rigid body."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.bundle_adjustment.gauge import orthogonal_complement
 from compute.errors import InvalidParameter
 
 Array = NDArray[np.float64]
@@ -19,7 +20,7 @@ COLLINEARITY_LIMIT = 1e-6
 
 @dataclass(frozen=True)
 class KnownDistance:
-    """The distance between two markers of a shape as an observation.
+    """A measured distance between two markers of a shape.
 
     Args:
         first: index of a marker.
@@ -43,7 +44,7 @@ class KnownDistance:
 
 @dataclass(frozen=True, eq=False)
 class TargetShape:
-    """K markers in their body's frame, and in which directions the adjustment may change them.
+    """K markers in the body frame, and the directions in which their shape is adjusted.
 
     Args:
         marker_mm: shape (K, 3) [mm]; of markers on a line along x.
@@ -76,7 +77,7 @@ class TargetShape:
         return replace(self, marker_mm=self.marker_mm + np.tensordot(step, self.basis, 1))
 
     def equations(self) -> tuple[Array, Array]:
-        """Return residuals (R,) of prior and distances over sigma, and their slopes (R, M)."""
+        """Return residuals (R,) of prior and distances over sigma, and their Jacobian (R, M)."""
         rows: list[float] = []
         jacobian: list[Array] = []
         if self.unknowns and np.isfinite(self.sigma_mm):
@@ -107,7 +108,7 @@ def line_shape(
     """Return the shape of markers on a line.
 
     Args:
-        position_mm: their places along it, shape (K,), at least two, all different [mm].
+        position_mm: their positions along it, shape (K,), at least two, all different [mm].
         sigma_mm: standard deviation of each place [mm]; 0: exact; inf: only the distances count.
         distances: measured distances between markers.
 
@@ -117,19 +118,17 @@ def line_shape(
     along = np.asarray(position_mm, dtype=np.float64)
     if along.ndim != 1 or len(along) < 2 or not np.isfinite(along).all():
         raise InvalidParameter(
-            f"markers on a line at {along.tolist()} mm; give two or more finite places"
+            f"markers on a line at {along.tolist()} mm; give two or more finite positions"
         )
     if len(np.unique(along)) < len(along):
-        raise InvalidParameter(
-            f"markers on a line at {along.tolist()} mm; no two may be at one place"
-        )
+        raise InvalidParameter(f"markers on a line at {along.tolist()} mm; no two may coincide")
     marker = np.zeros((len(along), 3))
     marker[:, 0] = along - along.mean()
     changes = np.zeros((0, len(along), 3))
     if _varies(sigma_mm):
         changes = np.zeros((len(along) - 1, len(along), 3))
         # All directions but a common shift along the line.
-        changes[..., 0] = _orthogonal_complement(np.ones((len(along), 1))).T
+        changes[..., 0] = orthogonal_complement(np.ones((len(along), 1))).T
     return TargetShape(marker, LINE_ROTATION_AXES, changes, sigma_mm, marker, tuple(distances))
 
 
@@ -147,14 +146,14 @@ def body_shape(
     Raises:
         InvalidParameter: fewer than three markers, all on a line, or a value that is not finite.
     """
-    given = np.asarray(marker_mm, dtype=np.float64)
-    if given.ndim != 2 or given.shape[1:] != (3,) or len(given) < 3:
+    positions = np.asarray(marker_mm, dtype=np.float64)
+    if positions.ndim != 2 or positions.shape[1:] != (3,) or len(positions) < 3:
         raise InvalidParameter(
-            f"markers of a rigid body have shape {given.shape}; it must be (K, 3), K >= 3"
+            f"markers of a rigid body have shape {positions.shape}; it must be (K, 3), K >= 3"
         )
-    if not np.isfinite(given).all():
+    if not np.isfinite(positions).all():
         raise InvalidParameter("markers of a rigid body must be finite")
-    marker = given - given.mean(axis=0)
+    marker = positions - positions.mean(axis=0)
     extent = np.linalg.svd(marker, compute_uv=False)
     if extent[1] <= COLLINEARITY_LIMIT * extent[0]:
         raise InvalidParameter(
@@ -165,9 +164,9 @@ def body_shape(
     if _varies(sigma_mm):
         axes = np.eye(3)
         shifts = np.broadcast_to(axes[:, None], (3, len(marker), 3))
-        turned = np.cross(axes[:, None], marker)
-        rigid = np.concatenate([shifts, turned]).reshape(6, -1).T
-        changes = _orthogonal_complement(rigid).T.reshape(-1, len(marker), 3)
+        rotated = np.cross(axes[:, None], marker)
+        rigid = np.concatenate([shifts, rotated]).reshape(6, -1).T
+        changes = orthogonal_complement(rigid).T.reshape(-1, len(marker), 3)
     return TargetShape(marker, BODY_ROTATION_AXES, changes, sigma_mm, marker, tuple(distances))
 
 
@@ -175,10 +174,3 @@ def _varies(sigma_mm: float) -> bool:
     if not sigma_mm >= 0.0:
         raise InvalidParameter(f"sigma_mm of a shape is {sigma_mm}; it must be 0 or more")
     return sigma_mm > 0.0
-
-
-def _orthogonal_complement(columns: Array) -> Array:
-    """Return orthonormal columns that span what the given ones do not."""
-    basis, _ = np.linalg.qr(columns, mode="complete")
-    rest: Array = basis[:, columns.shape[1] :]
-    return rest

@@ -1,1 +1,1 @@
-"""Drift."""
+"""Drift of a calibrated device: detection from stationary markers, and update."""

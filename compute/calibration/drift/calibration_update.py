@@ -1,4 +1,4 @@
-"""Quick re-calibration: few parameters brought up to date by a still set, the rest as it was."""
+"""Update of a calibration from stationary markers: few parameters, with the old as the prior."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,8 +23,8 @@ ALLOWANCE: Final = {
     "rotation_z_rad": 5e-3,
     "principal_distance_px": 10.0,
 }
-"""Standard deviation of what may have changed: a knock turns a sensor, warmth moves its lens. A
-shift of a sensor by some hundredths of a millimetre reads as a turn."""
+"""Standard deviations of changes: a knock rotates a sensor, a temperature change moves its lens. A
+translation by some hundredths of a millimetre is equivalent to a rotation."""
 EXACT_MM: Final = 1e-6
 
 
@@ -35,25 +35,25 @@ def update_calibration(
     sensors: Sequence[str] | None = None,
     allowance: dict[str, float] | None = None,
 ) -> Calibration:
-    """Bring a calibration up to date by a still set of markers, with itself as the prior.
+    """Update a calibration from stationary markers, with itself as the prior.
 
-    What may have changed of the sensors gets a variance on top of the calibration's covariance;
-    the readings then decide. With few markers they decide little, and the rest stays as it was.
-    Against earlier readings the change alone is estimated and its covariance added, as the
-    calibration's own error is the same before and after.
+    The parameters that may have changed get an extra variance on top of the calibration's
+    covariance; the readings then determine the change. With few markers they determine little, and
+    the rest keeps its values. Relative to earlier readings only the change is estimated and its
+    covariance added, as the calibration's own error is the same before and after.
 
     Args:
-        calibration: of the method "metric" or without known coordinates.
-        stationary: the readings, with places or earlier readings.
+        calibration: a metric calibration or one without known coordinates.
+        stationary: the readings, with known positions or earlier readings.
         sensors: names of those that may have changed, from ``check_drift``; None: all.
         allowance: standard deviation of the change by parameter name; None: ALLOWANCE.
 
     Returns:
-        The calibration with method "update"; residuals are those of the still set.
+        The calibration with method "update"; residuals are those of the stationary markers.
 
     Raises:
-        UnknownSensor: a name that the device has not got.
-        InvalidParameter: no parameter of this name, or a deviation that is not positive.
+        UnknownSensor: the device has no sensor of this name.
+        InvalidParameter: no parameter of this name, or a standard deviation that is not positive.
         TooFewPoints, NonFiniteValue: as ``check_drift``.
     """
     check_update(calibration, sensors=sensors, allowance=allowance)
@@ -104,7 +104,12 @@ def check_update(
     sensors: Sequence[str] | None = None,
     allowance: dict[str, float] | None = None,
 ) -> None:
-    """Check what ``update_calibration`` is asked to change, without readings.
+    """Check the options of ``update_calibration``, without readings.
+
+    Args:
+        calibration: the calibration.
+        sensors: names of those that may have changed; None: all.
+        allowance: standard deviation of the change by parameter name; None: ALLOWANCE.
 
     Raises:
         UnknownSensor, InvalidParameter: as ``update_calibration``.
@@ -112,8 +117,8 @@ def check_update(
     for model in calibration.models:
         if model.cubic_per_px2 != 0.0:
             raise InvalidParameter(
-                f"sensor {model.name} has the cubic term {model.cubic_per_px2:g} of the published "
-                f"method {calibration.method}; only metric cameras are updated: calibrate again"
+                f"sensor {model.name} has the cubic term {model.cubic_per_px2:g} of the method "
+                f"{calibration.method}; only metric cameras are updated: calibrate again"
             )
     _changes(calibration, sensors, ALLOWANCE if allowance is None else allowance)
 
@@ -121,7 +126,7 @@ def check_update(
 def _changes(
     calibration: Calibration, sensors: Sequence[str] | None, allowance: dict[str, float]
 ) -> Array:
-    """Return the deviation of every parameter's change, shape (P,)."""
+    """Return the standard deviation of every parameter's change, shape (P,)."""
     names = [model.name for model in calibration.models]
     for name in sensors or ():
         if name not in names:
@@ -133,7 +138,7 @@ def _changes(
         if name not in known or not 0.0 < sigma < np.inf:
             raise InvalidParameter(
                 f"allowance has {name} = {sigma}; it must be one of "
-                f"{', '.join(sorted(known))} with a positive deviation"
+                f"{', '.join(sorted(known))} with a positive standard deviation"
             )
     return np.array(
         [

@@ -1,7 +1,7 @@
-"""Is a calibration still good? A still set of markers is read again; which sensor moved, and how.
+"""Drift detection from stationary markers: whether a sensor moved, which one, and how.
 
-The markers' places are known, or they were read when the calibration was made. The second is
-finer: what the calibration itself is wrong by has not changed since.
+The markers' positions are known, or they were read when the calibration was made. The second is
+more sensitive: the calibration's own error is the same in both readings and cancels.
 """
 
 from dataclasses import dataclass
@@ -22,33 +22,33 @@ from compute.camera.stack import CameraStack
 Array = NDArray[np.float64]
 
 FALSE_ALARM_PROBABILITY: Final = 0.01
-"""Chance that a good calibration is called bad; divided by the sensors for each of them."""
+"""Probability of a false alarm; divided by the number of sensors for each of them."""
 EXPLANATIONS: Final = {
-    "rotation_y_rad": "turned about its slit",
-    "rotation_z_rad": "rolled about its view",
-    "principal_distance_px": "its lens went nearer or farther",
+    "rotation_y_rad": "rotated about its slit",
+    "rotation_z_rad": "rolled about its optical axis",
+    "principal_distance_px": "its lens moved along the optical axis",
     "rotation_x_rad": "tilted about its row",
-    "offset_z_mm": "moved along its view",
+    "offset_z_mm": "moved along its optical axis",
 }
-"""How a sensor may have moved, by one parameter; a shift along the row or of the principal point
-looks like a turn about the slit."""
+"""Single-parameter motions of a sensor; a translation along the row or a shift of the principal
+point is equivalent to a rotation about the slit."""
 
 
 @dataclass(frozen=True)
 class SensorDrift:
-    """What the still set says of one sensor.
+    """Drift test of one sensor.
 
     Args:
         sensor: its name.
-        readings: that were compared.
-        rms_px: of read less expected [px].
-        p_value: chance of a misfit as large without any change.
-        moved: whether that is too small to be chance.
-        parameter: whose change explains most of it; None where it has not moved.
-        description: the same in words; empty where it has not moved.
+        readings: number of readings compared.
+        rms_px: RMS of read minus expected [px].
+        p_value: probability of a misfit at least as large without drift.
+        moved: whether ``p_value`` is below the threshold.
+        parameter: the parameter whose change explains the misfit best; None if not moved.
+        description: the same for people; empty if not moved.
         change: of this parameter, in the unit of its name.
         change_sigma: its standard deviation.
-        p_value_with_change: chance of the misfit that is left with this change.
+        p_value_with_change: probability of the misfit that remains with this change.
     """
 
     sensor: str
@@ -65,17 +65,17 @@ class SensorDrift:
 
 @dataclass(frozen=True)
 class DriftCheck:
-    """Whether a calibration still holds.
+    """Drift test of a device.
 
     Args:
-        good: whether the still set is read as the calibration expects, within its uncertainty.
-        p_value: chance of a misfit as large without any change.
-        chi2: the misfit, all readings together with their joint covariance.
-        dof: readings compared.
-        rigid_motion: the misfit is that of the set, or the device, having moved as a rigid whole:
-            no sensor need have moved in the device.
-        rotation_rad: by how much it turned then [rad]; None otherwise.
-        translation_mm: by how much its middle moved [mm]; None otherwise.
+        good: whether the readings agree with the calibration within its uncertainty.
+        p_value: probability of a misfit at least as large without drift.
+        chi2: the misfit of all readings with their joint covariance.
+        dof: number of readings compared.
+        rigid_motion: the markers, or the device as a whole, moved rigidly: this explains the
+            misfit, and no sensor need have moved within the device.
+        rotation_rad: angle of that motion [rad]; None without.
+        translation_mm: length of its translation [mm]; None without.
         sensors: one for each, in the device's order.
     """
 
@@ -90,15 +90,15 @@ class DriftCheck:
 
 
 def check_drift(calibration: Calibration, stationary: StationaryMarkers) -> DriftCheck:
-    """Test whether a calibration still expects what is read of a still set of markers.
+    """Test whether readings of stationary markers agree with a calibration.
 
     Args:
         calibration: the calibration.
-        stationary: the readings, with places or earlier readings.
+        stationary: the readings, with known positions or earlier readings.
 
     Raises:
-        InvalidParameter: neither or both of places and earlier readings, or wrong shapes.
-        NonFiniteValue: a place is not finite.
+        InvalidParameter: neither or both of positions and earlier readings, or wrong shapes.
+        NonFiniteValue: a position is not finite.
         TooFewPoints: nothing can be compared.
     """
     compared = prediction_residuals(calibration, stationary)
@@ -129,7 +129,7 @@ def check_drift(calibration: Calibration, stationary: StationaryMarkers) -> Drif
 
 
 def _chi2(compared: PredictionResiduals, which: NDArray[np.bool_]) -> tuple[float, int]:
-    """Return chi2 and the number of the readings of a mask (M, S)."""
+    """Return chi2 of a mask's readings (M, S), and their number."""
     flat = which.ravel()
     residual = compared.residual_px.ravel()[flat]
     covariance = _covariance_matrix(compared)[np.ix_(flat, flat)]
@@ -143,7 +143,7 @@ def _covariance_matrix(compared: PredictionResiduals) -> Array:
 def _fit_change(
     compared: PredictionResiduals, which: NDArray[np.bool_], columns: Array
 ) -> tuple[Array, Array, float]:
-    """Fit changes (C,) with slopes (M, S, C) to a mask's readings: values, covariance, chi2."""
+    """Fit changes (C,) with Jacobian (M, S, C) to a mask's readings: values, covariance, chi2."""
     flat = which.ravel()
     residual = compared.residual_px.ravel()[flat]
     design = columns.reshape(flat.size, -1)[flat]
@@ -193,7 +193,7 @@ def _sensor_drift(
 def _fit_rigid_motion(
     cameras: CameraStack, compared: PredictionResiduals, seen: NDArray[np.bool_]
 ) -> tuple[float, float] | None:
-    """Return turn [rad] and shift [mm] if a rigid motion of the set explains the misfit."""
+    """Return angle [rad] and translation [mm] if a rigid motion explains the misfit."""
     dof = int(seen.sum()) - 6
     if dof < 1 or len(compared.positions_mm) < 3:
         return None

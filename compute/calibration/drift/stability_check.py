@@ -1,12 +1,11 @@
-"""A still set of markers beside what a calibration expects of it."""
+"""Residuals of stationary markers: their readings minus what the calibration predicts."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.measurement_noise import measurement_sigma
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, measurement_sigma
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter, NonFiniteValue, TooFewPoints
 from compute.reconstruction.triangulation import reconstruct
@@ -16,12 +15,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class StationaryMarkers:
-    """N markers that stand still, read by S sensors.
+    """Readings of N stationary markers by S sensors.
 
     Args:
         readings_px: now, shape (N, S) [px]; NaN where not seen.
         sigma_px: their standard deviations, shape (N, S) [px]; None: the calibration's.
-        positions_mm: their known places, shape (N, 3) [mm]; or None.
+        positions_mm: their known positions, shape (N, 3) [mm]; or None.
         position_sigma_mm: standard deviation of each known coordinate [mm].
         earlier_px: their readings when the calibration was made, shape (N, S) [px]; or None.
         earlier_sigma_px: standard deviations of those; None: the calibration's.
@@ -37,14 +36,15 @@ class StationaryMarkers:
 
 @dataclass(frozen=True, eq=False)
 class PredictionResiduals:
-    """A still set beside what the calibration expects of it.
+    """Readings of stationary markers minus the calibration's predictions.
 
     Args:
-        positions_mm: the markers, shape (M, 3): those that can be compared.
-        marker_index: their numbers in the set, shape (M,).
-        residual_px: read less expected, shape (M, S) [px]; NaN where not to be had.
-        noise_px: deviation of ``residual_px`` by the readings alone, shape (M, S).
-        covariance_px2: of ``residual_px``, shape (M, S, M, S).
+        positions_mm: the M markers that can be compared, shape (M, 3) [mm].
+        marker_index: their indices among the N markers, shape (M,).
+        residual_px: read minus predicted, shape (M, S) [px]; NaN where there is none.
+        noise_px: standard deviation of ``residual_px`` due to the readings alone, shape (M, S)
+            [px].
+        covariance_px2: covariance of ``residual_px``, shape (M, S, M, S) [px^2].
     """
 
     positions_mm: Array
@@ -57,7 +57,15 @@ class PredictionResiduals:
 def prediction_residuals(
     calibration: Calibration, stationary: StationaryMarkers
 ) -> PredictionResiduals:
-    """Return read less expected with its covariance; see ``check_drift``."""
+    """Return the residuals of stationary markers with their covariance.
+
+    Args:
+        calibration: the calibration.
+        stationary: the readings, with known positions or earlier readings.
+
+    Raises:
+        InvalidParameter, NonFiniteValue, TooFewPoints: as ``check_drift``.
+    """
     models = calibration.models
     readings = np.asarray(stationary.readings_px, dtype=np.float64)
     if readings.ndim != 2 or readings.shape[1] != len(models):
@@ -66,7 +74,7 @@ def prediction_residuals(
         )
     if (stationary.positions_mm is None) == (stationary.earlier_px is None):
         raise InvalidParameter(
-            "a still set has either known places or earlier readings; give one of them"
+            "stationary markers need either known positions or earlier readings; give one of them"
         )
     for name in ("sigma_px", "earlier_px", "earlier_sigma_px"):
         value = getattr(stationary, name)
@@ -113,11 +121,11 @@ def _against_positions(
     positions = np.asarray(positions_mm, dtype=np.float64)
     if positions.shape != (len(readings), 3):
         raise InvalidParameter(
-            f"places have shape {positions.shape}; {len(readings)} readings make ({len(readings)}, 3)"
+            f"positions have shape {positions.shape}; it must be ({len(readings)}, 3)"
         )
     if not np.isfinite(positions).all():
         raise NonFiniteValue(
-            f"place {int(np.argwhere(~np.isfinite(positions))[0, 0]) + 1} is not finite"
+            f"position {int(np.argwhere(~np.isfinite(positions))[0, 0]) + 1} is not finite"
         )
     if not 0.0 <= stationary.position_sigma_mm < np.inf:
         raise InvalidParameter(
@@ -145,6 +153,6 @@ def _against_positions(
 def _check_any(residual: Array) -> None:
     if not np.isfinite(residual).any():
         raise TooFewPoints(
-            "no marker of the still set can be compared: it must be read now and, without known "
-            "places, have been read by three sensors or more before"
+            "no stationary marker can be compared: it must be read now and, without known "
+            "positions, have been read by three sensors or more before"
         )

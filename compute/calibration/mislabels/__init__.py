@@ -1,1 +1,1 @@
-"""Wrong, missing and exchanged labels in control data: found, named, and mended on request."""
+"""Detection and repair of wrong, missing and exchanged labels in control data."""

@@ -1,4 +1,4 @@
-"""Search over explanations in the linearised camera, where each one's squares are closed-form."""
+"""Beam search over label-error hypotheses in the linearised camera, with closed-form residuals."""
 
 from collections.abc import Iterable
 from math import log
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 BEAM_WIDTH: Final = 16
 """Explanations that are taken further at each level, for up to about 100 readings."""
 MAX_PAIR_VALUES: Final = 240_000
-"""Pairs looked at in one level: many readings narrow the beam."""
+"""Largest number of pairs examined in one level: many readings narrow the beam."""
 MAX_LEVELS: Final = 12
 MAX_SHRUNK: Final = 6
 """Explanations of a level, the best ones, that are also tried with fewer errors."""
@@ -38,7 +38,7 @@ TIE_TOLERANCE: Final = 1e-9
 def beam_search(
     camera: LinearisedCamera, seeds: Iterable[Hypothesis], count: int, beam: int = BEAM_WIDTH
 ) -> list[tuple[float, Hypothesis]]:
-    """Return the ``count`` best explanations found, with their log posterior but for a constant.
+    """Return the ``count`` best hypotheses with their unnormalised log posterior.
 
     A beam over sets of wrong readings and exchanged pairs. From each explanation: one reading
     more wrong, one pair more exchanged (squares by the residuals r and the redundancy matrix
@@ -89,7 +89,7 @@ def _record(known: dict[Hypothesis, float], entries: Iterable[tuple[float, Hypot
 def _extend(
     camera: LinearisedCamera, states: EvaluatedHypotheses, count: int
 ) -> list[tuple[float, Hypothesis]]:
-    """Return the best explanations with one wrong reading, or one exchanged pair, more."""
+    """Return the best hypotheses with one more wrong reading or exchanged pair."""
     n = len(camera.readings)
     own = states.used - np.einsum("bnw,bnw->bn", states.gain, states.basis)
     free = np.ones(own.shape, dtype=bool)
@@ -143,18 +143,7 @@ def _best_exchanges(
     count: int,
     rows: slice,
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Return the pairs whose exchange leaves the smallest squares: what it adds, and which.
-
-    Of one explanation these are the likeliest. Shapes (rows, ``count`` at most).
-
-    Args:
-        camera: the linearised camera.
-        states: explanations, of which ``rows`` are looked at.
-        own: redundancy of each reading, shape (B, n).
-        free: readings that no error is about, shape (B, n).
-        count: wanted of each.
-        rows: which explanations; few at a time, as the memory of all is large.
-    """
+    """Return the pairs whose exchange leaves the smallest sum of squares: its change, and which."""
     n = len(camera.readings)
     # v'Qv of the hat matrix's share; a pair lies off its diagonal.
     squares, alone = camera.workspace[:, : len(own[rows])]
@@ -183,7 +172,7 @@ def _best(scores: Array, count: int) -> list[tuple[int, int]]:
 def _reduce(
     camera: LinearisedCamera, states: EvaluatedHypotheses, count: int
 ) -> list[tuple[float, Hypothesis]]:
-    """Return explanations with one error fewer, or two wrong readings as an exchanged pair."""
+    """Return hypotheses with one error fewer, or two wrong readings as an exchanged pair."""
     found: list[tuple[float, Hypothesis]] = []
     undone: dict[Hypothesis, None] = {}
     for row, hypothesis in enumerate(states.hypotheses[:MAX_SHRUNK]):
@@ -199,11 +188,7 @@ def _reduce(
 def _put_back(
     camera: LinearisedCamera, states: EvaluatedHypotheses, row: int, count: int
 ) -> list[tuple[float, Hypothesis]]:
-    """Return the best explanations with a wrong reading fewer, or two of them exchanged.
-
-    Readings that come in with misfits e at places whose rows are B add e' (I + B N^-1 B')^-1 e to
-    the squares of the normal equations N, and the determinant grows by that of the same matrix.
-    """
+    """Return the best hypotheses with one wrong reading fewer, or two of them exchanged."""
     base = states.hypotheses[row]
     wrong = np.array(sorted(base.wrong), dtype=np.intp)
     if len(wrong) == 0:

@@ -1,6 +1,6 @@
-"""Find label errors in control data: which readings carry a label that is not theirs."""
+"""Detection of label errors in control data: readings that carry the label of another point."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import log, pi
 from statistics import median
@@ -10,34 +10,51 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from compute.calibration.control_data_checks import check_observations
 from compute.calibration.mislabels.device_search import DeviceExplanation, search_device
+from compute.calibration.mislabels.evaluation import SensorReadings
 from compute.calibration.mislabels.finding import LabelErrorKind, LabelFinding
 from compute.calibration.mislabels.hypothesis import Hypothesis
-from compute.calibration.mislabels.label_report import LabelReport
 from compute.calibration.mislabels.lens_fit import with_lens
 from compute.calibration.mislabels.marginal_likelihood import KNOWN_SIGMA, ScalePrior
 from compute.calibration.mislabels.sensor_search import (
     SensorExplanation,
-    SensorReadings,
     contradicts_sigma,
     search_sensor_labels,
 )
 from compute.camera.model import SensorGeometry
+from compute.camera.observation_checks import check_control_points
+from compute.progress import Progress
+
+
+@dataclass(frozen=True)
+class LabelReport:
+    """The label errors of a device's control data.
+
+    Args:
+        findings: the errors, those of all sensors first, then sensor by sensor.
+        sigma_px: estimated standard deviation of a reading, one for each sensor [px].
+        explanation_probability: for each sensor, posterior probability of its findings together;
+            low where other explanations fit about as well.
+    """
+
+    findings: tuple[LabelFinding, ...]
+    sigma_px: tuple[float, ...]
+    explanation_probability: tuple[float, ...]
+
 
 Array = NDArray[np.float64]
 
 UNKNOWN_SIGMA: Final = ScalePrior(1.0, 0.3)
-"""Deviations in pixels of which nothing is known: a pixel's quantisation, for what it is worth."""
+"""Prior of an unknown noise in pixels: weakly, a pixel's quantisation."""
 UNKNOWN_SIGMA_FACTOR: Final = ScalePrior(1.0, 3.0)
-"""Stated deviations that are not believed."""
+"""Prior of the factor of standard deviations that the readings contradict."""
 POOLED_READINGS: Final = 6.0
-"""Readings' worth of what the other sensors of a device say about one's deviations."""
+"""Weight, in readings, of the other sensors' noise as a prior of one's."""
 LOG_ALTERNATIVE_PRIOR: Final = log(1e-4)
-"""Chance, before looking, that stated deviations are wrong by a common factor, or that a lens has
-a distortion that does not contradict them everywhere."""
+"""Log prior probability of a wrong common factor of the standard deviations, or of a lens with
+distortion that does not contradict them everywhere."""
 SUSPICIOUS_P_VALUE: Final = 1e-4
-"""Chance of squares so large, under the best explanation, that this is looked into."""
+"""p-value of the best hypothesis's sum of squares below which these are tried."""
 
 
 def find_label_errors(
@@ -45,46 +62,49 @@ def find_label_errors(
     readings_px: Array,
     sensors: Sequence[SensorGeometry],
     sigma_px: Array | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> LabelReport:
-    """Find wrong, missing and exchanged labels; nothing is changed.
+    """Find wrong, missing and exchanged labels; the data are not changed.
 
-    Sensor by sensor, explanations (sets of wrong readings and of labels in each other's places)
-    are compared by their posterior probability under a camera of seven parameters: normal
-    readings where they are right, any place on the sensor where they are wrong. The search
-    starts from least trimmed squares, runs in the linearised camera, where leaving out or
-    exchanging readings changes the squares in closed form, and ends with fits of the camera
-    itself. An exchange that all sensors together make likelier is one of the points.
+    For each sensor, hypotheses (sets of wrong readings and of exchanged labels) are compared by
+    their posterior probability under a seven-parameter camera: right readings are normally
+    distributed, wrong ones uniformly over the sensor. The search starts from least trimmed squares,
+    continues in the linearised camera, where leaving out or exchanging readings changes the sum of
+    squares in closed form, and ends with fits of the camera itself. An exchange that is likelier
+    for all sensors together is one of the points.
 
-    What cannot be seen is not found: an exchange of readings closer than some of their deviations,
-    and a wrong reading of a point that the others hardly predict.
+    Not detectable: exchanged readings within a few standard deviations of each other, and a wrong
+    reading of a point that the others hardly predict.
 
     Args:
-        points_mm: control points, shape (N, 3).
+        points_mm: control points, shape (N, 3) [mm].
         readings_px: readings, shape (N, S) [px]; NaN where a sensor did not see the point.
         sensors: the device's sensors in order.
-        sigma_px: standard deviations of the readings, shape (N, S) [px]. None: one for each
-            sensor, not known but alike. Where given ones are contradicted by most of the
-            readings, a lens with distortion is thought of (two readings a parameter at least), and
-            if that does not do, a common factor of the deviations.
-        progress: told the share done and what is done; what it raises passes through.
+        sigma_px: standard deviations of the readings, shape (N, S) [px]. None: one for each sensor,
+            unknown but similar. Where most readings contradict the given ones, a lens with
+            distortion is tried (with two readings a parameter at least), then a common factor.
+        progress: called with the fraction done and the stage.
 
     Raises:
-        TooFewPoints, DegeneratePoints, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor,
-        InvalidParameter: the observations are not fit for a calibration.
+        TooFewPoints, DegeneratePoints: the points leave parameters open.
+        NonFiniteValue, DuplicatePoint, ReadingOutsideSensor, InvalidParameter: a value is wrong.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     readings = np.asarray(readings_px, dtype=np.float64)
-    given = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
-    check_observations(points, readings, sensors, given)
-    sigma = np.ones(readings.shape) if given is None else np.where(np.isfinite(readings), given, 1)
+    known_sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
+    check_control_points(points, readings, sensors, known_sigma)
+    sigma = (
+        np.ones(readings.shape)
+        if known_sigma is None
+        else np.where(np.isfinite(readings), known_sigma, 1)
+    )
     data = [
         SensorReadings(
             points,
             readings[:, column],
             sigma[:, column],
             sensor,
-            UNKNOWN_SIGMA if given is None else KNOWN_SIGMA,
+            UNKNOWN_SIGMA if known_sigma is None else KNOWN_SIGMA,
         )
         for column, sensor in enumerate(sensors)
     ]
@@ -96,7 +116,7 @@ def find_label_errors(
             progress(column / len(data), f"labels of {names[column]}")
         data[column], labels = _search_sensor(one)
         found.append(labels)
-    if given is None:
+    if known_sigma is None:
         chosen = list(zip(data, found, strict=True))
         usual = ScalePrior(POOLED_READINGS, median(labels.factor for _, labels in chosen))
         data = [replace(one, scale=usual) for one, _ in chosen]
@@ -107,9 +127,10 @@ def find_label_errors(
 def _search_sensor(data: SensorReadings) -> tuple[SensorReadings, SensorExplanation]:
     """Search one sensor's labels with the camera that explains its readings best.
 
-    A camera without distortion where that leaves nothing to explain. Otherwise one with a lens
-    is thought of, and where neither agrees with the stated deviations, a common factor of these:
-    where a distortion is many deviations no number of wrong readings is a good explanation.
+    A camera without distortion where that leaves nothing to explain. Otherwise a lens with
+    distortion is tried, and where neither agrees with the given standard deviations, a common
+    factor of these: where distortion is many standard deviations, no number of wrong readings
+    explains it well.
     """
     stated = data.scale is KNOWN_SIGMA
     misfit = stated and contradicts_sigma(data)
@@ -135,14 +156,14 @@ def _search_sensor(data: SensorReadings) -> tuple[SensorReadings, SensorExplanat
 
 
 def _needs_alternatives(data: SensorReadings, labels: SensorExplanation) -> bool:
-    """Return whether the best explanation has errors, or squares too large."""
+    """Return whether the best hypothesis has errors, or a sum of squares that is too large."""
     best = labels.best
     limit = chi2_distribution.isf(SUSPICIOUS_P_VALUE, max(best.kept - data.camera.width, 1))
     return best.hypothesis.size > 0 or bool(best.chi2 > limit)
 
 
 def _search_with_lens(data: SensorReadings) -> tuple[SensorReadings, SensorExplanation] | None:
-    """Search with a lens; once more with the lens of the mended readings."""
+    """Search with a lens; once more with the lens of the repaired readings."""
     lens_search = with_lens(data)
     if lens_search is None:
         return None
@@ -158,11 +179,7 @@ def _search_with_lens(data: SensorReadings) -> tuple[SensorReadings, SensorExpla
 
 
 def _schwarz_criterion(data: SensorReadings, labels: SensorExplanation) -> float:
-    """Return the best explanation's log posterior, fit to compare cameras of other forms.
-
-    Its parameters are as likely beforehand as one reading makes them (Schwarz's criterion,
-    doi:10.1214/aos/1176344136), instead of evenly.
-    """
+    """Return the best hypothesis's log posterior, comparable between camera models."""
     best, width = labels.best, data.camera.width
     sign, log_determinant = np.linalg.slogdet(np.linalg.inv(_covariance(data, labels)))
     return float(
@@ -173,7 +190,7 @@ def _schwarz_criterion(data: SensorReadings, labels: SensorExplanation) -> float
 
 
 def _covariance(data: SensorReadings, labels: SensorExplanation) -> Array:
-    """Return the covariance of the camera's parameters under the best explanation."""
+    """Return the covariance of the camera's parameters under the best hypothesis."""
     _, jacobian = data.camera.linearise(labels.best.theta[None])
     repaired, sigma = labels.best.hypothesis.repair(data.readings_px, data.sigma_px)
     kept = np.isfinite(repaired)

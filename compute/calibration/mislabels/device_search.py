@@ -1,17 +1,13 @@
-"""Exchanges common to all sensors: two control points carry each other's labels."""
+"""Label exchanges common to all sensors: two control points with exchanged labels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb, exp, log
 from typing import Final
 
+from compute.calibration.mislabels.evaluation import SensorReadings, evaluate
 from compute.calibration.mislabels.hypothesis import log_exchange_prior
-from compute.calibration.mislabels.sensor_search import (
-    SensorExplanation,
-    SensorReadings,
-    evaluate,
-    search_sensor_labels,
-)
+from compute.calibration.mislabels.sensor_search import SensorExplanation, search_sensor_labels
 
 COMMON_EXCHANGE_PROBABILITY: Final = 0.02
 """That two points have each other's labels in all sensors, before looking."""
@@ -23,7 +19,7 @@ SEARCH_MARGIN: Final = 12.0
 
 @dataclass(frozen=True, eq=False)
 class DeviceExchange:
-    """Two points, counted from 0, that carry each other's labels, and how sure that is."""
+    """Two points, counted from 0, with exchanged labels, and its probability."""
 
     pair: tuple[int, int]
     probability: float
@@ -31,7 +27,7 @@ class DeviceExchange:
 
 @dataclass(frozen=True, eq=False)
 class DeviceExplanation:
-    """What is wrong in all sensors, and in each with those exchanges mended."""
+    """Label errors of all sensors, and each sensor's own once those are repaired."""
 
     common: tuple[DeviceExchange, ...]
     readings: tuple[SensorReadings, ...]
@@ -41,7 +37,7 @@ class DeviceExplanation:
 def search_device(
     readings: Sequence[SensorReadings], found: Sequence[SensorExplanation]
 ) -> DeviceExplanation:
-    """Take exchanges that are likelier of the points than of single sensors.
+    """Find exchanges that are likelier for the points than for single sensors.
 
     Args:
         readings: of each sensor, of the same points.
@@ -73,10 +69,7 @@ def search_device(
 
 
 def _expected_gain(data: SensorReadings, labels: SensorExplanation, pair: tuple[int, int]) -> float:
-    """Return about what a sensor's best explanation gains when two points are exchanged.
-
-    At worst it puts the pair back by an exchange of its own.
-    """
+    """Return the approximate gain of a sensor's best hypothesis when two points are exchanged."""
     best = labels.best
     own = log_exchange_prior(len(data.seen))
     if pair in best.hypothesis.cycles:
@@ -88,7 +81,7 @@ def _expected_gain(data: SensorReadings, labels: SensorExplanation, pair: tuple[
 
 
 def _exchanged_pairs(found: Sequence[SensorExplanation]) -> list[tuple[int, int]]:
-    """Return the pairs that any sensor has as exchanged, those of most sensors first."""
+    """Return the pairs exchanged in any sensor, those in most sensors first."""
     counted: dict[tuple[int, int], int] = {}
     for labels in found:
         for cycle in sorted(labels.best.hypothesis.cycles):

@@ -1,4 +1,4 @@
-"""One label error in control data, and how sure it is."""
+"""LabelFinding: one label error in control data, with its probability."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,19 +11,18 @@ class LabelFinding:
     """One label error.
 
     Args:
-        kind: "wrong": the reading is none of this point's. "exchanged": readings carry each
-            other's labels. "missing": the reading belongs to another point, which has none.
+        kind: "wrong": the reading belongs to no point. "exchanged": readings carry each other's
+            labels. "missing": the reading belongs to another point, which has none.
         sensor: the sensor's name; None: all sensors, the points themselves carry each other's
             labels.
         points: counted from 1. "wrong": the point. "exchanged": the reading labelled with each
             of these belongs to the next, the last one's to the first. "missing": the label that
             the reading carries, and the point that it belongs to.
-        probability: that this is so, among all explanations looked at, from 0 to 1.
-        residual_px: by how much the readings labelled ``points`` miss what the sensor, calibrated
-            without the error, reads there [px]; for all sensors, by that which misses it most;
-            NaN where there is no reading is given as None.
-        normalised_residual: the same over the standard deviation of that difference, noise and the
-            calibration's uncertainty.
+        probability: posterior probability, among all hypotheses examined, 0 to 1.
+        residual_px: residuals of the readings labelled ``points`` from the sensor calibrated
+            without the error [px]; for all sensors, from the one with the largest; None without a
+            reading.
+        normalised_residual: the same over its standard deviation, from noise and calibration.
     """
 
     kind: LabelErrorKind

@@ -1,4 +1,4 @@
-"""An explanation of one sensor's readings: which labels are wrong, and how they belong."""
+"""Hypothesis: a set of label errors of one sensor, with its prior probability."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 WRONG_LABEL_PROBABILITY: Final = 0.03
-"""That a reading is wrong, before looking: every other sensor of 19 points has one."""
+"""Prior probability that a reading is wrong: every other sensor of 19 points has one."""
 EXCHANGE_PROBABILITY: Final = 0.02
-"""That a sensor has an exchanged pair, any of its pairs."""
+"""Prior probability that a sensor has an exchanged pair."""
 CYCLE_PROBABILITY: Final = 0.002
-"""That it has three labels, or more, in each other's places."""
+"""Prior probability that it has a cycle of three or more labels."""
 MISSING_LABEL_PROBABILITY: Final = 0.01
-"""That a reading carries the label of another point than its own, which has none."""
+"""Prior probability that a reading carries another point's label while its own point has none."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Hypothesis:
     """Label errors of one sensor, points counted from 0.
 
     Args:
-        wrong: readings that are none of their points'.
+        wrong: readings that belong to no point.
         cycles: the reading labelled with each point belongs to the next, the last one's to the
             first; each starts with its lowest point. An exchanged pair is a cycle of two.
-        reassigned: labels (carried, own): the reading labelled with the first belongs to the second,
-            which has none.
+        reassigned: labels (carried, own): the reading labelled with the first belongs to the
+            second, which has none.
     """
 
     wrong: frozenset[int] = frozenset()
@@ -43,11 +43,19 @@ class Hypothesis:
 
     @property
     def affected_points(self) -> frozenset[int]:
-        """Points that any error is about."""
+        """Points that take part in any error."""
         return self.wrong.union(*self.cycles, *self.reassigned)
 
     def repair(self, readings: Array, sigma: Array) -> tuple[Array, Array]:
-        """Return readings and deviations (N,) with each at its own point, NaN where wrong."""
+        """Repair readings under this hypothesis.
+
+        Args:
+            readings: of the N points, shape (N,) [px].
+            sigma: their standard deviations, shape (N,) [px].
+
+        Returns:
+            Both in the order of the points, shape (N,); wrong readings are NaN.
+        """
         readings, sigma = readings.copy(), sigma.copy()
         for cycle in self.cycles:
             here, there = list(cycle), [*cycle[1:], cycle[0]]
@@ -59,11 +67,11 @@ class Hypothesis:
         return readings, sigma
 
     def log_prior(self, seen: int, unseen: int) -> float:
-        """Return the logarithm of its chance before looking, relative to no error at all.
+        """Return the log prior probability relative to no error.
 
         Args:
-            seen: readings that the sensor has.
-            unseen: points that it has no reading of.
+            seen: number of readings of the sensor.
+            unseen: number of points without one.
         """
         total = len(self.wrong) * log(WRONG_LABEL_PROBABILITY)
         for cycle in self.cycles:
@@ -75,17 +83,17 @@ class Hypothesis:
         return total
 
     def without(self, error: int | tuple[int, ...]) -> "Hypothesis":
-        """Return it with one wrong reading, or one cycle, fewer."""
+        """Return the hypothesis with one wrong reading, or one cycle, fewer."""
         if isinstance(error, tuple):
             return Hypothesis(self.wrong, self.cycles - {error}, self.reassigned)
         return Hypothesis(self.wrong - {error}, self.cycles, self.reassigned)
 
     def with_wrong(self, point: int) -> "Hypothesis":
-        """Return it with one more wrong reading."""
+        """Return the hypothesis with one more wrong reading."""
         return Hypothesis(self.wrong | {point}, self.cycles, self.reassigned)
 
     def with_cycle(self, points: Iterable[int]) -> "Hypothesis":
-        """Return it with these points in a cycle, and no longer wrong."""
+        """Return the hypothesis with these points in a cycle, and no longer wrong."""
         cycle = tuple(points)
         first = cycle.index(min(cycle))
         return Hypothesis(
@@ -93,10 +101,15 @@ class Hypothesis:
         )
 
     def with_reassigned(self, carried: int, own: int) -> "Hypothesis":
-        """Return it with the reading labelled ``carried`` given to ``own``."""
+        """Return the hypothesis with one reading assigned to another point.
+
+        Args:
+            carried: the label that the reading carries.
+            own: the point that it belongs to.
+        """
         return Hypothesis(self.wrong - {carried}, self.cycles, self.reassigned | {(carried, own)})
 
 
 def log_exchange_prior(seen: int) -> float:
-    """Return the logarithm of the chance of one exchanged pair among ``seen`` readings."""
+    """Return the log prior probability of one exchanged pair among ``seen`` readings."""
     return log(EXCHANGE_PROBABILITY / max(comb(seen, 2), 1))

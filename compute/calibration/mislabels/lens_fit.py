@@ -1,4 +1,4 @@
-"""A sensor's lens, fitted robustly, for the search of labels: what it adds to the readings."""
+"""Robust fit of a sensor's lens distortion for the search of label errors."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -7,11 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.mislabels.evaluation import SensorReadings
 from compute.calibration.mislabels.hypothesis import Hypothesis
-from compute.calibration.mislabels.sensor_search import SensorReadings
-from compute.calibration.single_sensor.distortion_fit import LensOffsets
+from compute.calibration.single_sensor.camera_fit import LensOffsets
 from compute.calibration.single_sensor.distortion_terms import Preset, preset_terms
-from compute.calibration.single_sensor.m_estimators import BIWEIGHT_LIMIT, mad_sigma
 from compute.calibration.single_sensor.projective_camera import PARAMETER_COUNT_PROJECTIVE
 from compute.calibration.single_sensor.sensor_fits import (
     ControlObservations,
@@ -21,13 +20,14 @@ from compute.calibration.single_sensor.sensor_fits import (
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, LumilineError, NoConvergence, TooFewPoints
+from compute.robust_statistics import BIWEIGHT_LIMIT, mad_sigma
 
 Array = NDArray[np.float64]
 
 CANDIDATES: Final[tuple[Preset, ...]] = ("symmetric-3", "all-3", "symmetric-5", "all-5")
-"""Lenses thought of, in the order of their terms."""
+"""Sets of distortion terms that are tried, in the order of their size."""
 READINGS_EACH: Final = 2
-"""Readings for each parameter, that a lens is thought of at all."""
+"""Smallest number of readings for each parameter to try a lens."""
 NOT_FITTED: Final[tuple[type[LumilineError], ...]] = (
     DegeneratePoints,
     NoConvergence,
@@ -37,7 +37,7 @@ NOT_FITTED: Final[tuple[type[LumilineError], ...]] = (
 
 @dataclass(frozen=True, eq=False)
 class _RobustFit:
-    """A robust fit of one camera: its residuals in stated deviations (n,) and parameters."""
+    """A robust fit of one camera: its normalised residuals (n,) and parameters."""
 
     model: SensorModel
     off: Array
@@ -45,7 +45,7 @@ class _RobustFit:
 
 
 def with_lens(data: SensorReadings, found: Hypothesis | None = None) -> SensorReadings | None:
-    """Return readings whose camera has the lens that a robust fit of them gives it.
+    """Return readings with the lens distortion of a robust fit of them.
 
     Of the lenses with ``READINGS_EACH`` readings a parameter the one with the lowest bounded
     squares is taken, each parameter costing the logarithm of the readings (Schwarz's criterion,
@@ -54,7 +54,7 @@ def with_lens(data: SensorReadings, found: Hypothesis | None = None) -> SensorRe
 
     Args:
         data: one sensor's readings.
-        found: label errors to mend before the fit.
+        found: label errors to repair before the fit.
 
     Returns:
         The same readings with ``offset_px`` and ``extra``; None where no lens can be fitted, or
@@ -98,7 +98,7 @@ def with_lens(data: SensorReadings, found: Hypothesis | None = None) -> SensorRe
 
 
 def _fits(observed: ControlObservations) -> Iterator[_RobustFit]:
-    """Yield the camera without distortion, and those with each lens that can be fitted."""
+    """Yield the camera without distortion, and those with each set of terms that can be fitted."""
     rows = observed.seen[:, 0]
     try:
         plain, weights = fit_undistorted(observed, "robust")

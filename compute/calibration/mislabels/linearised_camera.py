@@ -1,4 +1,4 @@
-"""A linearised camera and explanations of its readings worked out in it."""
+"""LinearisedCamera: label-error hypotheses evaluated in closed form."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,19 +14,19 @@ from compute.calibration.mislabels.marginal_likelihood import Evidence
 Array = NDArray[np.float64]
 
 MAX_PAIRS_PER_BATCH: Final = 90_000
-"""Pairs of readings, in both orders, that are worked out at a time: bounds the memory."""
+"""Largest number of ordered pairs of readings evaluated at a time; bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedCamera:
-    """A camera linearised at a solution, over the n readings that the sensor has.
+    """A camera linearised at a solution, over the n readings of a sensor.
 
     Args:
         basis: orthonormal columns that span J over sigma, shape (n, width).
-        fitted: what the camera reads, shape (n,) [px].
-        readings: what the sensor read, shape (n,) [px].
-        sigma: deviations, shape (n,) [px].
-        evidence: of the explanations.
+        fitted: readings that the camera predicts, shape (n,) [px].
+        readings: readings of the sensor, shape (n,) [px].
+        sigma: standard deviations, shape (n,) [px].
+        evidence: marginal likelihood of hypotheses.
     """
 
     basis: Array
@@ -43,15 +43,15 @@ class LinearisedCamera:
 
     @cached_property
     def flat_pairs(self) -> NDArray[np.intp]:
-        """Where the pairs are in a flattened (n, n)."""
+        """Indices of the pairs in a flattened (n, n)."""
         first, second = self.pairs
         return np.asarray(first * len(self.readings) + second)
 
     @cached_property
     def changes(self) -> Array:
-        """What a reading in place of another's adds there [deviations], shape (n, n).
+        """Change of a normalised residual when another point's reading is put there, shape (n, n).
 
-        The row is the place, the column the reading that comes.
+        Row: the point; column: the reading that is put there.
         """
         return np.asarray((self.readings - self.readings[:, None]) / self.sigma[:, None])
 
@@ -62,20 +62,20 @@ class LinearisedCamera:
 
     @cached_property
     def batch_size(self) -> int:
-        """Explanations whose pairs are worked out at a time."""
+        """Number of hypotheses whose pairs are evaluated at a time."""
         return max(MAX_PAIRS_PER_BATCH // len(self.readings) ** 2, 1)
 
     @cached_property
     def workspace(self) -> Array:
-        """Memory for that, twice (together, n, n): asked for anew it takes longer than the work."""
+        """Two work arrays of a batch, (batch, n, n) each; allocated once, as that takes long."""
         return np.empty((2, self.batch_size, len(self.readings), len(self.readings)))
 
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedHypotheses:
-    """Explanations worked out: their residuals, squares, determinants.
+    """B hypotheses with their residuals, sums of squares and determinants.
 
-    ``basis`` is of what is kept, (B, n, width), and ``gain`` @ its transpose the hat matrix;
+    ``basis`` is of the readings kept, (B, n, width), and ``gain`` @ its transpose the hat matrix;
     ``inverse`` is of the normal equations and ``theta`` their solution.
     """
 
@@ -95,13 +95,18 @@ class EvaluatedHypotheses:
 def evaluate_hypotheses(
     camera: LinearisedCamera, hypotheses: Sequence[Hypothesis]
 ) -> EvaluatedHypotheses:
-    """Work explanations out one by one, each by its own normal equations."""
+    """Evaluate hypotheses, each from its own normal equations.
+
+    Args:
+        camera: the linearised camera.
+        hypotheses: B hypotheses.
+    """
     n = len(camera.readings)
     repaired = [h.repair(camera.readings, camera.sigma) for h in hypotheses]
     readings = np.array([one for one, _ in repaired]).reshape(-1, n)
     sigma = np.array([one for _, one in repaired]).reshape(-1, n)
     kept = np.isfinite(readings)
-    # The basis holds J over the deviation at its first place; one that moved keeps its reading's.
+    # The basis holds J over the sigma of the point's own reading, also where another was put.
     misfit = np.where(kept, np.where(kept, readings, 0.0) - camera.fitted, 0.0) / camera.sigma
     basis = camera.basis * kept[..., None]
     normal = basis.swapaxes(1, 2) @ basis
@@ -125,12 +130,22 @@ def evaluate_hypotheses(
 
 
 def log_priors(camera: LinearisedCamera, hypotheses: Sequence[Hypothesis]) -> Array:
-    """Return the logarithms of the explanations' chances before looking, shape (B,)."""
+    """Return the log prior probabilities, shape (B,).
+
+    Args:
+        camera: the linearised camera.
+        hypotheses: B hypotheses.
+    """
     return np.array([h.log_prior(len(camera.readings), 0) for h in hypotheses])
 
 
 def log_posteriors(camera: LinearisedCamera, states: EvaluatedHypotheses) -> Array:
-    """Return the log posterior of each but for a constant, (B,); -inf where too little is kept."""
+    """Return the unnormalised log posteriors, shape (B,); -inf with too few readings kept.
+
+    Args:
+        camera: the linearised camera.
+        states: B evaluated hypotheses.
+    """
     likelihood = camera.evidence.log_likelihood(
         states.chi2,
         states.kept,

@@ -1,4 +1,4 @@
-"""How well an explanation accounts for a sensor's readings: its marginal likelihood."""
+"""Marginal likelihood of a label-error hypothesis of one sensor."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -16,11 +16,11 @@ LOG_TWO_PI: Final = float(np.log(2.0 * np.pi))
 
 @dataclass(frozen=True)
 class ScalePrior:
-    """What is known of the readings' deviations but for a common factor (inverse gamma).
+    """Inverse-gamma prior of a common factor of the readings' standard deviations.
 
     Args:
-        dof: as many readings' worth of knowledge; infinite: the factor is known.
-        factor: the factor known, or expected.
+        dof: strength of the prior, as a number of readings; infinite: the factor is known.
+        factor: the known, or expected, factor.
     """
 
     dof: float
@@ -32,17 +32,19 @@ KNOWN_SIGMA: Final = ScalePrior(np.inf, 1.0)
 
 @dataclass(frozen=True)
 class Evidence:
-    """Marginal likelihoods of explanations of one sensor's readings.
+    """Marginal likelihood of hypotheses of one sensor's readings.
 
-    A reading that is right is normal about the camera's, one that is wrong lies anywhere on the
-    sensor. The seven parameters are integrated out (Laplace, flat prior), and so is the common
-    factor of the deviations where it is not known: leaving out a reading costs what it tells
-    about the camera, and an explanation with more errors has to earn them.
+    A right reading is normally distributed about the camera's, a wrong one uniformly over the
+    sensor. The camera's parameters are integrated out (Laplace, flat prior), and so is the common
+    factor of the
+    standard deviations where it is unknown: a reading that is left out costs its information, so
+        that a
+    hypothesis with more errors must fit better.
 
     Args:
-        pixels: the sensor's pixels.
-        scale: what is known of the deviations.
-        parameters: of the camera.
+        pixels: number of the sensor's pixels.
+        scale: prior of the common factor.
+        parameters: number of camera parameters.
     """
 
     pixels: int
@@ -52,13 +54,13 @@ class Evidence:
     def log_likelihood(
         self, chi2: Array, kept: Array, log_determinant: Array, log_sigma: Array, wrong: Array
     ) -> Array:
-        """Return the logarithms, shape (...), but for a constant of the sensor.
+        """Return the log likelihoods up to a constant of the sensor, shape (...).
 
         Args:
-            chi2: squares of the residuals over the stated deviations, summed over what is kept.
+            chi2: sum of squared residuals over the given standard deviations, of the readings kept.
             kept: number of readings kept.
             log_determinant: of J'WJ over them.
-            log_sigma: sum of the logarithms of their deviations [px].
+            log_sigma: sum of the logarithms of their standard deviations [px].
             wrong: number of readings left out.
         """
         dof = kept - self.parameters
@@ -78,7 +80,12 @@ class Evidence:
         )
 
     def factor(self, chi2: float, kept: int) -> float:
-        """Return the factor of the deviations after looking."""
+        """Return the posterior estimate of the common factor.
+
+        Args:
+            chi2: sum of squared residuals over the given standard deviations.
+            kept: number of readings.
+        """
         prior = self.scale.dof
         if np.isinf(prior):
             return self.scale.factor

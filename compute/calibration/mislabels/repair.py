@@ -1,4 +1,4 @@
-"""Control data with the label errors found in them left out, or mended."""
+"""Repair or exclusion of label errors in control data."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -19,16 +19,19 @@ def exclude(
     readings_px: Array,
     sigma_px: Array | None = None,
 ) -> tuple[Array, Array | None]:
-    """Return readings and deviations (N, S) without any that a finding is about (NaN).
+    """Return readings without those that a finding is about (NaN).
 
     Args:
-        findings: of ``find_label_errors``, in its order, or those of them that shall count.
+        findings: of ``find_label_errors``, in its order, or some of them.
         sensors: the device's sensors in order.
-        readings_px: readings, shape (N, S); NaN where not seen.
-        sigma_px: their deviations, shape (N, S), or None; returned as they are.
+        readings_px: readings, shape (N, S) [px]; NaN where not seen.
+        sigma_px: their standard deviations, shape (N, S) [px], or None; returned unchanged.
+
+    Returns:
+        Readings and standard deviations, shape (N, S) [px].
 
     Raises:
-        InvalidParameter: a finding names a sensor or a point that is not there.
+        InvalidParameter: a finding names an unknown sensor or point.
     """
     readings = np.array(readings_px, dtype=np.float64)
     label = list(range(len(readings)))  # where what is now at a point came from
@@ -49,10 +52,20 @@ def repair(
     readings_px: Array,
     sigma_px: Array | None = None,
 ) -> tuple[Array, Array | None]:
-    """Return readings and deviations (N, S) with each at its own point; wrong ones are NaN.
+    """Return readings assigned to their own points; wrong ones are NaN.
 
-    Arguments and errors as those of ``exclude``. Findings of all sensors come first, as
-    ``find_label_errors`` gives them: those of single sensors count the mended labels.
+    Args:
+        findings: of ``find_label_errors``, those of all sensors first: findings of single sensors
+            refer to the labels that these have repaired.
+        sensors: the device's sensors in order.
+        readings_px: readings, shape (N, S) [px]; NaN where not seen.
+        sigma_px: their standard deviations, shape (N, S) [px], or None.
+
+    Returns:
+        Readings and standard deviations, shape (N, S) [px].
+
+    Raises:
+        InvalidParameter: a finding names an unknown sensor or point.
     """
     readings = np.array(readings_px, dtype=np.float64)
     sigma = None if sigma_px is None else np.array(sigma_px, dtype=np.float64)

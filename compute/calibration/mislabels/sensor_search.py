@@ -1,8 +1,7 @@
-"""The label errors of one sensor: search in the linearised camera, judgement in the camera."""
+"""Search for one sensor's label errors: candidates in the linearised camera, tests in the full."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 from itertools import combinations, permutations, product
 from typing import Final
 
@@ -11,100 +10,39 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 from compute.calibration.mislabels.beam_search import BEAM_WIDTH, beam_search
+from compute.calibration.mislabels.evaluation import (
+    FIT_STEPS,
+    EvaluatedHypothesis,
+    SensorReadings,
+    evaluate,
+)
 from compute.calibration.mislabels.hypothesis import Hypothesis
 from compute.calibration.mislabels.linearised_camera import LinearisedCamera
-from compute.calibration.mislabels.marginal_likelihood import Evidence, ScalePrior
-from compute.calibration.single_sensor.projective_camera import ProjectiveCamera
-from compute.calibration.single_sensor.trimmed_least_squares import robust_starts
-from compute.camera.model import SensorGeometry
 
 Array = NDArray[np.float64]
 
 EVALUATED_PER_SEARCH: Final = 12
-"""Explanations of a linear search that are worked out in the camera itself."""
+"""Hypotheses of a linearised search that are evaluated with the full camera."""
 EVALUATED_IN_LAST_SEARCH: Final = 40
-"""As many in the last one: what the probabilities rest on."""
+"""The same in the last search, on which the probabilities are based."""
 CLEAN_BEAM_WIDTH: Final = 6
-"""Beam where all squares look ordinary."""
-ROBUST_STARTS: Final = 3
+"""Beam width for readings without apparent outliers."""
 MAX_ROUNDS: Final = 8
-FIT_STEPS: Final = 40
 CLEAN_P_VALUE_THRESHOLD: Final = 1e-3
-"""Chance that squares as large as a clean sensor's make it look twice."""
+"""p-value of the sum of squares below which a sensor is not clean."""
 OUTLIER_SIGMA_THRESHOLD: Final = 5.0
-"""Residuals of a robust start beyond this many of its deviations are its wrong readings."""
+"""Normalised residual of a robust start beyond which a reading is an outlier."""
 SIGMA_RATIO_THRESHOLD: Final = 3.0
-"""Stated deviations are not believed where those of the nearer half are this many times larger."""
+"""Noise of the better-fitting half over the given sigma from which sigma is rejected."""
 MANY_OUTLIERS_COUNT_THRESHOLD: Final = 8
 MANY_OUTLIERS_SHARE_THRESHOLD: Final = 0.2
-"""More readings than this, and this share of them, far off: no few labels."""
+"""More outliers than this number and share cannot be a few wrong labels."""
 MAX_REASSIGNMENTS: Final = 200
-
-
-@dataclass(frozen=True, eq=False)
-class SensorReadings:
-    """What the search is about: one sensor's readings of the control points.
-
-    Args:
-        points_mm: all control points, shape (N, 3).
-        readings_px: shape (N,); NaN where not seen.
-        sigma_px: deviations, shape (N,); of any value where not seen.
-        sensor: its geometry.
-        scale: what is known of a common factor of the deviations.
-        extra, offset_px: what a lens adds to the camera, see ``ProjectiveCamera``.
-    """
-
-    points_mm: Array
-    readings_px: Array
-    sigma_px: Array
-    sensor: SensorGeometry
-    scale: ScalePrior
-    extra: Array | None = None
-    offset_px: Array | None = None
-
-    @cached_property
-    def seen(self) -> NDArray[np.intp]:
-        """Points with a reading."""
-        return np.flatnonzero(np.isfinite(self.readings_px))
-
-    @cached_property
-    def camera(self) -> ProjectiveCamera:
-        """The camera's form for these points."""
-        plain = ProjectiveCamera.of(self.points_mm, self.readings_px)
-        return replace(plain, extra=self.extra, offset_px=self.offset_px)
-
-    @cached_property
-    def robust(self) -> Array:
-        """Cameras that fit most of the readings, see ``robust_starts``."""
-        return robust_starts(self.camera, self.readings_px, self.sigma_px, ROBUST_STARTS)
-
-    @cached_property
-    def evidence(self) -> Evidence:
-        """Marginal likelihoods of explanations."""
-        return Evidence(self.sensor.pixels, self.scale, self.camera.width)
-
-    def exchanged(self, first: int, second: int) -> "SensorReadings":
-        """Return them with the readings of two points exchanged."""
-        readings, sigma = self.readings_px.copy(), self.sigma_px.copy()
-        readings[[first, second]] = readings[[second, first]]
-        sigma[[first, second]] = sigma[[second, first]]
-        return replace(self, readings_px=readings, sigma_px=sigma)
-
-
-@dataclass(frozen=True, eq=False)
-class EvaluatedHypothesis:
-    """An explanation, worked out: log posterior (up to the sensor's constant) and camera."""
-
-    hypothesis: Hypothesis
-    log_posterior: float
-    theta: Array
-    chi2: float
-    kept: int
 
 
 @dataclass(eq=False)
 class _HypothesisPool:
-    """Explanations judged so far."""
+    """The hypotheses evaluated so far."""
 
     data: SensorReadings
     evaluated: dict[Hypothesis, EvaluatedHypothesis] = field(default_factory=dict)
@@ -114,7 +52,7 @@ class _HypothesisPool:
         return max(self.evaluated.values(), key=lambda one: one.log_posterior)
 
     def evaluate(self, hypotheses: Iterable[Hypothesis], theta: Array) -> None:
-        """Fit the camera under each explanation from ``theta`` (7,) and keep the better fit."""
+        """Fit the camera under each hypothesis from ``theta`` (width,) and keep the better fit."""
         for one in evaluate(self.data, list(dict.fromkeys(hypotheses)), theta):
             before = self.evaluated.get(one.hypothesis)
             if before is None or one.log_posterior > before.log_posterior:
@@ -123,7 +61,7 @@ class _HypothesisPool:
     def search_nearby(
         self, theta: Array, seeds: Sequence[Hypothesis], count: int, beam: int = BEAM_WIDTH
     ) -> None:
-        """Search in the camera linearised at ``theta`` and judge the best found."""
+        """Search in the camera linearised at ``theta`` and evaluate the best found."""
         data = self.data
         seen = data.seen
         fitted, jacobian = data.camera.linearise(theta[None])
@@ -143,12 +81,12 @@ class _HypothesisPool:
 
 @dataclass(frozen=True, eq=False)
 class SensorExplanation:
-    """The best explanation of one sensor's readings, and its rivals.
+    """The best hypothesis of one sensor's readings and its alternatives.
 
     Args:
         best: the best one.
-        evaluated: all that were worked out, the best one among them.
-        factor: of the stated deviations, after looking.
+        evaluated: all that were evaluated, the best one among them.
+        factor: posterior estimate of the common factor of the standard deviations.
     """
 
     best: EvaluatedHypothesis
@@ -156,7 +94,7 @@ class SensorExplanation:
     factor: float
 
     def probability(self, error: Hypothesis | None = None) -> float:
-        """Return the share of the explanations that hold these errors, or the best one's own."""
+        """Return the posterior probability of these errors, or of the best hypothesis."""
         weights = np.exp([one.log_posterior - self.best.log_posterior for one in self.evaluated])
         if error is None:
             return float(1.0 / weights.sum())
@@ -170,10 +108,10 @@ class SensorExplanation:
 
 
 def search_sensor_labels(data: SensorReadings) -> SensorExplanation:
-    """Find the explanation of a sensor's readings with the highest posterior probability.
+    """Find the hypothesis with the highest posterior probability for a sensor's readings.
 
-    From the least squares of all readings where these look ordinary, otherwise from robust
-    starts too; then around the best explanation until no better one is found.
+    The search starts at the least-squares fit where all readings look ordinary, otherwise at robust
+    starts too; then it continues around the best hypothesis until no better one is found.
     """
     pool, none = _without_errors(data), Hypothesis()
     ordinary = np.isinf(data.scale.dof) and _is_clean(pool)
@@ -201,10 +139,11 @@ def search_sensor_labels(data: SensorReadings) -> SensorExplanation:
 
 
 def contradicts_sigma(data: SensorReadings) -> bool:
-    """Return whether even the camera that fits the nearer half of the readings contradicts sigma.
+    """Return whether the readings contradict their standard deviations or the camera model.
 
-    Or agrees with it there, and leaves many readings far off. Then it is the deviations or the
-    camera's form that is wrong, not a few labels.
+    Either the best-fitting half of the readings contradicts sigma, or it agrees and many of the
+    others
+    are outliers: more than a few wrong labels.
     """
     if _is_clean(_without_errors(data)):
         return False
@@ -216,49 +155,13 @@ def contradicts_sigma(data: SensorReadings) -> bool:
 
 
 def _without_errors(data: SensorReadings) -> _HypothesisPool:
-    """Return the explanation without errors, by least squares of all readings."""
+    """Return the hypothesis without errors, by least squares of all readings."""
     pool, camera = _HypothesisPool(data), data.camera
     values = np.where(np.isfinite(data.readings_px), data.readings_px, camera.centre_px)[None]
     weights = np.where(np.isfinite(data.readings_px), 1.0 / data.sigma_px, 0.0)[None]
     plain = camera.fit(values, weights, camera.algebraic(values, weights), FIT_STEPS)[0]
     pool.evaluate([Hypothesis()], plain)
     return pool
-
-
-def evaluate(
-    data: SensorReadings, hypotheses: Sequence[Hypothesis], theta: Array
-) -> list[EvaluatedHypothesis]:
-    """Fit the camera under each explanation, all at once, from one start (7,)."""
-    if not hypotheses:
-        return []
-    repaired = [h.repair(data.readings_px, data.sigma_px) for h in hypotheses]
-    readings = np.array([one for one, _ in repaired])
-    kept = np.isfinite(readings)
-    sigma = np.where(kept, np.array([one for _, one in repaired]), 1.0)
-    weights = np.where(kept, 1.0 / sigma, 0.0)
-    readings = np.where(kept, readings, data.camera.centre_px)
-    starts = np.broadcast_to(theta, (len(hypotheses), data.camera.width))
-    found = data.camera.fit(readings, weights, starts, FIT_STEPS)
-    fitted, jacobian = data.camera.linearise(found)
-    chi2 = (((fitted - readings) * weights) ** 2).sum(axis=1)
-    weighted = jacobian * weights[..., None]
-    sign, log_determinant = np.linalg.slogdet(weighted.swapaxes(1, 2) @ weighted)
-    count = kept.sum(axis=1)
-    unseen = len(data.readings_px) - len(data.seen)
-    log_posterior = data.evidence.log_likelihood(
-        chi2,
-        count,
-        log_determinant,
-        np.log(sigma).sum(axis=1),
-        np.array([len(h.wrong) for h in hypotheses]),
-    ) + np.array([h.log_prior(len(data.seen), unseen) for h in hypotheses])
-    return [
-        EvaluatedHypothesis(
-            hypothesis, float(log_posterior[row]), found[row], float(chi2[row]), int(count[row])
-        )
-        for row, hypothesis in enumerate(hypotheses)
-        if sign[row] > 0.0 and count[row] > data.camera.width
-    ]
 
 
 def _is_clean(pool: _HypothesisPool) -> bool:
@@ -272,7 +175,7 @@ def _is_clean(pool: _HypothesisPool) -> bool:
 
 
 def _outliers(data: SensorReadings, theta: Array) -> Hypothesis:
-    """Return what a robust start takes for wrong, by its own residuals' deviation."""
+    """Return the outliers of a robust start as a hypothesis."""
     seen = data.seen
     residuals, sigma_ratio = _residuals(data, theta)
     sigma_ratio = max(sigma_ratio, data.scale.factor)
@@ -285,7 +188,7 @@ def _outliers(data: SensorReadings, theta: Array) -> Hypothesis:
 
 
 def _residuals(data: SensorReadings, theta: Array) -> tuple[Array, float]:
-    """Return how far the readings seen are off a camera [deviations], and the nearer half's RMS."""
+    """Return the normalised residuals of the readings, and the better half's RMS."""
     seen = data.seen
     residuals = np.abs(data.camera.project(theta[None])[0, seen] - data.readings_px[seen])
     residuals = residuals / data.sigma_px[seen]
@@ -295,10 +198,9 @@ def _residuals(data: SensorReadings, theta: Array) -> tuple[Array, float]:
 
 
 def _reassignments(data: SensorReadings, best: EvaluatedHypothesis) -> list[Hypothesis]:
-    """Return explanations in which wrong readings belong to other points.
+    """Return hypotheses in which wrong readings belong to other points.
 
-    To each other's in cycles of three, or to points without a reading; those first that the
-    camera makes most likely.
+    In cycles of two or three, or to points without a reading; the most likely first.
     """
     wrong = sorted(best.hypothesis.wrong)
     fitted = data.camera.project(best.theta[None])[0]
@@ -320,7 +222,7 @@ def _reassignments(data: SensorReadings, best: EvaluatedHypothesis) -> list[Hypo
 
 
 def _renamed(hypothesis: Hypothesis, names: dict[int, int]) -> Hypothesis | None:
-    """Return it with its points renamed; None where one has no name."""
+    """Return the hypothesis with its points renumbered; None where one has no number."""
     if hypothesis.reassigned or not hypothesis.affected_points <= names.keys():
         return None
     renamed = Hypothesis(frozenset(names[point] for point in hypothesis.wrong))

@@ -1,1 +1,1 @@
-"""Calibration without known coordinates: a wand, a rigid body or a frame at unknown places."""
+"""Self-calibration: sensors from a wand, a rigid body or a frame at unknown poses."""

@@ -1,4 +1,4 @@
-"""From cameras that may be wrong by a fifth to the solution's neighbourhood."""
+"""Coarse self-calibration: from cameras wrong by up to 20 % to near the solution."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,20 +25,25 @@ from compute.errors import NoConvergence, TooFewPoints
 Array = NDArray[np.float64]
 
 COARSE_PX: Final = (30.0, 10.0, 3.0, 1.0)
-"""Deviations with which readings count one after the other while the start holds the sensors."""
+"""Standard deviations of the readings in successive stages while the prior holds the sensors."""
 COARSE_RELATIVE_SIGMA: Final = 0.2
-"""What the start is taken to be wrong by, of each parameter's size: the principal distance, half
+"""Standard deviation of the start relative to each parameter's size: the principal distance, half
 the pixels for the principal point, half a radian, the distance to the lens."""
 LENS_OFFSET_SIGMA_V: Final = 0.1
-"""Deviation of the shift along the slit, of the distance: v, and with it the distortion's terms,
-knows it only weakly."""
+"""Standard deviation of the lens offset along the slit, relative to the distance: readings
+determine it only weakly, through the distortion's terms in v."""
 MAX_ROUNDS: Final = 6
 OUTLIER_POSE_SHARE: Final = 0.1
-"""Share of readings beyond the robust limit at which poses hang in wrong places."""
+"""Share of readings beyond the robust limit from which poses are taken for wrong."""
 
 
 def coarse_prior(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> SensorPrior:
-    """Return the start as a prior that is wrong by COARSE_RELATIVE_SIGMA."""
+    """Return a prior at the start with standard deviations of COARSE_RELATIVE_SIGMA.
+
+    Args:
+        models: the starting cameras.
+        pose_sets: starting poses, which give the distances to the lenses.
+    """
     information = [
         (1.0 / (COARSE_RELATIVE_SIGMA * size)) ** 2
         for model, depth in zip(models, _depths(models, pose_sets), strict=True)
@@ -59,21 +64,29 @@ def coarse_prior(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) ->
 def lens_offset_prior(
     models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]
 ) -> SensorPrior | None:
-    """Return the weak prior of shifts along the slits; None where no sensor has distortion."""
+    """Return the weak prior of the lens offsets along the slits.
+
+    Args:
+        models: the starting cameras.
+        pose_sets: starting poses, which give the distances to the lenses.
+
+    Returns:
+        The prior; None where no sensor has distortion.
+    """
     if all(model.distortion is None for model in models):
         return None
     information = []
     for model, depth in zip(models, _depths(models, pose_sets), strict=True):
-        own = np.zeros(model.parameter_count)
+        diagonal = np.zeros(model.parameter_count)
         if model.distortion is not None:
-            own[PARAMETER_COUNT] = (LENS_OFFSET_SIGMA_V * depth) ** -2
-        information.append(own)
+            diagonal[PARAMETER_COUNT] = (LENS_OFFSET_SIGMA_V * depth) ** -2
+        information.append(diagonal)
     return SensorPrior(tuple(models), np.diag(np.concatenate(information)))
 
 
 def _depths(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> list[float]:
-    middle = np.concatenate([poses.translation_mm for poses in pose_sets]).mean(axis=0)
-    return [abs(float(model.rotation[2] @ middle) + model.offset_z_mm) for model in models]
+    centroid = np.concatenate([poses.translation_mm for poses in pose_sets]).mean(axis=0)
+    return [abs(float(model.rotation[2] @ centroid) + model.offset_z_mm) for model in models]
 
 
 def coarse_solution(
@@ -81,43 +94,43 @@ def coarse_solution(
 ) -> tuple[SensorModel, ...]:
     """Return sensors near the solution.
 
-    First with coarse readings, so that the start holds what they leave open, and poses that are
-    placed anew after every stage; then by the readings alone, robustly, until no pose hangs in a
-    wrong place.
+    First with inflated standard deviations, so that the prior holds what the readings leave open,
+    and with new starting poses after every stage; then from the readings alone, with a robust loss,
+    until few readings lie beyond its limit.
 
     Args:
-        models: the start.
+        models: the starting cameras.
         recordings: the readings.
-        sigma: their standard deviations, (B, K, S) for each.
+        sigma: their standard deviations, shape (B, K, S) for each recording [px].
 
     Raises:
         TooFewPoints: no pose can be placed.
         NoConvergence: the start is too wrong.
     """
-    now = tuple(models)
-    starts = _place_targets(now, recordings, sigma, trusted=False)
+    current = tuple(models)
+    starts = _place_targets(current, recordings, sigma, trusted=False)
     prior = coarse_prior(models, [start.poses for start in starts])
     for number, coarse in enumerate(COARSE_PX):
         if number:
-            starts = _place_targets(now, recordings, sigma)
-        blurred = [_inflate_sigma(start.poses, coarse) for start in starts]
-        now = approximate_solution(now, blurred, prior=prior, loss="robust").models
-    now = align_to_start(now, models)
+            starts = _place_targets(current, recordings, sigma)
+        inflated = [_inflate_sigma(start.poses, coarse) for start in starts]
+        current = approximate_solution(current, inflated, prior=prior, loss="robust").models
+    current = align_to_start(current, models)
     for _ in range(MAX_ROUNDS):
-        pose_sets = [start.poses for start in _place_targets(now, recordings, sigma)]
+        pose_sets = [start.poses for start in _place_targets(current, recordings, sigma)]
         state = approximate_solution(
-            now,
+            current,
             pose_sets,
             prior=lens_offset_prior(models, pose_sets),
             free_datum=True,
             loss="robust",
         )
-        now = align_to_start(state.models, models)
+        current = align_to_start(state.models, models)
         sizes = np.concatenate([np.abs(one).ravel() for one in state.residuals()])
         beyond = int((sizes > HUBER_LIMIT).sum())
         if beyond < OUTLIER_POSE_SHARE * sum(int(poses.seen.sum()) for poses in pose_sets):
             break
-    return now
+    return current
 
 
 def _place_targets(
@@ -139,7 +152,7 @@ def _place_targets(
         ) from None
     if not trusted:
         return starts
-    # A wrong reading bends its whole pose; the search can do without.
+    # An outlier spoils its whole pose; the search can do without it.
     fitted = [screen_poses(models, start) for start in starts]
     return [
         InitialPoses(select_poses(one.start.poses, one.good), one.start.pose_index[one.good])

@@ -1,4 +1,4 @@
-"""The world frame of a calibration without known coordinates: the start's, or the first pose's."""
+"""World frame (datum) of a self-calibration: the start's, or that of the first pose."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -35,10 +35,14 @@ class DatumResult:
 
 
 def to_start_frame(adjusted: AdjustmentResult, start: Sequence[SensorModel]) -> DatumResult:
-    """Put the result where the start's cameras read best what was read of its markers.
+    """Transform the result to the frame of the starting cameras.
 
-    All markers together, as one rigid cloud, are fitted to the readings with the start's cameras
-    held: a start that is wrong by much turns the frame, and does not bend it.
+    All markers together, as one rigid cloud, are fitted to the readings with the starting cameras
+    held. An error of the start may rotate the frame, but does not deform it.
+
+    Args:
+        adjusted: the adjustment.
+        start: the S starting cameras.
     """
     marker, reading, sigma = [], [], []
     for poses in adjusted.pose_sets:
@@ -57,7 +61,7 @@ def to_start_frame(adjusted: AdjustmentResult, start: Sequence[SensorModel]) -> 
     )
     held = np.zeros(sum(model.parameter_count for model in start), dtype=np.bool_)
     fitted = cloud
-    # Lenses that are wrong by much may have the cloud behind them: as the cameras stand, then.
+    # With bad lenses the cloud may lie behind one: keep the rigid motion between the cameras.
     with suppress(NoConvergence):
         fitted = adjust(start, [cloud], free=held).pose_sets[0]
     rotation = fitted.rotation[0]
@@ -72,12 +76,11 @@ def to_start_frame(adjusted: AdjustmentResult, start: Sequence[SensorModel]) -> 
 def to_first_pose_frame(
     adjusted: AdjustmentResult, origin_mm: Array, index: int = 0, pose: int = 0
 ) -> DatumResult:
-    """Put the result into the frame of one pose of one set.
+    """Transform the result to the frame of one pose of one set.
 
     Args:
-        adjusted: the result.
-        origin_mm: where the body's own origin of the set's shape is in the frame that is
-            wanted, shape (3,): the shape is kept about its centroid.
+        adjusted: the adjustment.
+        origin_mm: origin of the set's shape, its centroid, in the frame wanted, shape (3,) [mm].
         index: the set.
         pose: the pose in it.
     """
@@ -86,20 +89,20 @@ def to_first_pose_frame(
     translation = origin_mm - rotation @ poses.translation_mm[pose]
     count = len(adjusted.sensor_covariance)
     motion = rigid_motion_jacobian(adjusted.models)
-    # How the pose's own unknowns (turns about its axes, translation) move with the world.
-    own = np.zeros((6, 6))
-    own[:3, :3] = rotation
+    # Jacobian of the pose's unknowns (rotations, translation) by a motion of the world.
+    pose_motion = np.zeros((6, 6))
+    pose_motion[:3, :3] = rotation
     x, y, z = poses.translation_mm[pose].tolist()
-    own[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    own[3:, 3:] = np.eye(3)
-    follow = motion @ np.linalg.inv(own)
+    pose_motion[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    pose_motion[3:, 3:] = np.eye(3)
+    camera_motion = motion @ np.linalg.inv(pose_motion)
     crossed = adjusted.pose_sensor_covariance(index)[pose][:, :count]
-    pulled = follow @ crossed
+    crossed_motion = camera_motion @ crossed
     covariance = (
         adjusted.sensor_covariance
-        - pulled
-        - pulled.T
-        + follow @ adjusted.pose_covariance(index)[pose] @ follow.T
+        - crossed_motion
+        - crossed_motion.T
+        + camera_motion @ adjusted.pose_covariance(index)[pose] @ camera_motion.T
     )
     return DatumResult(
         tuple(transform_world(model, rotation, translation) for model in adjusted.models),
@@ -111,9 +114,13 @@ def to_first_pose_frame(
 def align_to_start(
     models: Sequence[SensorModel], start: Sequence[SensorModel]
 ) -> tuple[SensorModel, ...]:
-    """Return cameras moved as one rigid device to where the start's are nearest.
+    """Move cameras as one rigid device to where they are closest to the start's.
 
-    A free frame wanders; what is known of the start's cameras is known in the start's.
+    The frame of a free adjustment drifts; priors of the cameras are in the start's frame.
+
+    Args:
+        models: S cameras.
+        start: the S starting cameras.
     """
     rotation, translation = _rigid_motion_between(models, start)
     return tuple(transform_world(model, rotation, translation) for model in models)
@@ -122,12 +129,12 @@ def align_to_start(
 def _rigid_motion_between(
     models: Sequence[SensorModel], start: Sequence[SensorModel]
 ) -> tuple[Array, Array]:
-    """Return the rigid motion that takes cameras nearest to those of the start."""
+    """Return the rigid motion that brings cameras closest to those of the start."""
     rotations = np.array(
         [given.rotation.T @ found.rotation for found, given in zip(models, start, strict=True)]
     )
     rotation = Rotation.from_matrix(rotations).mean().as_matrix()
-    # The lens is known but for its shift along the slit: two equations of each camera.
+    # The lens is known except for its offset along the slit: two equations a camera.
     rows, right = [], []
     for found, given in zip(models, start, strict=True):
         turned = found.rotation @ rotation.T
@@ -142,8 +149,8 @@ def _transform_covariance(
 ) -> Array:
     """Return the sensors' covariance after ``X <- rotation X + translation``.
 
-    Turns are steps in a camera's own frame and stay; the offsets become ``o - R' t`` with
-    ``R' = R rotation'``, which turns with the camera.
+    Rotations are steps in a camera's own frame and do not change; the offsets become ``o - R' t``
+    with ``R' = R rotation'``, which rotates with the camera.
     """
     change = np.eye(len(covariance))
     first = 0

@@ -1,4 +1,4 @@
-"""Where an adjustment starts: markers by the cameras at hand, and bodies fitted to them."""
+"""Initial poses: markers triangulated with the current cameras, and targets fitted to them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,14 +24,21 @@ Array = NDArray[np.float64]
 
 PROCRUSTES_ITERATIONS = 20
 DISTANCE_RATIO = 1.5
-"""How much nearer or farther than most a pose starts at most, where cameras are not trusted."""
+"""Largest ratio of a pose's distance to the median one, either way, with untrusted cameras."""
 
 
 def triangulate(cameras: CameraStack, readings_px: Array) -> Array:
-    """Return markers (..., 3) [mm] of readings (..., S); NaN where there is none.
+    """Triangulate markers, by the weighted solution or, where that fails, the linear one.
 
-    The weighted solution where it converges, else the linear one, in front of every lens that
-    read it: cameras that are wrong by much make planes that meet badly.
+    Cameras with large errors give planes that intersect badly; a marker must lie in front of every
+    lens that read it.
+
+    Args:
+        cameras: S cameras.
+        readings_px: shape (..., S) [px]; NaN where not seen.
+
+    Returns:
+        Positions, shape (..., 3) [mm]; NaN where there is none.
     """
     flat = readings_px.reshape(-1, readings_px.shape[-1])
     found = reconstruct(cameras, flat, np.ones(flat.shape[1])).position_mm
@@ -44,11 +51,11 @@ def triangulate(cameras: CameraStack, readings_px: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class InitialPoses:
-    """Poses to start from, of those poses of a recording that have one.
+    """Starting poses of a recording, where its poses have one.
 
     Args:
         poses: the poses.
-        pose_index: their numbers in the recording, shape (B',).
+        pose_index: their indices in the recording, shape (B',).
     """
 
     poses: PoseSet
@@ -62,15 +69,15 @@ def start_poses(
     *,
     trusted: bool = True,
 ) -> InitialPoses:
-    """Fit the target to its triangulated markers at every pose that shows enough of it.
+    """Fit the target to its triangulated markers at every pose with enough of them.
 
     Args:
-        models: cameras that are near.
-        recording: the readings; NaN also what is left out.
+        models: approximate cameras.
+        recording: the readings; NaN where not seen or rejected.
         sigma_px: standard deviations, shape (B, K, S) [px].
-        trusted: False: angles wrong by some degrees move what is triangulated by metres, mostly
-            towards or away from the sensors; known lengths then tell the distance better, and
-            all poses start about as far away as these say.
+        trusted: False: the cameras' angles may be wrong by degrees, which shifts triangulated
+            markers by metres along the line of sight. The known lengths then set the distance, and
+            all poses start at about the same one.
 
     Raises:
         TooFewPoints: no pose shows enough markers.
@@ -99,13 +106,21 @@ def start_poses(
 
 
 def observed_scale(models: Sequence[SensorModel], recording: Recording) -> float:
-    """Return the median of lengths as cameras see them over those given; NaN without any."""
+    """Return the median of lengths as the cameras see them over the known ones.
+
+    Args:
+        models: S cameras.
+        recording: the readings.
+
+    Returns:
+        The ratio; NaN without any length.
+    """
     marker = triangulate(CameraStack.of(models), recording.readings_px)
     return _scale(_shape(recording.target, marker), marker)
 
 
 def _limit_distances(models: Sequence[SensorModel], marker_mm: Array, scale: float) -> Array:
-    """Return markers at distances that known lengths say, from the middle of the lenses."""
+    """Return markers at distances that agree with the known lengths, from the lenses' centre."""
     if not np.isfinite(scale):
         return marker_mm
     lenses = [
@@ -122,7 +137,12 @@ def _limit_distances(models: Sequence[SensorModel], marker_mm: Array, scale: flo
 
 
 def select_poses(poses: PoseSet, which: NDArray[np.bool_] | NDArray[np.intp]) -> PoseSet:
-    """Return some of the poses, by a mask or by their numbers."""
+    """Return some of the poses.
+
+    Args:
+        poses: B poses.
+        which: mask, shape (B,), or indices.
+    """
     return PoseSet(
         poses.shape,
         poses.translation_mm[which],
@@ -145,7 +165,7 @@ def _shape(target: CalibrationTarget, marker_mm: Array) -> TargetShape:
     centred = complete - complete.mean(axis=1, keepdims=True)
     known = target.distance
     length = np.linalg.norm(centred[:, known.first] - centred[:, known.second], axis=1)
-    # Generalised Procrustes: turn all to their mean, again and again; the median pose first.
+    # Generalised Procrustes: rotate all to their mean, iteratively; the median pose first.
     size = np.sqrt((centred**2).sum(axis=(1, 2)))
     mean = centred[np.argsort(size, kind="stable")[len(size) // 2]]
     for _ in range(PROCRUSTES_ITERATIONS):
@@ -156,15 +176,15 @@ def _shape(target: CalibrationTarget, marker_mm: Array) -> TargetShape:
 
 def _scale(shape: TargetShape, marker_mm: Array) -> float:
     first, second = np.triu_indices(len(shape), 1)
-    given = np.linalg.norm(shape.marker_mm[first] - shape.marker_mm[second], axis=1)
+    known_length = np.linalg.norm(shape.marker_mm[first] - shape.marker_mm[second], axis=1)
     if shape.distances and not np.isfinite(shape.sigma_mm):
         # The shape came from the same markers: only the known distance says something.
         first, second = (
             np.array([getattr(d, end) for d in shape.distances]) for end in ("first", "second")
         )
-        given = np.array([known.length_mm for known in shape.distances])
-    seen = np.linalg.norm(marker_mm[:, first] - marker_mm[:, second], axis=2)
-    ratio = seen / given
+        known_length = np.array([known.length_mm for known in shape.distances])
+    measured_length = np.linalg.norm(marker_mm[:, first] - marker_mm[:, second], axis=2)
+    ratio = measured_length / known_length
     return float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else np.nan
 
 

@@ -1,4 +1,4 @@
-"""Poses that contradict their own readings, and the single reading that is to blame."""
+"""Screening of poses: those that contradict their readings, and single outliers in them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,22 +18,22 @@ from compute.reconstruction.triangulation import chi2_limit
 Array = NDArray[np.float64]
 
 CONTRADICTION_PROBABILITY: Final = 1e-6
-"""Chance that a good pose is taken for one that holds a wrong reading."""
+"""Probability that a good pose is taken for one with an outlier."""
 WORSE_RATIO_THRESHOLD: Final = 10.0
-"""Squared misfit over the median of all, in their degrees of freedom, that is no fault of the
-cameras, as long as these are not known well."""
+"""Reduced chi2 of a pose over the median of all from which its own readings are at fault, and not
+the cameras, which may still be inaccurate."""
 SINGLE_OUTLIER_RATIO_THRESHOLD: Final = 20.0
-"""By how much chi2 must be lower without one reading than without any other for it to blame."""
+"""Difference of chi2 to that without any other reading that identifies the outlier."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScreenedPoses:
-    """Poses fitted one by one to cameras that are held.
+    """Poses fitted one by one to fixed cameras.
 
     Args:
-        start: all of them.
+        start: all poses, fitted.
         misfit: chi2 over degrees of freedom, shape (B,); 0 without any.
-        good: those that agree with their readings, as far as the cameras allow.
+        good: poses consistent with their readings, within the cameras' errors, shape (B,).
     """
 
     start: InitialPoses
@@ -42,14 +42,19 @@ class ScreenedPoses:
 
 
 def screen_poses(models: Sequence[SensorModel], start: InitialPoses) -> ScreenedPoses:
-    """Fit the poses one by one and tell those that contradict their readings."""
+    """Fit each pose by itself and test whether it contradicts its readings.
+
+    Args:
+        models: the S cameras, held fixed.
+        start: the poses.
+    """
     poses, chi2 = resect(models, start.poses)
     dof = poses.seen.sum(axis=(1, 2)) - poses.unknowns
     misfit = np.where(dof > 0, chi2 / np.maximum(dof, 1), 0.0)
     checked = misfit[dof > 0]
-    usual = float(np.median(checked)) if len(checked) else 0.0
+    typical = float(np.median(checked)) if len(checked) else 0.0
     limits = _limits(dof) / np.maximum(dof, 1)
-    good = (misfit <= np.maximum(limits, WORSE_RATIO_THRESHOLD * usual)) & np.isfinite(chi2)
+    good = (misfit <= np.maximum(limits, WORSE_RATIO_THRESHOLD * typical)) & np.isfinite(chi2)
     return ScreenedPoses(InitialPoses(poses, start.pose_index), misfit, good)
 
 
@@ -60,14 +65,18 @@ def _limits(dof: NDArray[np.int_]) -> Array:
 def find_outlier_readings(
     models: Sequence[SensorModel], poses: PoseSet
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Return for contradictory poses the one reading without which they agree, if there is one.
+    """Find the single outlier of each contradictory pose, if one reading explains it.
 
-    Every reading is left out in turn. It is to blame if the rest agree, and do so clearly better
-    than without any other reading; a pose with two wrong readings has none.
+    Every reading is left out in turn. It is an outlier if the rest agree, and do so clearly better
+    than without any other reading; a pose with two outliers has no such reading.
+
+    Args:
+        models: the S cameras, held fixed.
+        poses: contradictory poses.
 
     Returns:
-        Which poses have one, shape (N,), its marker and sensor, shape (N, 2), and by how many
-        of its deviations it is off from where the rest puts it, shape (N,).
+        Indices of the poses that have one, shape (N,); its marker and sensor, shape (N, 2); and its
+        residual over sigma from the fit without it, shape (N,).
     """
     seen = poses.seen
     pose, marker, sensor = np.nonzero(seen)
@@ -83,20 +92,20 @@ def find_outlier_readings(
         where = (np.arange(len(fitted)), marker[fit], sensor[fit])
         whole = replace(fitted, readings_px=select_poses(poses, pose[fit]).readings_px)
         off[fit] = AdjustmentState(tuple(models), (whole,)).residuals()[0][where]
-    found, places, sizes = [], [], []
+    found, marker_and_sensor, sizes = [], [], []
     for number in range(len(poses)):
-        own = np.flatnonzero(pose == number)
-        dof = len(own) - 1 - poses.unknowns
-        order = own[np.argsort(chi2[own], kind="stable")]
+        trial_index = np.flatnonzero(pose == number)
+        dof = len(trial_index) - 1 - poses.unknowns
+        order = trial_index[np.argsort(chi2[trial_index], kind="stable")]
         if dof < 1 or chi2[order[0]] > chi2_limit(dof, CONTRADICTION_PROBABILITY):
             continue
         if chi2[order[1]] - chi2[order[0]] < SINGLE_OUTLIER_RATIO_THRESHOLD:
             continue
         found.append(number)
-        places.append((marker[order[0]], sensor[order[0]]))
+        marker_and_sensor.append((marker[order[0]], sensor[order[0]]))
         sizes.append(off[order[0]])
     return (
         np.array(found, dtype=np.intp),
-        np.array(places, dtype=np.intp).reshape(-1, 2),
+        np.array(marker_and_sensor, dtype=np.intp).reshape(-1, 2),
         np.array(sizes),
     )

@@ -1,4 +1,4 @@
-"""Recordings that cannot calibrate, and why: too few poses, all alike, lengths in other units."""
+"""Checks of recordings for self-calibration: number of poses, coverage, units of lengths."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -16,11 +16,10 @@ from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
 Array = NDArray[np.float64]
 
 SCALE_LIMIT: Final = 1.6
-"""Ratio, either way, of the distances between the lenses as found to those of the start, that is
-no error of the start any more."""
+"""Largest ratio, either way, of the distances between the lenses to those of the start."""
 OBSERVED_SCALE_LIMIT: Final = 200.0
-"""Ratio, either way, of the lengths as the start's cameras see them to those given, from which a
-search is in vain; cameras that are 30 % wrong, with angles wrong by 5 degrees, reached 85."""
+"""Largest ratio, either way, of lengths as the starting cameras see them to the known ones; cameras
+that are 30 % wrong, with angles wrong by 5 degrees, reached 85."""
 UNITS: Final = {"m": 1000.0, "cm": 10.0, "inches": 25.4, "feet": 304.8}
 UNIT_TOLERANCE: Final = 1.6
 CONIC_LIMIT: Final = 0.01
@@ -29,10 +28,16 @@ lengths: directions in a plane or on a cone have 0, 200 random ones 0.3."""
 
 
 def check_recordings(models: Sequence[SensorModel], recordings: Sequence[Recording]) -> None:
-    """Check what can be told from the readings' shape and place.
+    """Check number of sensors, shapes, and that readings lie on the sensors.
+
+    Args:
+        models: the starting cameras.
+        recordings: the readings.
 
     Raises:
-        InvalidParameter, ReadingOutsideSensor, TooFewPoints: as they say.
+        InvalidParameter: no recording, or readings of another number of sensors.
+        ReadingOutsideSensor: a reading lies beyond the sensor's pixels.
+        TooFewPoints: fewer than three sensors.
     """
     if len(models) < 3:
         raise TooFewPoints(
@@ -53,7 +58,11 @@ def check_recordings(models: Sequence[SensorModel], recordings: Sequence[Recordi
 
 
 def check_scale(start: Sequence[SensorModel], found: Sequence[SensorModel]) -> None:
-    """Check that given lengths agree with the size of the device that the start knows.
+    """Check that the known lengths agree with the size of the starting device.
+
+    Args:
+        start: the S starting cameras.
+        found: the S cameras of the solution.
 
     Raises:
         InvalidParameter: they contradict each other, most likely by a unit.
@@ -69,7 +78,7 @@ def check_scale(start: Sequence[SensorModel], found: Sequence[SensorModel]) -> N
 
 
 def check_observed_scale(scale: float) -> None:
-    """Check lengths as the start's cameras see them over those given, before anything else.
+    """Check the ratio of lengths as the starting cameras see them to the known ones.
 
     Raises:
         InvalidParameter: they contradict each other by more than a start can be wrong.
@@ -90,10 +99,13 @@ def _unit_hint(factor: float) -> str:
 
 
 def device_scale(start: Sequence[SensorModel], found: Sequence[SensorModel]) -> float:
-    """Return the size of the device as found over that of the start, both about their middles.
+    """Return the size of the solved device over that of the start, about their centres.
 
-    From the lenses' places across their slits, where the found cameras are turned and shifted to
-    the start's as well as that goes: the factor is fitted along with the motion.
+    The scale is fitted along with a rigid motion, to the lenses' positions across their slits.
+
+    Args:
+        start: the S starting cameras.
+        found: the S cameras of the solution.
     """
     rotations = np.array(
         [old.rotation.T @ new.rotation for old, new in zip(start, found, strict=True)]
@@ -109,13 +121,14 @@ def device_scale(start: Sequence[SensorModel], found: Sequence[SensorModel]) -> 
 
 
 def check_volume_coverage(pose_sets: Sequence[PoseSet]) -> None:
-    """Check that places fill a volume, and directions of known lengths determine all scales.
+    """Check that markers fill a volume and known lengths determine the scale in all directions.
 
     Lengths fix the six scales and shears of space (a symmetric matrix Q with ``d' Q d = 1`` for
     the directions d) unless the directions lie on one cone or plane.
 
     Raises:
-        DegeneratePoints: all in one plane, or all lengths parallel, in one plane or on a cone.
+        DegeneratePoints: all markers in one plane, or all lengths parallel, in one plane or on a
+            cone.
     """
     markers = np.concatenate([poses.marker_positions().reshape(-1, 3) for poses in pose_sets])
     extent = np.linalg.svd(markers - markers.mean(axis=0), compute_uv=False)
@@ -143,8 +156,9 @@ def check_volume_coverage(pose_sets: Sequence[PoseSet]) -> None:
     )
     raise DegeneratePoints(
         f"the {len(directions)} known lengths are {alike} (RMS shares {direction_shares[0]:.2f}, "
-        f"{direction_shares[1]:.2f}, {direction_shares[2]:.2f} of their directions), which leaves the scale in other "
-        "directions open; turn the target in all directions, towards the sensors too"
+        f"{direction_shares[1]:.2f}, {direction_shares[2]:.2f} of their directions), which leaves "
+        "the scale in other directions open; rotate the target in all directions, towards the "
+        "sensors too"
     )
 
 
@@ -161,8 +175,12 @@ def _directions(poses: PoseSet) -> Array:
 def check_count(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> None:
     """Check that there are more readings than unknowns.
 
+    Args:
+        models: the sensors.
+        pose_sets: the starting poses.
+
     Raises:
-        TooFewPoints: with how many poses would do.
+        TooFewPoints: too few; the message says how many poses would do.
     """
     unknown = sum(model.parameter_count for model in models) - 6
     left = 0

@@ -1,4 +1,4 @@
-"""SelfCalibration: the sensors, and what the readings say of the target and of themselves."""
+"""SelfCalibration: result of a self-calibration with its targets and rejected readings."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,14 +11,14 @@ Datum = Literal["start", "first-pose"]
 
 @dataclass(frozen=True)
 class RejectedMeasurement:
-    """A reading that contradicts the others.
+    """A reading that was rejected as an outlier.
 
     Args:
         recording: counted from 1.
         pose: counted from 1.
         marker: counted from 1.
         sensor: its name.
-        normalised_residual: its residual in its own standard deviations when it was taken out.
+        normalised_residual: its residual over its own standard deviation when rejected.
     """
 
     recording: int
@@ -30,15 +30,15 @@ class RejectedMeasurement:
 
 @dataclass(frozen=True)
 class TargetFit:
-    """What became of one recording.
+    """Fit of one recording's target.
 
     Args:
-        poses: given.
-        used: poses that were used; the others showed too little, or contradicted the rest.
-        markers_mm: the target's shape as adjusted, about its centroid (a wand's along x) [mm].
-        start_scale: lengths as the start's cameras saw them, over those given (median).
-        length_error_mm: RMS of the target's lengths, each marker reconstructed by itself, less
-            those of the adjusted shape [mm]; None where none could be had.
+        poses: number of poses in the recording.
+        used: number of poses used; the others showed too little or contradicted the rest.
+        markers_mm: the adjusted shape, about its centroid (a wand's along x), shape (K, 3) [mm].
+        start_scale: median of lengths as the starting cameras see them over the known ones.
+        length_error_mm: RMS of the target's lengths between reconstructed markers minus those of
+            the adjusted shape [mm]; None without any.
     """
 
     poses: int
@@ -55,13 +55,13 @@ class SelfCalibration:
     Args:
         calibration: sensors, joint covariance in the chosen frame, and residuals; a row for each
             marker of each pose of each recording, in this order.
-        datum: whose frame the world's is.
-        device_scale: size of the device, by the given lengths, over that of the start: far from 1
+        datum: which frame is the world's.
+        device_scale: size of the device, from the known lengths, over that of the start: far from 1
             where either is wrong.
         targets: one for each recording.
-        rejected: readings that were left out.
-        chi2_per_dof: weighted sum of squares per degree of freedom, of what was kept.
-        dof: readings less unknowns.
+        rejected: readings that were rejected.
+        chi2_per_dof: weighted sum of squares per degree of freedom of the readings used.
+        dof: number of readings minus unknowns.
     """
 
     calibration: Calibration

@@ -1,8 +1,7 @@
-"""From an adjustment to a SelfCalibration: figures of sensors, targets and residuals."""
+"""Summary of a self-calibration: statistics of sensors, targets and residuals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,27 +19,25 @@ from compute.calibration.self_calibration.result import (
 )
 from compute.calibration.self_calibration.targets import Recording
 from compute.camera.model import SensorModel, vector3
+from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY
 from compute.camera.stack import CameraStack
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
 
-UNEXPLAINED_PROBABILITY: Final = 0.01
-"""Chance that right deviations are taken for too small."""
-
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """What a run has found.
+    """Solution of a self-calibration before it is summarised.
 
     Args:
         adjusted: the adjustment.
-        placed: the same in the world's frame.
+        placed: the same in the world frame.
         starts: the poses that were used.
         recordings: the readings.
-        start_scales: lengths as the start saw them over those given, for each recording.
-        device_scale: size of the device as found over that of the start.
-        rejected: readings that were left out.
+        start_scales: lengths seen by the start over the known ones, for each recording.
+        device_scale: size of the solved device over that of the start.
+        rejected: readings that were rejected.
         sigma_given: whether the readings came with standard deviations.
     """
 
@@ -55,10 +52,14 @@ class RunResult:
 
 
 def summarise(found: RunResult, datum: Datum) -> SelfCalibration:
-    """Gather what the run has found.
+    """Summarise a run as a SelfCalibration.
 
-    Residuals that given deviations do not explain make the covariance grow with them, as in
-    ``calibrate``; with estimated ones the estimate's own uncertainty is included.
+    Residuals that the given standard deviations do not explain inflate the covariance, as in
+    ``calibrate``; with estimated ones the uncertainty of the estimate is included.
+
+    Args:
+        found: the run's solution.
+        datum: which frame is the world's.
     """
     adjusted, placed, starts = found.adjusted, found.placed, found.starts
     recordings, sigma_given = found.recordings, found.sigma_given
@@ -112,7 +113,7 @@ def summarise(found: RunResult, datum: Datum) -> SelfCalibration:
 def _in_pixels(
     adjusted: AdjustmentResult, starts: Sequence[InitialPoses], recordings: Sequence[Recording]
 ) -> Array:
-    """Return fitted minus read [px], a row for each marker of each pose given, NaN left out."""
+    """Return fitted minus read [px], a row for each marker of each pose, NaN where not used."""
     rows = []
     for residual, start, recording in zip(adjusted.residuals, starts, recordings, strict=True):
         full = np.full(recording.readings_px.shape, np.nan)
@@ -124,7 +125,9 @@ def _in_pixels(
 def _length_error(models: Sequence[SensorModel], poses: PoseSet) -> float | None:
     marker = triangulate(CameraStack.of(models), poses.readings_px)
     first, second = np.triu_indices(len(poses.shape), 1)
-    own = np.linalg.norm(poses.shape.marker_mm[first] - poses.shape.marker_mm[second], axis=1)
-    seen = np.linalg.norm(marker[:, first] - marker[:, second], axis=2)
-    error = (seen - own)[np.isfinite(seen)]
+    adjusted_length = np.linalg.norm(
+        poses.shape.marker_mm[first] - poses.shape.marker_mm[second], axis=1
+    )
+    measured_length = np.linalg.norm(marker[:, first] - marker[:, second], axis=2)
+    error = (measured_length - adjusted_length)[np.isfinite(measured_length)]
     return float(np.sqrt(np.mean(error**2))) if len(error) else None

@@ -1,4 +1,4 @@
-"""self_calibrate: sensors from readings of a target at unknown places, and one length."""
+"""self_calibrate: sensors from readings of a target at unknown poses, and one known length."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,8 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
+from compute.calibration.bundle_adjustment.data_snooping import (
+    SIGMA_FLOOR_PX,
+    sensor_sigma,
+    worst_readings,
+)
 from compute.calibration.bundle_adjustment.parameter_covariance import undetermined_poses
-from compute.calibration.bundle_adjustment.solver import Progress, adjust
+from compute.calibration.bundle_adjustment.solver import adjust
 from compute.calibration.self_calibration.coarse_solution import coarse_solution, lens_offset_prior
 from compute.calibration.self_calibration.datum import (
     DatumResult,
@@ -22,11 +27,6 @@ from compute.calibration.self_calibration.initial_poses import (
     observed_scale,
     select_poses,
     start_poses,
-)
-from compute.calibration.self_calibration.noise_estimation import (
-    SIGMA_FLOOR_PX,
-    sensor_sigma,
-    worst_readings,
 )
 from compute.calibration.self_calibration.pose_screening import find_outlier_readings, screen_poses
 from compute.calibration.self_calibration.recording_checks import (
@@ -42,12 +42,13 @@ from compute.calibration.self_calibration.result_summary import RunResult, summa
 from compute.calibration.self_calibration.targets import Recording, RigidBody
 from compute.camera.model import SensorModel
 from compute.errors import InvalidParameter, NoConvergence
+from compute.progress import Progress
 
 Array = NDArray[np.float64]
 
 REJECTION_ROUNDS: Final = 20
 MIN_SHARE: Final = 0.6
-"""Share of the readings that must be used, or nothing tells the right ones."""
+"""Smallest share of the readings that must agree."""
 NOISE_ROUNDS: Final = 2
 SCREENING_ROUNDS: Final = 3
 
@@ -59,53 +60,52 @@ def self_calibrate(
     datum: Datum = "start",
     progress: Progress | None = None,
 ) -> SelfCalibration:
-    """Calibrate S sensors without known coordinates, from cameras that are near.
+    """Calibrate S sensors without known coordinates, from approximate cameras.
 
-    The start is the nominal geometry or an earlier calibration; 20 % wrong in every parameter
-    will do (``lumiline reproduce wand`` has the shares of success). All poses and all sensors are
-    adjusted together; wrong readings lose their influence and are then left out. Sensors whose
-    start has distortion terms get theirs adjusted, too.
+    The start is the nominal geometry or an earlier calibration; it may be wrong by 20 % in every
+    parameter (``lumiline reproduce wand`` gives the success rates). All poses and all sensors are
+    adjusted jointly, with a robust loss and rejection of outliers. Distortion terms of the start
+    are adjusted, too.
 
     Args:
         models: the start, one for each sensor of the device.
         recordings: readings of wands, rigid bodies or frames, all with standard deviations or
             all without: then each sensor's comes from its residuals.
-        datum: the world's frame. "start": where the start's cameras read best what was read.
-            "first-pose": the frame of the rigid body of the first recording, where it was first
-            seen.
-        progress: called with the fraction done and the stage; what it raises passes through.
+        datum: the world frame. "start": where the starting cameras fit the readings best.
+            "first-pose": the frame of the rigid body of the first recording at its first pose.
+        progress: called with the fraction done and the stage.
 
     Raises:
         InvalidParameter: readings, lengths or options that contradict each other.
-        TooFewPoints, DegeneratePoints, ReadingOutsideSensor: the recordings are not fit for it.
-        UndeterminedParameters: they leave a combination of parameters open.
+        TooFewPoints, DegeneratePoints, ReadingOutsideSensor: the recordings cannot calibrate.
+        UndeterminedParameters: a combination of parameters is undetermined.
         NoConvergence: the start is too wrong, or the readings contradict one another.
     """
-    tell = progress or _silent
+    report = progress or _silent
     check_recordings(models, recordings)
-    given = {recording.sigma_px is not None for recording in recordings}
-    if len(given) > 1:
+    sigma_given = {recording.sigma_px is not None for recording in recordings}
+    if len(sigma_given) > 1:
         raise InvalidParameter("some recordings have standard deviations and some not; give all")
     if datum == "first-pose" and not isinstance(recordings[0].target, RigidBody):
         raise InvalidParameter(
             'datum is "first-pose", but the first recording is not of a rigid body of known shape'
         )
-    tell(0.0, "start")
-    work = _SelfCalibrationState(tuple(models), tuple(recordings), given == {True})
+    report(0.0, "start")
+    work = _SelfCalibrationState(tuple(models), tuple(recordings), sigma_given == {True})
     scales = tuple(observed_scale(models, recording) for recording in recordings)
     for scale in scales:
         check_observed_scale(scale)
     check_count(models, [start.poses for start in work.starts(False)])
-    tell(0.1, "search")
-    work.near = coarse_solution(models, work.kept_recordings(), work.sigma)
-    check_scale(models, work.near)
-    tell(0.5, "adjustment")
+    report(0.1, "search")
+    work.models = coarse_solution(models, work.kept_recordings(), work.sigma)
+    check_scale(models, work.models)
+    report(0.5, "adjustment")
     check_volume_coverage([start.poses for start in work.starts(True)])
     for _ in range(SCREENING_ROUNDS):
         adjusted = work.adjusted(work.screen_poses())
         if not work.sigma_given:
             work.scale_sigma(sensor_sigma(adjusted, robust=True))
-    tell(0.7, "wrong readings")
+    report(0.7, "outliers")
     work.reject_single_outliers()
     for _ in range(REJECTION_ROUNDS):
         starts = work.screen_poses()
@@ -118,7 +118,7 @@ def self_calibrate(
             starts = work.screen_poses()
             adjusted = work.adjusted(starts)
     work.check_share(starts)
-    tell(0.95, "frame")
+    report(0.95, "world frame")
     placed = _apply_datum(adjusted, models, starts, recordings, datum)
     found = RunResult(
         adjusted,
@@ -131,12 +131,12 @@ def self_calibrate(
         work.sigma_given,
     )
     result = summarise(found, datum)
-    tell(1.0, "done")
+    report(1.0, "done")
     return result
 
 
 def _silent(_fraction: float, _stage: str) -> None:
-    """Tell nobody."""
+    """Do nothing."""
 
 
 def _apply_datum(
@@ -159,14 +159,14 @@ def _apply_datum(
 
 @dataclass(eq=False)
 class _SelfCalibrationState:
-    """What a run has so far: cameras, deviations, and which readings it still takes."""
+    """State of a run: current cameras, noise, and readings not rejected."""
 
-    near: tuple[SensorModel, ...]
+    models: tuple[SensorModel, ...]
     recordings: tuple[Recording, ...]
     sigma_given: bool
 
     def __post_init__(self) -> None:
-        self.start = self.near
+        self.start = self.models
         self.readings = [recording.readings_px.copy() for recording in self.recordings]
         self.sigma = [
             np.ones(one.readings_px.shape) if one.sigma_px is None else one.sigma_px
@@ -175,26 +175,26 @@ class _SelfCalibrationState:
         self.rejected: list[RejectedMeasurement] = []
 
     def kept_recordings(self) -> list[Recording]:
-        """Return the recordings without what was rejected."""
+        """Return the recordings without rejected readings."""
         return [
             Recording(recording.target, readings)
             for recording, readings in zip(self.recordings, self.readings, strict=True)
         ]
 
     def starts(self, trusted: bool) -> list[InitialPoses]:
-        """Place all poses by the cameras of now; poses that would be open are left out."""
+        """Fit all poses to the current cameras, without undetermined ones."""
         starts = []
         for recording, sigma in zip(self.kept_recordings(), self.sigma, strict=True):
-            start = start_poses(self.near, recording, sigma, trusted=trusted)
-            closed = ~undetermined_poses(self.near, start.poses)
+            start = start_poses(self.models, recording, sigma, trusted=trusted)
+            closed = ~undetermined_poses(self.models, start.poses)
             starts.append(InitialPoses(select_poses(start.poses, closed), start.pose_index[closed]))
         return starts
 
     def screen_poses(self) -> list[InitialPoses]:
-        """Place all poses by the cameras of now, without those that contradict themselves."""
+        """Fit all poses to the current cameras, without contradictory ones."""
         starts = []
         for start in self.starts(True):
-            fitted = screen_poses(self.near, start)
+            fitted = screen_poses(self.models, start)
             starts.append(
                 InitialPoses(
                     select_poses(fitted.start.poses, fitted.good), start.pose_index[fitted.good]
@@ -203,46 +203,50 @@ class _SelfCalibrationState:
         return starts
 
     def reject_single_outliers(self) -> None:
-        """Leave out the one reading that makes its pose contradict itself, where there is one."""
+        """Reject the single outlier of each contradictory pose that has one."""
         for number, start in enumerate(self.starts(True)):
-            fitted = screen_poses(self.near, start)
+            fitted = screen_poses(self.models, start)
             bad = select_poses(start.poses, ~fitted.good)
             if len(bad):
-                poses, places, off = find_outlier_readings(self.near, bad)
-                own = start.pose_index[~fitted.good][poses]
-                self._leave_out(number, np.column_stack([own, places]), off)
+                poses, indices, residuals = find_outlier_readings(self.models, bad)
+                pose_index = start.pose_index[~fitted.good][poses]
+                self._reject_readings(number, np.column_stack([pose_index, indices]), residuals)
 
     def adjusted(self, starts: Sequence[InitialPoses]) -> AdjustmentResult:
-        """Adjust everything from there, and keep the cameras."""
+        """Adjust all sensors and poses, and keep the cameras."""
         pose_sets = [start.poses for start in starts]
         adjusted = adjust(
-            self.near, pose_sets, prior=lens_offset_prior(self.start, pose_sets), free_datum=True
+            self.models, pose_sets, prior=lens_offset_prior(self.start, pose_sets), free_datum=True
         )
-        self.near = align_to_start(adjusted.models, self.start)
+        self.models = align_to_start(adjusted.models, self.start)
         return adjusted
 
     def scale_sigma(self, factors: Array) -> None:
-        """Take other deviations of the sensors."""
+        """Multiply the sensors' standard deviations by factors (S,)."""
         self.sigma = [np.maximum(one * factors, SIGMA_FLOOR_PX) for one in self.sigma]
 
     def reject(self, adjusted: AdjustmentResult, starts: Sequence[InitialPoses]) -> int:
-        """Leave out the worst reading of each pose that holds a wrong one; return how many."""
+        """Reject the largest outlier of each pose that has one; return how many."""
         count = 0
         for number, start in enumerate(starts):
-            places, off = worst_readings(adjusted, number)
-            places[:, 0] = start.pose_index[places[:, 0]]
-            self._leave_out(number, places, off)
-            count += len(places)
+            indices, residuals = worst_readings(adjusted, number)
+            indices[:, 0] = start.pose_index[indices[:, 0]]
+            self._reject_readings(number, indices, residuals)
+            count += len(indices)
         return count
 
-    def _leave_out(self, number: int, places: NDArray[np.intp], off: Array) -> None:
-        for (pose, marker, sensor), size in zip(places.tolist(), off.tolist(), strict=True):
+    def _reject_readings(self, number: int, indices: NDArray[np.intp], residuals: Array) -> None:
+        for (pose, marker, sensor), residual in zip(
+            indices.tolist(), residuals.tolist(), strict=True
+        ):
             self.readings[number][pose, marker, sensor] = np.nan
-            name = self.near[sensor].name
-            self.rejected.append(RejectedMeasurement(number + 1, pose + 1, marker + 1, name, size))
+            name = self.models[sensor].name
+            self.rejected.append(
+                RejectedMeasurement(number + 1, pose + 1, marker + 1, name, residual)
+            )
 
     def check_share(self, starts: Sequence[InitialPoses]) -> None:
-        """Raise NoConvergence if the readings that are left are not most of them."""
+        """Raise NoConvergence if too large a share of the readings was rejected."""
         total = sum(int(np.isfinite(one.readings_px).sum()) for one in self.recordings)
         used = sum(int(start.poses.seen.sum()) for start in starts)
         if used < MIN_SHARE * total:

@@ -1,4 +1,4 @@
-"""What is moved before the sensors, and what was read of it."""
+"""Calibration targets and recordings of them."""
 
 from dataclasses import dataclass
 
@@ -22,11 +22,11 @@ class Wand:
     """Two or more markers on a straight bar.
 
     Args:
-        position_mm: the markers' places along it; (0.0, 300.0) for a bar of 300 mm.
+        position_mm: the markers' positions along it [mm]; (0.0, 300.0) for a bar of 300 mm.
         sigma_mm: standard deviation of each place [mm]; 0: exact.
 
     Raises:
-        InvalidParameter: fewer than two markers, or two at one place.
+        InvalidParameter: fewer than two markers, or two that coincide.
     """
 
     position_mm: tuple[float, ...]
@@ -35,8 +35,8 @@ class Wand:
     def __post_init__(self) -> None:
         if len(self.position_mm) < 2:
             raise InvalidParameter(
-                f"a wand with {len(self.position_mm)} marker tells no length, and without one "
-                "the scale is open; give it two markers or more, with their places along it in mm",
+                f"a wand with {len(self.position_mm)} marker has no length, which leaves "
+                "the scale open; give two markers or more, with their positions along it in mm",
                 markers=len(self.position_mm),
             )
         if not 0.0 <= self.sigma_mm < np.inf:
@@ -54,7 +54,7 @@ class Wand:
 
 @dataclass(frozen=True)
 class RigidBody:
-    """A rigid body, or a calibration frame, of known shape; where it stood is not known.
+    """A rigid body, or a calibration frame, of known shape at unknown poses.
 
     Args:
         marker_mm: the markers in the body's own frame [mm], three or more, not on a line.
@@ -83,7 +83,7 @@ class RigidBody:
 
 @dataclass(frozen=True)
 class UnknownRigidBody:
-    """A rigid body of unknown shape, but for one distance, from which the scale comes.
+    """A rigid body of unknown shape except for one distance, which sets the scale.
 
     Args:
         markers: how many it has, three or more.
@@ -128,7 +128,7 @@ class Recording:
     """Readings of a target at B poses.
 
     Args:
-        target: what was moved.
+        target: the target that was moved.
         readings_px: shape (B, K, S) [px]; NaN where a sensor did not see the marker.
         sigma_px: their standard deviations, shape (B, K, S) [px]; None: not known.
 

@@ -1,1 +1,1 @@
-"""Single sensor."""
+"""Fit of one sensor at a time: initial cameras, least squares, distortion, robust loss."""

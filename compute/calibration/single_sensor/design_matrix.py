@@ -1,4 +1,4 @@
-"""A fitted camera's equations: its weighted Jacobian, how well they determine it, their inverse."""
+"""Design matrices of fitted cameras: weighted Jacobian, condition, cofactor."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ equations hold nothing but rounding of the least combination."""
 
 
 def fitted_columns(model: SensorModel) -> NDArray[np.intp]:
-    """Return which of a model's parameters are fitted: all, less an offset that nothing reads."""
+    """Return which parameters of a model are fitted: all but a lens offset without effect."""
     columns = np.arange(model.parameter_count)
     if model.distortion is not None and not depends_on_v(model.distortion.terms):
         columns = np.delete(columns, PARAMETER_COUNT)
@@ -38,10 +38,10 @@ def design_matrix(
 
     Args:
         model: the camera.
-        points_mm: points that it read, shape (N, 3).
-        weights: 1 / standard deviation, shape (N,).
-        offset_sigma_mm: of the prior of the offset along the slit, a row of its own where that
-            is fitted.
+        points_mm: points that it read, shape (N, 3) [mm].
+        weights: 1 / standard deviation, shape (N,) [1/px].
+        offset_sigma_mm: standard deviation of the prior of the lens offset along the slit [mm], an
+            extra row where that is fitted; None: no prior.
     """
     columns = fitted_columns(model)
     rows = CameraStack.of([model]).parameter_jacobian(points_mm)[:, 0, columns]
@@ -54,9 +54,13 @@ def design_matrix(
 
 
 def recentred_camera(model: SensorModel, centre_mm: Array) -> SensorModel:
-    """Return the camera in a world whose origin is at ``centre_mm`` (3,).
+    """Return the camera in a world with another origin.
 
-    From far away, a turn and a shift look alike.
+    Far from the origin, a rotation and a translation have nearly the same effect.
+
+    Args:
+        model: the camera.
+        centre_mm: the new origin, shape (3,) [mm].
     """
     shift = model.rotation @ centre_mm
     distortion = model.distortion
@@ -72,10 +76,10 @@ def recentred_camera(model: SensorModel, centre_mm: Array) -> SensorModel:
 
 @dataclass(frozen=True, eq=False)
 class EquationGroup:
-    """The fitted equations of sensors that have the same parameters, by QR, all at once.
+    """Equations of sensors with the same fitted parameters, as QR factors.
 
     Args:
-        sensors: which they are, shape (G,).
+        sensors: their indices, shape (G,).
         columns: their fitted parameters, shape (F,).
         scale: lengths of the columns, shape (G, F).
         triangles: R of the columns scaled to length 1, shape (G, F, F).
@@ -88,14 +92,14 @@ class EquationGroup:
 
     @property
     def ratios(self) -> Array:
-        """Smallest over largest singular value, shape (G,); 0 where a column is nothing."""
+        """Smallest over largest singular value, shape (G,); 0 with an empty column."""
         singular = np.linalg.svd(self.triangles, compute_uv=False)
         ratios: Array = singular[:, -1] / np.maximum(singular[:, 0], 1e-300)
         return ratios
 
     @property
     def cofactors(self) -> Array:
-        """(A'A)^-1 of the designs A, shape (G, F, F)."""
+        """(A'A)^-1 of the design matrices A, shape (G, F, F)."""
         inverse = np.linalg.inv(self.triangles) / self.scale[:, :, None]
         product: Array = inverse @ inverse.swapaxes(1, 2)
         return product
@@ -109,15 +113,15 @@ def equation_groups(
     centre_mm: Array | None = None,
     stack: CameraStack | None = None,
 ) -> list[EquationGroup]:
-    """Return the equations of S cameras from points (N, 3) with weights (N, S), 0: not read.
+    """Factorise the design matrices of S cameras, grouped by their fitted parameters.
 
     Args:
-        models: the cameras.
-        points_mm: control points.
-        weights: 1 / standard deviation [1/px].
-        offset_sigma_mm: of the priors of the offsets along the slits, shape (S,).
-        centre_mm: the origin, shape (3,); None: the world's.
-        stack: the same cameras gathered, where they are; None: they are gathered here.
+        models: the S cameras.
+        points_mm: control points, shape (N, 3) [mm].
+        weights: 1 / standard deviation, shape (N, S) [1/px]; 0: not read.
+        offset_sigma_mm: standard deviations of the priors of the lens offsets, shape (S,) [mm].
+        centre_mm: origin, shape (3,) [mm]; None: the world's.
+        stack: the same cameras as a stack; None: made here.
     """
     if stack is None:
         stack = CameraStack.of(models)
@@ -131,16 +135,16 @@ def equation_groups(
     for sensor, model in enumerate(models):
         columns = fitted_columns(model)
         # By the stack's columns, which hold the terms of all sensors.
-        own = np.flatnonzero(stack.parameter_mask[sensor])[columns]
-        groups.setdefault((*own.tolist(), -1, *columns.tolist()), []).append(sensor)
+        stack_columns = np.flatnonzero(stack.parameter_mask[sensor])[columns]
+        groups.setdefault((*stack_columns.tolist(), -1, *columns.tolist()), []).append(sensor)
     found = []
     for key, members in groups.items():
         split = key.index(-1)
-        own, columns = np.array(key[:split]), np.array(key[split + 1 :])
+        stack_columns, columns = np.array(key[:split]), np.array(key[split + 1 :])
         sensors = np.array(members)
-        matrix = rows[sensors][:, :, own]
+        matrix = rows[sensors][:, :, stack_columns]
         if offset_sigma_mm is not None and PARAMETER_COUNT in key[:split]:
-            prior = np.zeros((len(sensors), 1, len(own)))
+            prior = np.zeros((len(sensors), 1, len(stack_columns)))
             prior[:, 0, key.index(PARAMETER_COUNT)] = 1.0 / offset_sigma_mm[sensors]
             matrix = np.concatenate([matrix, prior], axis=1)
         scale = np.sqrt((matrix**2).sum(axis=1))
@@ -158,10 +162,17 @@ def check_determined(
     offset_sigma_mm: Array | None = None,
     stack: CameraStack | None = None,
 ) -> None:
-    """Refuse readings (N, S) that leave a combination of a sensor's parameters open.
+    """Check that the readings determine all parameters of each sensor.
+
+    Args:
+        models: the S cameras.
+        points_mm: control points, shape (N, 3) [mm].
+        weights: 1 / standard deviation, shape (N, S) [1/px]; 0: not read.
+        offset_sigma_mm: standard deviations of the priors of the lens offsets, shape (S,) [mm].
+        stack: the same cameras as a stack; None: made here.
 
     Raises:
-        DegeneratePoints: the first such sensor.
+        DegeneratePoints: the first sensor with an undetermined combination of parameters.
     """
     middle = points_mm.mean(axis=0)
     for group in equation_groups(models, points_mm, weights, offset_sigma_mm, middle, stack):
@@ -183,7 +194,7 @@ def check_determined(
 
 
 def cofactor(matrix: Array) -> Array:
-    """Return (A'A)^-1 of a design (N, F), shape (F, F), through QR with scaled columns."""
+    """Return (A'A)^-1 of a design matrix (N, F), shape (F, F), by QR with scaled columns."""
     scale = np.linalg.norm(matrix, axis=0)
     triangle = np.linalg.qr(matrix / scale, mode="r")
     inverse = np.linalg.inv(triangle) / scale[:, None]

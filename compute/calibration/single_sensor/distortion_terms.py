@@ -1,4 +1,4 @@
-"""Named sets of distortion terms: the published polynomials and what a run chooses among."""
+"""Named sets of distortion terms and the candidates of automatic selection."""
 
 from collections.abc import Sequence
 from typing import Final, Literal, get_args
@@ -91,7 +91,7 @@ def preset_terms(name: str) -> tuple[Term, ...]:
 
 
 def check_order(terms: Sequence[Term]) -> None:
-    """Refuse a term that no data can determine: its values vanish over any field of view.
+    """Check that no term has an order so high that its values vanish over any field of view.
 
     Raises:
         InvalidParameter: a term of an order i + j above MAX_ORDER.
@@ -106,11 +106,11 @@ def check_order(terms: Sequence[Term]) -> None:
 
 
 def depends_on_v(terms: tuple[Term, ...]) -> bool:
-    """Whether any term depends on v, so that the offset along the slit is observable."""
+    """Return whether any term contains v, so that the lens offset along the slit is observable."""
     return any(j > 0 for _, j in terms)
 
 
 def free_parameters(terms: tuple[Term, ...]) -> int:
-    """Return how many parameters of a sensor are fitted with these terms."""
+    """Return the number of parameters of a sensor that are fitted with these terms."""
     check_terms(terms)
     return PARAMETER_COUNT + len(terms) + int(depends_on_v(terms))

@@ -1,4 +1,4 @@
-"""The seven parameters of all sensors from readings of control points, wherever they start."""
+"""Seven-parameter metric cameras of all sensors from control points, by a multi-start search."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,11 +7,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.single_sensor.camera_fit import minimise
 from compute.calibration.single_sensor.design_matrix import check_determined
-from compute.calibration.single_sensor.initial_cameras import starting_cameras
-from compute.calibration.single_sensor.levenberg_marquardt import minimise
-from compute.calibration.single_sensor.normalised_dlt import normalisation
-from compute.calibration.single_sensor.projective_camera import ProjectiveCamera
+from compute.calibration.single_sensor.projective_camera import (
+    ProjectiveCamera,
+    normalisation,
+    starting_cameras,
+)
 from compute.camera.dlt import matrix_of
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
@@ -27,9 +29,9 @@ def fit_metric_cameras(
     readings_px: Array,
     sigma_px: Array,
     sensors: Sequence[SensorGeometry],
-    near: Sequence[SensorModel] | None = None,
+    initial_models: Sequence[SensorModel] | None = None,
 ) -> tuple[SensorModel, ...]:
-    """Minimise each sensor's squared residuals over sigma from several starts; keep the lowest.
+    """Minimise each sensor's squared normalised residuals from several starts; keep the lowest.
 
     All starts of all sensors are searched at once in the projective form, whose numerator is
     linear; the best of each is refined in the metric form.
@@ -39,8 +41,8 @@ def fit_metric_cameras(
         readings_px: readings, shape (N, S) [px]; NaN where a sensor did not see the point.
         sigma_px: their standard deviations, shape (N, S) [px], or ones.
         sensors: their geometry.
-        near: cameras that may be close, searched from besides; what they have of distortion is
-            left aside.
+        initial_models: cameras from which the search starts too, one a sensor; their distortion
+            is ignored. None: no others.
 
     Raises:
         DegeneratePoints: more than one camera fits.
@@ -52,15 +54,15 @@ def fit_metric_cameras(
     patterns: dict[bytes, list[int]] = {}
     for column in range(len(sensors)):
         patterns.setdefault(seen[:, column].tobytes(), []).append(column)
-    for alike in patterns.values():
-        columns = np.array(alike)
+    for members in patterns.values():
+        columns = np.array(members)
         rows = seen[:, columns[0]]
         points = points_mm[rows]
         matrices[columns] = _search_starts(
             points,
             readings_px[np.ix_(rows, columns)],
             weights[np.ix_(rows, columns)],
-            None if near is None else [near[column] for column in columns],
+            None if initial_models is None else [initial_models[column] for column in columns],
         )
         centre_mm[columns] = points.mean(axis=0)
     starts = _cameras(matrices, sensors, centre_mm)
@@ -82,9 +84,9 @@ def _search_starts(
     points_mm: Array,
     readings_px: Array,
     weights: Array,
-    near: Sequence[SensorModel] | None,
+    initial_models: Sequence[SensorModel] | None,
 ) -> Array:
-    """Return the best matrix of each sensor, (S, 2, 4); all see all the points (N, 3)."""
+    """Return the best matrix of each sensor, shape (S, 2, 4); all see all points (N, 3)."""
     transform = normalisation(points_mm)
     points = points_mm @ transform[:3, :3].T + transform[:3, 3]
     camera = ProjectiveCamera(points, 0.0, 1.0)
@@ -93,13 +95,13 @@ def _search_starts(
     readings = ((readings_px - centre) / scale).T
     weight = (weights * scale).T
     starts = starting_cameras(camera, readings, weight)
-    if near is not None:
+    if initial_models is not None:
         inverse = np.linalg.inv(transform)
-        given = [
+        others = [
             _projective_parameters(matrix_of(replace(model, distortion=None)) @ inverse, m, s)
-            for model, m, s in zip(near, centre, scale, strict=True)
+            for model, m, s in zip(initial_models, centre, scale, strict=True)
         ]
-        starts = np.concatenate([starts, np.array(given)[:, None]], axis=1)
+        starts = np.concatenate([starts, np.array(others)[:, None]], axis=1)
     count = starts.shape[1]
     rows = np.repeat(readings, count, axis=0)
     row_weights = np.repeat(weight, count, axis=0)
@@ -118,10 +120,18 @@ def metric_from_projective(
     sensor: SensorGeometry,
     seen_mm: Array,
 ) -> SensorModel:
-    """Return the metric camera of (a, b, g) in a normalised frame, shape (7,).
+    """Return the metric camera of a projective one in a normalised frame.
+
+    Args:
+        theta: (a, b, g), shape (7,).
+        transform: the frame's ``normalisation``, shape (4, 4).
+        centre_px: centre of the normalised readings [px].
+        scale_px: scale of the normalised readings [px].
+        sensor: the sensor.
+        seen_mm: a point in front of the lens, shape (3,) [mm].
 
     Raises:
-        DegeneratePoints: it reads the same of all points.
+        DegeneratePoints: the camera reads the same for all points.
     """
     matrix = _matrices(theta[None], transform, np.array([centre_px]), np.array([scale_px]))
     return _cameras(matrix, [sensor], seen_mm[None]).models([_blank(sensor)])[0]
@@ -137,7 +147,7 @@ def _matrices(theta: Array, transform: Array, centre_px: Array, scale_px: Array)
 
 
 def _cameras(matrices: Array, sensors: Sequence[SensorGeometry], seen_mm: Array) -> CameraStack:
-    """Return the metric cameras of 2x4 matrices (S, 2, 4), as ``model_from_matrix`` has them.
+    """Return the metric cameras of 2x4 matrices (S, 2, 4), as ``model_from_matrix`` does.
 
     Args:
         matrices: whatever their scale and sign.
@@ -182,12 +192,12 @@ def _cameras(matrices: Array, sensors: Sequence[SensorGeometry], seen_mm: Array)
 
 
 def _blank(sensor: SensorGeometry) -> SensorModel:
-    """Return a camera with a sensor's name and pixels, to be filled in."""
+    """Return a camera with a sensor's name and pixels and values to be replaced."""
     return SensorModel(sensor.name, sensor.pixels, 1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
 
 
 def _projective_parameters(matrix: Array, centre_px: float, scale_px: float) -> Array:
-    """Return (a, b, g) of a 2x4 matrix in the normalised frame; its points are put in front."""
+    """Return (a, b, g) of a 2x4 matrix in the normalised frame, with its points in front."""
     first, second = matrix / matrix[1, 3]
     theta: Array = np.concatenate([(first - centre_px * second) / scale_px, second[:3]])
     return theta

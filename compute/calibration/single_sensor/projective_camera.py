@@ -1,13 +1,27 @@
-"""Many weighted fits of one 1D camera at once, in its projective form of seven numbers."""
+"""The 1D camera in projective form: linear solution, grid of starts, batched least squares."""
 
 from dataclasses import dataclass
+from functools import cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.single_sensor.normalised_dlt import normalisation
-
 Array = NDArray[np.float64]
+
+
+def normalisation(points_mm: Array) -> Array:
+    """Return Hartley's normalisation of points (N, 3): a 4x4 similarity, doi:10.1109/34.601246.
+
+    It moves the points to their centroid and scales their RMS distance to sqrt 3.
+    """
+    centre = points_mm.mean(axis=0)
+    scale = np.sqrt(3.0) / np.sqrt(((points_mm - centre) ** 2).sum(axis=1).mean())
+    transform: Array = np.eye(4) * scale
+    transform[:3, 3] = -scale * centre
+    transform[3, 3] = 1.0
+    return transform
+
 
 PARAMETER_COUNT_PROJECTIVE = 7
 MIN_RELATIVE_DEPTH = 0.05
@@ -17,19 +31,18 @@ DAMPING_FLOOR, DAMPING_CEILING = 1e-12, 1e8
 
 @dataclass(frozen=True, eq=False)
 class ProjectiveCamera:
-    """Control points, ready for cameras ``p = (a.X + b) / (1 + g.X)`` with theta = (a, b, g).
+    """Control points for cameras ``p = (a.X + b) / (1 + g.X)`` with theta = (a, b, g).
 
-    All points lie in front of a camera and so does their centroid, the origin here: no camera
-    that matters is left out by setting the depth there to 1, as [5.1] does at the world's origin.
+    All points lie in front of a camera, and so does their centroid, the origin here: a depth of 1
+    there excludes no valid camera, as setting it to 1 at the world's origin may, [5.1].
 
     Args:
         points: control points in the frame of ``normalisation``, shape (N, 3).
-        centre_px: subtracted from readings.
-        scale_px: readings are divided by it.
-        extra: columns that readings may have linearly besides (a lens's distortion), in units of
-            ``scale_px``, shape (N, K); None: none. theta has their K coefficients at its end.
-        offset_px: what is added to the reading at each point whatever theta is, shape (N,) [px];
-            None: nothing.
+        centre_px: subtracted from readings [px].
+        scale_px: readings are divided by it [px].
+        extra: further linear columns (lens distortion) in units of ``scale_px``, shape (N, K);
+            None: none. theta has their K coefficients at its end.
+        offset_px: constant added to the reading of each point, shape (N,) [px]; None: 0.
     """
 
     points: Array
@@ -45,7 +58,12 @@ class ProjectiveCamera:
 
     @classmethod
     def of(cls, points_mm: Array, readings_px: Array) -> "ProjectiveCamera":
-        """Prepare points (N, 3) and the readings (N,) of one sensor; NaN where not seen."""
+        """Normalise the points and readings of one sensor.
+
+        Args:
+            points_mm: shape (N, 3) [mm].
+            readings_px: shape (N,) [px]; NaN where not seen.
+        """
         seen = np.isfinite(readings_px)
         transform = normalisation(points_mm[seen])
         points = points_mm @ transform[:3, :3].T + transform[:3, 3]
@@ -53,7 +71,7 @@ class ProjectiveCamera:
 
     @property
     def zero_px(self) -> Array | float:
-        """What a reading is counted from: ``centre_px`` and the offset, (N,) or one number."""
+        """Zero of the normalised readings: ``centre_px`` plus offset, (N,) or one number [px]."""
         return self.centre_px if self.offset_px is None else self.centre_px + self.offset_px
 
     def project(self, theta: Array) -> Array:
@@ -65,7 +83,7 @@ class ProjectiveCamera:
         return np.asarray(readings * self.scale_px + self.zero_px)
 
     def linearise(self, theta: Array) -> tuple[Array, Array]:
-        """Return readings (K, N) [px] and their slopes by theta, shape (K, N, width)."""
+        """Return readings (K, N) [px] and their Jacobian by theta, shape (K, N, width)."""
         depth = 1.0 + theta[:, 4:PARAMETER_COUNT_PROJECTIVE] @ self.points.T
         readings = (theta[:, :3] @ self.points.T + theta[:, 3:4]) / depth
         jacobian = np.empty((*readings.shape, self.width))
@@ -79,7 +97,12 @@ class ProjectiveCamera:
         return readings * self.scale_px + self.zero_px, jacobian
 
     def algebraic(self, readings_px: Array, weights: Array) -> Array:
-        """Solve [5.5] for readings (K, N) with weights (K, N), 0 for none; theta (K, width)."""
+        """Return the linear solution of [5.5], theta (K, width).
+
+        Args:
+            readings_px: shape (K, N) [px].
+            weights: shape (K, N); 0: left out.
+        """
         zero = self.zero_px
         q = (np.where(weights > 0.0, readings_px, zero) - zero) / self.scale_px
         design = np.empty((*q.shape, PARAMETER_COUNT_PROJECTIVE))
@@ -91,13 +114,16 @@ class ProjectiveCamera:
         return np.pad(found, ((0, 0), (0, self.width - PARAMETER_COUNT_PROJECTIVE)))
 
     def fit(self, readings_px: Array, weights: Array, theta: Array, steps: int) -> Array:
-        """Minimise the weighted squares by Levenberg-Marquardt from theta (K, width).
+        """Minimise the weighted squares by Levenberg-Marquardt.
 
         Args:
-            readings_px: shape (K, N); anything finite where the weight is 0.
+            readings_px: shape (K, N) [px]; any finite value where the weight is 0.
             weights: 1 / standard deviation, shape (K, N) [1/px]; 0: left out.
-            theta: starting cameras with all points in front.
-            steps: trial steps at most; ends when no camera gains by one.
+            theta: starting cameras with all points in front, shape (K, width).
+            steps: largest number of trial steps.
+
+        Returns:
+            theta at the minima, shape (K, width).
         """
         found = theta.copy()
         active = np.arange(len(theta))
@@ -137,7 +163,7 @@ class ProjectiveCamera:
         return squares
 
     def _in_front(self, theta: Array) -> Array:
-        """Flatten the depth's slope where a point would come too near or behind."""
+        """Reduce the depth's gradient where a point would come too near or behind."""
         lowest = (theta[:, 4:PARAMETER_COUNT_PROJECTIVE] @ self.points.T).min(axis=1)
         if lowest.min() >= MIN_RELATIVE_DEPTH - 1.0:
             return theta
@@ -148,14 +174,97 @@ class ProjectiveCamera:
 
 
 def _solve(design: Array, right: Array, damping: Array | float) -> Array:
-    """Solve least squares (K, N, 7) x (K, 7) = (K, N), each damped by its own diagonal."""
+    """Solve damped least squares for each design (K, N, 7) and right side (K, N)."""
     transposed = design.swapaxes(1, 2)
     normal = transposed @ design
-    here = np.arange(design.shape[2])
+    diagonal = np.arange(design.shape[2])
     # Columns of length 1, by the diagonal: their products are fewer than their values.
-    scale = 1.0 / (np.sqrt(normal[:, here, here]) + 1e-150)
+    scale = 1.0 / (np.sqrt(normal[:, diagonal, diagonal]) + 1e-150)
     normal *= scale[:, :, None] * scale[:, None, :]
-    normal[:, here, here] += (damping if isinstance(damping, float) else damping[:, None]) + 1e-13
-    slope = (transposed @ right[..., None])[..., 0] * scale
-    step: Array = np.linalg.solve(normal, slope[..., None])[..., 0] * scale
+    normal[:, diagonal, diagonal] += (
+        damping if isinstance(damping, float) else damping[:, None]
+    ) + 1e-13
+    gradient = (transposed @ right[..., None])[..., 0] * scale
+    step: Array = np.linalg.solve(normal, gradient[..., None])[..., 0] * scale
     return step
+
+
+LOWEST_STARTS: Final = 6
+"""Nodes of the grid from which each sensor is searched, besides its linear solution."""
+DUPLICATE_TOLERANCE: Final = 1e-12
+"""Relative weights of sensors that differ by less are the same: one matrix serves all."""
+
+
+def starting_cameras(camera: ProjectiveCamera, readings: Array, weights: Array) -> Array:
+    """Return starting cameras for the search, shape (S, 1 + LOWEST_STARTS, 7).
+
+    With the denominator ``w = 1 + g.X`` fixed, the numerator is linear; all cameras with every
+    point in front have g in a bounded set. A grid over that set, with the numerator solved at each
+    node (variable projection), finds where the sum of squares is small, so that the search does not
+    depend on the linear solution [5.5] alone, which is the first start.
+
+    Args:
+        camera: control points, all seen by all sensors.
+        readings: of S sensors, shape (S, N), in the camera's unit.
+        weights: 1 / standard deviation of the readings, shape (S, N).
+    """
+    points = camera.points
+    gradients = _grid()
+    # Scale each direction so that the nearest point keeps a positive depth.
+    reach = (gradients @ points.T).min(axis=1)
+    gradients = gradients / np.maximum(-reach, 1.0)[:, None] * 0.999
+    inverse = 1.0 / (1.0 + gradients @ points.T)
+    relative = weights / weights.max(axis=1, keepdims=True)
+    if np.ptp(relative, axis=0).max() <= DUPLICATE_TOLERANCE:
+        numerators, costs = _numerators(points, inverse, relative[0], readings)
+    else:
+        each = [
+            _numerators(points, inverse, weight, reading[None])
+            for weight, reading in zip(relative, readings, strict=True)
+        ]
+        numerators, costs = (np.concatenate(parts) for parts in zip(*each, strict=True))
+    best = np.argpartition(costs, LOWEST_STARTS, axis=1)[:, :LOWEST_STARTS]
+    chosen = numerators[np.arange(len(readings))[:, None], best]
+    nodes = np.concatenate([chosen, gradients[best]], axis=2)
+    return np.concatenate([camera.algebraic(readings, weights)[:, None], nodes], axis=1)
+
+
+def _numerators(
+    points: Array, inverse: Array, weight: Array, readings: Array
+) -> tuple[Array, Array]:
+    """Return the least-squares numerators (S, G, 4) of S sensors and their sums of squares (S, G).
+
+    Args:
+        points: shape (N, 3).
+        inverse: 1 / denominator at the points, of each of G nodes, shape (G, N).
+        weight: of the readings of all these sensors, shape (N,).
+        readings: shape (S, N).
+    """
+    homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    weighted = homogeneous * weight[:, None] ** 2
+    products = (homogeneous[:, :, None] * weighted[:, None, :]).reshape(len(points), 16)
+    normal = (inverse**2 @ products).reshape(-1, 4, 4)
+    # A thousandth of a millionth more of the diagonal: flat frames are refused elsewhere.
+    normal *= 1.0 + 1e-9 * np.eye(4)
+    right = (weighted[:, :, None] * readings.T[:, None, :]).reshape(len(points), -1)
+    moment = (inverse @ right).reshape(len(inverse), 4, -1)
+    numerator = np.asarray(np.linalg.solve(normal, moment), dtype=np.float64)
+    squares = (readings**2) @ weight**2
+    cost: Array = squares[:, None] - (numerator * moment).sum(axis=1).T
+    return numerator.transpose(2, 0, 1), cost
+
+
+@cache
+def _grid() -> Array:
+    """Return gradients of the denominator: directions on the sphere times slopes, shape (G, 3).
+
+    A slope of s changes the depth by the fraction s over the points' RMS extent.
+    """
+    count = 48
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * (np.arange(count) + 0.5)
+    height = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
+    ring = np.sqrt(1.0 - height**2)
+    directions = np.column_stack([np.cos(angle) * ring, np.sin(angle) * ring, height])
+    gradients = np.array([0.02, 0.06, 0.13, 0.27, 0.5])
+    grid: Array = (gradients[:, None, None] * directions).reshape(-1, 3)
+    return grid

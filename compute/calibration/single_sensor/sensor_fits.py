@@ -1,4 +1,4 @@
-"""All sensors of a device fitted to exact control points: metric, distorted, robust if asked."""
+"""Fit of all sensors to exact control points: metric, with distortion, least squares or robust."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,30 +8,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.settings import Loss
-from compute.calibration.single_sensor.design_matrix import check_determined
-from compute.calibration.single_sensor.distortion_fit import (
+from compute.calibration.single_sensor.camera_fit import (
     LensOffsets,
+    minimise,
     minimise_with_distortion,
     start_with_terms,
 )
+from compute.calibration.single_sensor.design_matrix import check_determined
 from compute.calibration.single_sensor.distortion_terms import free_parameters
-from compute.calibration.single_sensor.levenberg_marquardt import minimise
-from compute.calibration.single_sensor.m_estimators import biweight, huber, mad_sigma
 from compute.calibration.single_sensor.metric_fit import fit_metric_cameras, metric_from_projective
-from compute.calibration.single_sensor.normalised_dlt import normalisation
-from compute.calibration.single_sensor.projective_camera import ProjectiveCamera
+from compute.calibration.single_sensor.projective_camera import ProjectiveCamera, normalisation
 from compute.calibration.single_sensor.trimmed_least_squares import robust_starts
 from compute.camera.field_distortion import Term
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import NoConvergence, TooFewPoints
+from compute.robust_statistics import biweight, huber, mad_sigma
 
 Array = NDArray[np.float64]
 
 SIGMA_FLOOR_PX: Final = 1e-6
-"""Smallest deviation estimated from residuals: exact data still leave rounding."""
+"""Smallest standard deviation estimated from residuals: exact data still leave rounding."""
 INITIAL_SIGMA_PX: Final = 0.05
-"""Deviation of readings under which the offsets' prior counts before residuals show it."""
+"""Standard deviation of readings that weighs the offsets' prior until residuals give one."""
 MAX_REWEIGHTINGS: Final = 60
 WEIGHT_TOLERANCE: Final = 1e-6
 HUBER_ITERATIONS: Final = 8
@@ -40,14 +39,14 @@ STEPS_PER_REWEIGHTING: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class ControlObservations:
-    """Control points and readings, checked.
+    """Checked control points and their readings.
 
     Args:
         points_mm: shape (N, 3).
         readings_px: shape (N, S); NaN where not seen.
-        sigma_px: standard deviations, shape (N, S), ones where they are not known.
-        sigma_known: whether they are.
-        sensors: S geometries.
+        sigma_px: standard deviations of the readings, shape (N, S); ones where not known.
+        sigma_known: whether they are known.
+        sensors: the S sensors.
     """
 
     points_mm: Array
@@ -74,7 +73,13 @@ class ControlObservations:
 
 @dataclass(frozen=True, eq=False)
 class SensorFits:
-    """Fitted cameras and the weights that a robust loss left to the readings, (N, S), else ones."""
+    """Fitted cameras.
+
+    Args:
+        models: the S cameras.
+        weights: of the readings by a robust loss, shape (N, S); ones with a linear loss.
+        lens_offsets: where the lenses lie along the slits.
+    """
 
     models: tuple[SensorModel, ...]
     weights: Array
@@ -82,9 +87,17 @@ class SensorFits:
 
 
 def fit_undistorted(
-    observed: ControlObservations, loss: Loss, near: Sequence[SensorModel] | None = None
+    observed: ControlObservations, loss: Loss, initial_models: Sequence[SensorModel] | None = None
 ) -> tuple[tuple[SensorModel, ...], Array]:
-    """Fit seven parameters for each sensor; the cameras and the readings' weights (N, S).
+    """Fit the seven metric parameters of each sensor.
+
+    Args:
+        observed: control points and readings.
+        loss: "linear" or "robust".
+        initial_models: cameras from which the search starts too; used with a linear loss only.
+
+    Returns:
+        The S cameras, and the weights of the readings, shape (N, S).
 
     Raises:
         DegeneratePoints, NoConvergence: see ``fit_metric_cameras``.
@@ -92,7 +105,11 @@ def fit_undistorted(
     ones = np.ones(observed.readings_px.shape)
     if loss == "linear":
         found = fit_metric_cameras(
-            observed.points_mm, observed.readings_px, observed.sigma_px, observed.sensors, near
+            observed.points_mm,
+            observed.readings_px,
+            observed.sigma_px,
+            observed.sensors,
+            initial_models,
         )
         return found, ones
     starts = tuple(_robust_start(observed, column) for column in range(len(observed.sensors)))
@@ -112,27 +129,30 @@ def fit_distorted(
     """Fit the cameras with distortion terms, one set for each sensor.
 
     Args:
-        observed: the readings.
-        undistorted: where to start.
-        terms: for each sensor; none for none.
-        lens_offsets: where the slits lie.
+        observed: control points and readings.
+        undistorted: the seven-parameter cameras, from which the fit starts.
+        terms: the distortion terms of each sensor; an empty tuple for none.
+        lens_offsets: where the lenses lie along the slits, with their prior.
         loss: "linear" or "robust".
         weights: of the readings with the undistorted cameras, shape (N, S).
 
+    Returns:
+        The fitted cameras, the readings' weights and the offsets.
+
     Raises:
-        TooFewPoints: fewer readings of a sensor than its parameters.
-        DegeneratePoints: they leave a combination of parameters open.
-        NoConvergence: a search did not come to rest.
+        TooFewPoints: a sensor has fewer readings than parameters.
+        DegeneratePoints: a combination of parameters is undetermined.
+        NoConvergence: a search did not converge.
     """
     if not any(terms):
         return SensorFits(tuple(undistorted), weights, lens_offsets)
-    for sensor, own, rows in zip(observed.sensors, terms, observed.seen.T, strict=True):
-        needed = free_parameters(own)
+    for sensor, sensor_terms, rows in zip(observed.sensors, terms, observed.seen.T, strict=True):
+        needed = free_parameters(sensor_terms)
         if rows.sum() < needed:
             raise TooFewPoints(
                 f"sensor {sensor.name} saw {rows.sum()} control points; its {needed} parameters "
-                f"with {len(own)} distortion terms need at least {needed}; give more points, or "
-                "take fewer terms",
+                f"with {len(sensor_terms)} distortion terms need at least {needed}; give more "
+                "points, or take fewer terms",
                 sensor=sensor.name,
                 points=int(rows.sum()),
             )
@@ -144,13 +164,15 @@ def fit_distorted(
     )
     for iteration in range(2):
         if loss == "robust":
-            models, weights = _reweight(observed, models, scaled, near=iteration > 0)
+            models, weights = _reweight(observed, models, scaled, multi_start=iteration == 0)
         else:
-            models = _minimise(observed, models, scaled, observed.weights, near=iteration > 0)
+            models = _minimise(
+                observed, models, scaled, observed.weights, multi_start=iteration == 0
+            )
         if iteration == 1:
             break
-        # The first fit shows what was not known: the principal distance beside distortion, and
-        # the deviation of readings, in which the prior counts.
+        # The first fit gives the principal distance with distortion and the readings' standard
+        # deviation, which scales the prior.
         lens_offsets = lens_offsets.at(models, observed.pitch_um)
         models = start_with_terms(models, terms, lens_offsets)
         scaled = lens_offsets
@@ -163,13 +185,22 @@ def fit_distorted(
 def residual_sigma(
     observed: ControlObservations, models: Sequence[SensorModel], weights: Array
 ) -> Array:
-    """Return each sensor's deviation as its residuals show it, shape (S,) [px]."""
-    misfit = CameraStack.of(models).project(observed.points_mm) - observed.readings_px
+    """Estimate each sensor's reading noise from its residuals.
+
+    Args:
+        observed: control points and readings.
+        models: the S fitted cameras.
+        weights: of the readings, shape (N, S); 0: left out.
+
+    Returns:
+        Standard deviations, shape (S,) [px].
+    """
+    residuals = CameraStack.of(models).project(observed.points_mm) - observed.readings_px
     sigma = []
-    for model, column, weight in zip(models, misfit.T, weights.T, strict=True):
+    for model, column, weight in zip(models, residuals.T, weights.T, strict=True):
         rows = np.isfinite(column) & (weight > 0.0)
-        own = () if model.distortion is None else model.distortion.terms
-        dof = max(int(rows.sum()) - PARAMETER_COUNT - len(own), 1)
+        terms = () if model.distortion is None else model.distortion.terms
+        dof = max(int(rows.sum()) - PARAMETER_COUNT - len(terms), 1)
         sigma.append(max(float(np.sqrt((column[rows] ** 2).sum() / dof)), SIGMA_FLOOR_PX))
     return np.array(sigma)
 
@@ -190,23 +221,23 @@ def _minimise(
     starts: Sequence[SensorModel],
     lens_offsets: LensOffsets | None,
     weights: Array,
-    near: bool = False,
+    multi_start: bool = True,
 ) -> tuple[SensorModel, ...]:
     stack = CameraStack.of(starts)
-    given = stack, observed.points_mm, observed.readings_px, weights
+    problem = stack, observed.points_mm, observed.readings_px, weights
     if lens_offsets is None or not stack.has_distortion:
-        ended = minimise(*given)
+        ended = minimise(*problem)
     else:
-        ended = minimise_with_distortion(*given, lens_offsets.prior, multi_start=not near)
+        ended = minimise_with_distortion(*problem, lens_offsets.prior, multi_start=multi_start)
     models = ended.cameras.models(starts)
-    for column, (sensor, own) in enumerate(zip(observed.sensors, starts, strict=True)):
+    for column, (sensor, start) in enumerate(zip(observed.sensors, starts, strict=True)):
         if not ended.converged[column]:
-            # First whether there is one camera: a search for none does not come to rest.
+            # Undetermined parameters explain the failure better than "did not converge".
             _check_determined(observed, models, weights, lens_offsets)
-            count = 0 if own.distortion is None else len(own.distortion.terms)
+            count = 0 if start.distortion is None else len(start.distortion.terms)
             raise NoConvergence(
                 f"sensor {sensor.name}: the search for its {PARAMETER_COUNT} parameters and "
-                f"{count} distortion terms did not come to rest; look for wrong labels, spread "
+                f"{count} distortion terms did not converge; look for wrong labels, spread "
                 "the points over the field, or take fewer terms",
                 sensor=sensor.name,
             )
@@ -217,46 +248,46 @@ def _reweight(
     observed: ControlObservations,
     starts: Sequence[SensorModel],
     lens_offsets: LensOffsets | None,
-    near: bool = False,
+    multi_start: bool = True,
 ) -> tuple[tuple[SensorModel, ...], Array]:
-    """Iterate between cameras and the readings' biweights until these stay.
+    """Iteratively reweighted least squares with Tukey's biweight, until the weights settle.
 
-    With distortion the start is undistorted, unless it is near, and misfits all over: the first
-    turns take Huber's weights, which leave none out.
+    A multi-start fit of distortion begins with undistorted cameras, whose residuals are large
+    everywhere: its first iterations take Huber's weights, which leave no reading out.
     """
     stack = CameraStack.of(starts)
     weights = np.zeros(observed.readings_px.shape)
     free = max(model.parameter_count for model in starts)
     prior = lens_offsets.prior if lens_offsets is not None and stack.has_distortion else None
-    huber_iterations = 0 if prior is None or near else HUBER_ITERATIONS
+    huber_iterations = 0 if prior is None or not multi_start else HUBER_ITERATIONS
     for iteration in range(MAX_REWEIGHTINGS):
-        misfit = stack.project(observed.points_mm) - observed.readings_px
-        used = observed.seen & np.isfinite(misfit)
-        size = np.where(used, np.abs(misfit) * observed.weights, 0.0)
+        residuals = stack.project(observed.points_mm) - observed.readings_px
+        used = observed.seen & np.isfinite(residuals)
+        size = np.where(used, np.abs(residuals) * observed.weights, 0.0)
         scale = mad_sigma(size, used, free)
-        # Noise that is known bounds what is taken for it from below, else rounding.
+        # The known noise is the lower bound of its estimate; without it, rounding is.
         scale = np.maximum(scale, 1.0 if observed.sigma_known else SIGMA_FLOOR_PX)
         new = np.where(
             used, (huber if iteration < huber_iterations else biweight)(size / scale), 0.0
         )
         change = float(np.abs(new - weights).max())
         weights = new
-        given = observed.points_mm, observed.readings_px, observed.weights * np.sqrt(weights)
-        if iteration == 0 and prior is not None and not near:
-            stack = minimise_with_distortion(stack, *given, prior).cameras
+        problem = observed.points_mm, observed.readings_px, observed.weights * np.sqrt(weights)
+        if iteration == 0 and prior is not None and multi_start:
+            stack = minimise_with_distortion(stack, *problem, prior).cameras
         else:
-            stack = minimise(stack, *given, prior, STEPS_PER_REWEIGHTING).cameras
+            stack = minimise(stack, *problem, prior, STEPS_PER_REWEIGHTING).cameras
         if change < WEIGHT_TOLERANCE and iteration > huber_iterations:
             break
     models = stack.models(starts)
     models = _minimise(
-        observed, models, lens_offsets, observed.weights * np.sqrt(weights), near=True
+        observed, models, lens_offsets, observed.weights * np.sqrt(weights), multi_start=False
     )
     return models, np.where(observed.seen, weights, 1.0)
 
 
 def _robust_start(observed: ControlObservations, column: int) -> SensorModel:
-    """Return the camera of least trimmed squares of one sensor."""
+    """Return one sensor's camera of least trimmed squares."""
     rows = observed.seen[:, column]
     points, readings = observed.points_mm[rows], observed.readings_px[rows, column]
     camera = ProjectiveCamera.of(points, readings)

@@ -1,4 +1,4 @@
-"""Cameras that fit most of a sensor's readings, however wrong the others are."""
+"""Least trimmed squares: cameras fitted to the majority of a sensor's readings."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from compute.calibration.single_sensor.projective_camera import (
 Array = NDArray[np.float64]
 
 RANDOM_SUBSETS = 300
-"""With six wrong readings in 19, one of 30 subsets of seven is clean: the chance that none of
+"""With six wrong readings in 19, one of 30 subsets of seven is clean: the probability that none of
 300 is, is 3e-5; with four wrong ones 2e-18."""
 REFINED_SUBSETS = 10
 SEED = 1981  # Any: the draw decides where the search starts, not what it finds.
@@ -20,17 +20,17 @@ SEED = 1981  # Any: the draw decides where the search starts, not what it finds.
 def robust_starts(
     camera: ProjectiveCamera, readings_px: Array, sigma_px: Array, count: int
 ) -> Array:
-    """Return cameras of least trimmed squares, best first, shape (``count`` at most, 7).
+    """Return cameras of least trimmed squares, best first, shape (at most ``count``, 7).
 
-    Random subsets of seven readings, each camera concentrated on the readings that it fits best
-    (Rousseeuw and Van Driessen, "Computing LTS Regression for Large Data Sets",
-    doi:10.1007/s10618-005-0024-4), which may be as few as (n + 8) / 2 of n.
+    Random subsets of seven readings start the search; each camera is concentrated on the readings
+    that it fits best (Rousseeuw and Van Driessen, "Computing LTS Regression for Large Data Sets",
+    doi:10.1007/s10618-005-0024-4), at least (n + 8) / 2 of n.
 
     Args:
         camera: the control points.
-        readings_px: readings, shape (N,); NaN where not seen.
-        sigma_px: their deviations, shape (N,).
-        count: cameras wanted.
+        readings_px: readings, shape (N,) [px]; NaN where not seen.
+        sigma_px: their standard deviations, shape (N,) [px].
+        count: largest number of cameras returned.
     """
     seen = np.flatnonzero(np.isfinite(readings_px))
     rng = np.random.default_rng(SEED)
@@ -66,7 +66,7 @@ def _concentrate(
     rounds: int,
     steps: int,
 ) -> tuple[Array, Array]:
-    """Fit each camera to the readings it fits best, again and again; the cameras, their squares."""
+    """Alternate between selecting the best-fitted readings and fitting; cameras and costs."""
     rows = np.broadcast_to(values, (len(theta), len(values)))
     cost = np.zeros(len(theta))
     for iteration in range(rounds + 1):

@@ -1,1 +1,1 @@
-"""Aberrations: paraxial optics, third-order coefficients, distortion over both field angles."""
+"""Aberrations: paraxial optics, Seidel coefficients, distortion over both field angles."""

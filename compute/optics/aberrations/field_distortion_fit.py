@@ -1,4 +1,4 @@
-"""Least-squares fits of a camera with distortion over both field angles to readings."""
+"""Least-squares fit of a camera with distortion over both field angles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ _STEP_THRESHOLD: Final = 1e-12  # step, of the readings, at which the fit ends
 
 @dataclass(frozen=True)
 class FieldModel:
-    """A camera of seven parameters, ``p = p0 + c (u + d(u, v))``.
+    """Camera of seven parameters with distortion, ``p = p0 + c (u + d(u, v))``.
 
     As ``SensorModel``, but for the offset along the slit: without distortion no reading depends
     on it; with distortion v does, so it must be known. It is not fitted.
@@ -63,7 +63,7 @@ class FieldModel:
         return self.linearised(points_mm)[0]
 
     def linearised(self, points_mm: Array) -> tuple[Array, Array]:
-        """Return the readings (N,) and their slopes by the parameters, shape (N, 7 + K).
+        """Return the readings (N,) and their derivatives by the parameters, shape (N, 7 + K).
 
         The order is that of ``compute.camera.model.PARAMETERS``, then the coefficients.
         """
@@ -92,14 +92,19 @@ class FieldModel:
         return self.principal_point_px + c * distorted, slopes
 
     def distortion_px(self, u: Array, v: Array) -> Array:
-        """Return what the distortion adds to readings at field angles [px]."""
+        """Return the contribution of the distortion to readings, same shape [px].
+
+        Args:
+            u: tangents of the field angles along the pixels, any shape.
+            v: tangents across the pixels, same shape.
+        """
         a = np.asarray(self.coefficients, dtype=np.float64)
         return self.principal_distance_px * distortion(u, v, self.terms, a)
 
 
 @dataclass(frozen=True, eq=False)
 class FieldFit:
-    """A fitted model and what it leaves: measured minus fitted readings, shape (N,) [px]."""
+    """Fitted model and its residuals, measured minus fitted, shape (N,) [px]."""
 
     model: FieldModel
     residuals_px: Array

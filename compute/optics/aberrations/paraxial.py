@@ -1,4 +1,4 @@
-"""Paraxial optics of a centred stack: y-nu traces, cardinal points, images and pupils."""
+"""Paraxial optics of a centred system: y-nu ray trace, focal length, images, pupils."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -15,7 +15,7 @@ Meridian = Literal["x", "y"]
 
 @dataclass(frozen=True, eq=False)
 class ParaxialSystem:
-    """A centred stack in one meridian: S surfaces, their powers and the gaps between them.
+    """Centred system in one meridian: S surfaces, their curvatures and the media between them.
 
     Args:
         curvature_per_mm: of each surface, shape (S,) [1/mm].
@@ -43,19 +43,6 @@ class ParaxialSystem:
         height, angle = self.trace(1.0, 0.0)
         return float(-height[-1] / angle[-1]) if angle[-1] != 0.0 else np.inf
 
-    @property
-    def front_focal_distance_mm(self) -> float:
-        """Distance from the first vertex to the focus in front [mm], negative if before it."""
-        return -self.reversed().back_focal_distance_mm
-
-    @property
-    def principal_planes_mm(self) -> tuple[float, float]:
-        """Places of the front and the rear principal plane on the axis [mm]."""
-        front_focal_length = self.focal_length_mm * self.index[0] / self.index[-1]
-        front = self.vertex_mm[0] + self.front_focal_distance_mm + front_focal_length
-        rear = self.vertex_mm[-1] + self.back_focal_distance_mm - self.focal_length_mm
-        return float(front), float(rear)
-
     def trace(self, height_mm: float, angle: float) -> tuple[Array, Array]:
         """Trace one ray by y-nu from the plane of the first vertex.
 
@@ -80,7 +67,7 @@ class ParaxialSystem:
         return heights, angles
 
     def reversed(self) -> "ParaxialSystem":
-        """Return the same system met from behind; its first vertex lies at 0."""
+        """Return the same system traversed from behind; its first vertex lies at 0."""
         return ParaxialSystem(
             -self.curvature_per_mm[::-1],
             self.conic[::-1],
@@ -90,7 +77,7 @@ class ParaxialSystem:
         )
 
     def image_of(self, object_mm: float) -> tuple[float, float]:
-        """Return the place [mm] and the lateral magnification of the image of an axial object.
+        """Return position [mm] and lateral magnification of the image of an axial object.
 
         Raises:
             InvalidParameter: an object in the plane of the first vertex or in the front focus.
@@ -111,7 +98,7 @@ class ParaxialSystem:
         return float(place), float(self.index[0] / (self.index[-1] * angle[-1]))
 
     def entrance_pupil_mm(self, stop: int) -> float:
-        """Return the place of the entrance pupil, the stop seen from the front [mm].
+        """Return the position of the entrance pupil, the stop seen from the front [mm].
 
         Args:
             stop: number of the surface that is the stop.

@@ -1,4 +1,4 @@
-"""Seidel's third-order aberrations: analytic sums, and coefficients fitted to traced rays.
+"""Seidel aberration coefficients: analytic sums, and fits to traced rays.
 
 The coefficients are those of the thesis's [3.8]-[3.20] (Born & Wolf, section 5.3): with the
 paraxial image of the object point at the height y0 and a ray through the exit pupil at
@@ -34,7 +34,7 @@ _ANGLES: Final = 8
 
 @dataclass(frozen=True)
 class Conjugates:
-    """Object and stop of a system.
+    """Positions of the object and the stop of a system.
 
     Args:
         object_mm: place of the object plane on the axis [mm], before the first surface.
@@ -47,7 +47,7 @@ class Conjugates:
 
 @dataclass(frozen=True)
 class SeidelCoefficients:
-    """The five coefficients of [3.8], each [1/mm^2]."""
+    """Five Seidel coefficients of [3.8], each [1/mm^2]."""
 
     spherical_b: float
     astigmatism_c: float
@@ -58,7 +58,7 @@ class SeidelCoefficients:
 
 @dataclass(frozen=True)
 class MeridionalCoefficients:
-    """What a cylinder has of them, along its power axis only, each [1/mm^2].
+    """Coefficients that a cylindrical system has along its power axis, each [1/mm^2].
 
     ``dx = B rho^3 - 3 F x0 rho^2 + (2 C + D) x0^2 rho - E x0^3`` for rays in the plane of the
     power axis, where a cylinder is what a sphere is; C and D have no meaning of their own there.
@@ -86,12 +86,16 @@ class AberrationFit:
 
 
 def seidel_sums(system: ParaxialSystem, conjugates: Conjugates) -> SeidelCoefficients:
-    """Return the coefficients by Seidel's sums over the surfaces, from two paraxial rays.
+    """Return the coefficients by Seidel sums over the surfaces, from two paraxial rays.
 
     S_I = -sum A^2 y d(u/n), S_II = -sum A A' y d(u/n), S_III = -sum A'^2 y d(u/n),
     S_IV = -sum H^2 c d(1/n), S_V = -sum A' [A'^2 y d(1/n^2) - (H + A' y) y' c d(1/n)] with
     A = n (y c + u) of the marginal ray, A' and y' of the chief ray, H Lagrange's invariant, and
     figuring k c^3 (n' - n) (W. T. Welford, Aberrations of Optical Systems, 1986, chapter 8).
+
+    Args:
+        system: the paraxial system.
+        conjugates: object and stop.
 
     Raises:
         InvalidParameter: an object that has no image, a stop that is not there.
@@ -195,7 +199,7 @@ def fit_meridional(
 
 
 def meridional(coefficients: SeidelCoefficients) -> MeridionalCoefficients:
-    """Return what a cylinder of the same profile has of a spherical system's coefficients."""
+    """Return the coefficients of a cylinder with the profile of a spherical system."""
     return MeridionalCoefficients(
         coefficients.spherical_b,
         2.0 * coefficients.astigmatism_c + coefficients.field_curvature_d,

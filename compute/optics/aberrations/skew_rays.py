@@ -1,4 +1,4 @@
-"""Skew rays through cylinders: the problem in the plane, with steeper glass.
+"""Skew rays through cylinders, reduced to a plane with a larger effective index.
 
 At a surface whose normal lies in the x-z plane, Snell's law in vectors, ``n' s' - n s = g N``,
 leaves the y component of ``n s`` as it is. A stack of planes and cylinders along y has only such
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 def effective_index(index: float, u: Array, v: Array) -> Array:
-    """Return the index N that a ray of the field angles u, v meets in the x-z plane.
+    """Return the effective index for a ray of field angles u, v projected to the x-z plane.
 
     Args:
         index: refractive index n of the glass, in air.
@@ -40,7 +40,7 @@ def effective_index(index: float, u: Array, v: Array) -> Array:
 
 
 def in_plane_stack(stack: SurfaceStack, direction_y: float) -> SurfaceStack:
-    """Return the stack that does to rays in the x-z plane what this one does to skew rays.
+    """Return the stack whose rays in the x-z plane are the projected skew rays.
 
     A ray of it from the same x and z, with the same dx/dz, takes the same way in x and z.
     Openings are dropped, since y is not known there.

@@ -1,1 +1,1 @@
-"""Masks instead of lenses: the coded window before a line sensor, and plates with Gray tracks."""
+"""Coded apertures: windows with a bar code, and plates with Gray-coded tracks."""

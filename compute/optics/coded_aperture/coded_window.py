@@ -1,4 +1,4 @@
-"""CodedWindow: a flat window with a bar code before a line sensor, as CODA's."""
+"""Coded window: a flat plate with a bar code before a line sensor, as in CODA."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -87,7 +87,7 @@ class CodedWindow:
 
     @cached_property
     def edges_mm(self) -> Array:
-        """Where the code turns transparent, opaque, transparent, ..., shape (2 K,) [mm].
+        """Positions at which the code turns transparent, opaque, transparent, ..., (2 K,) [mm].
 
         Along the readings (-x), from the middle of the code.
         """

@@ -1,4 +1,4 @@
-"""Decoding of a coded shadow by cross-correlation with the model of the mask, and that model."""
+"""Decoding of a coded shadow by cross-correlation with a template."""
 
 from dataclasses import dataclass
 
@@ -8,17 +8,18 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.mask_optics import MaskOptics
+from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class MaskShift:
-    """Where a template was found in lines; arrays of the lines' leading shape.
+    """Shifts of a template in scans; arrays of the scans' leading shape.
 
     Args:
-        shift_px: pixel of the line on which the template's first one lies [px].
-        peak: correlation at the peak, 1 for a line that is the template, whatever its light.
+        shift_px: pixel of the scan on which the template's first one lies [px].
+        peak: correlation at the peak, 1 for a scan that is the template, whatever its light.
         second_ratio: the highest correlation outside the main lobe, relative to the peak; near
             1: the shift is ambiguous.
     """
@@ -28,25 +29,8 @@ class MaskShift:
     second_ratio: Array
 
 
-@dataclass(frozen=True, eq=False)
-class MaskTemplate:
-    """The software model of a mask: the shadow of a reference point at one distance.
-
-    Args:
-        shadow_sr: light of the pixels, shape (P,) [sr].
-        reading_px: where the code's middle falls [px].
-    """
-
-    shadow_sr: Array
-    reading_px: float
-
-    def read(self, lines: ArrayLike) -> Array:
-        """Return the readings of lines (..., P), shape (...) [px]; see ``decode_mask``."""
-        return decode_mask(lines, self.shadow_sr).shift_px + self.reading_px
-
-
-def mask_template(optics: MaskOptics, point_mm: ArrayLike, sensor: int) -> MaskTemplate:
-    """Return the template for markers about as far as a reference point.
+def mask_template(optics: MaskOptics, point_mm: ArrayLike, sensor: int) -> ShadowTemplate:
+    """Return the shadow template of a reference point, pixel by pixel.
 
     Args:
         optics: the windows.
@@ -54,7 +38,7 @@ def mask_template(optics: MaskOptics, point_mm: ArrayLike, sensor: int) -> MaskT
         sensor: number of the sensor, from 0.
 
     Raises:
-        InvalidParameter: no such sensor, or a point without a shadow on its line.
+        InvalidParameter: no such sensor, or a point without a shadow on its sensor.
     """
     point = np.asarray(point_mm, dtype=np.float64)
     if point.shape != (3,):
@@ -73,16 +57,30 @@ def mask_template(optics: MaskOptics, point_mm: ArrayLike, sensor: int) -> MaskT
             "give a point in front of it, near its axis",
             point_mm=point.tolist(),
         )
-    return MaskTemplate(shadow, float(readings[sensor]))
+    return ShadowTemplate(shadow, 1, 0, float(readings[sensor]), dark_beyond=False)
 
 
-def decode_mask(lines: ArrayLike, template: ArrayLike) -> MaskShift:
+def read_by_correlation(scans: ArrayLike, template: ShadowTemplate) -> Array:
+    """Return the readings of scans by ``decode_mask``, shape (...) [px].
+
+    Args:
+        scans: counts or electrons, shape (..., P).
+        template: the shadow of a reference point.
+
+    Raises:
+        InvalidParameter: a scan that is too short, not finite, or of no contrast.
+    """
+    shift = decode_mask(scans, template.pixel_values).shift_px - template.first_px
+    return np.asarray(shift + template.reading_px)
+
+
+def decode_mask(scans: ArrayLike, template: ArrayLike) -> MaskShift:
     """Find the shift of a shadow by cross-correlation, thesis [2.16] to [2.18].
 
     ``R(m) = sum x(n) y(n + m)`` for all shifts, negative ones too, as the inverse transform
-    of the cross-power spectrum, padded so that nothing wraps around. The line's mean is taken
+    of the cross-power spectrum, padded so that nothing wraps around. The scan's mean is taken
     off first: even ambient light then gives no slope, as long as the template is dark at its
-    ends or reaches over the whole line. The peak is refined by the parabola through its
+    ends or reaches over the whole scan. The peak is refined by the parabola through its
     neighbours. The main lobe ends at the first minimum of the template's own correlation.
 
     This is the plain method: it weights all pixels alike, and its parabola is not the shape of
@@ -91,52 +89,52 @@ def decode_mask(lines: ArrayLike, template: ArrayLike) -> MaskShift:
     of 10 mm (printed by tests/compute/optics/coded_aperture/test_cramer_rao.py).
 
     One template fits one distance. The shadow is 1 + gap / Z as wide as the code, so that of a
-    marker at another distance runs off the template towards the ends of the line; the correlation
-    reads the mean of that over the part of the code that is on the line, which is zero only in
+    marker at another distance runs off the template towards the ends of the scan; the correlation
+    reads the mean of that over the part of the code that is on the scan, which is zero only in
     its middle. Behind the windows of the profile coda-mpx30 the template for 3 m misreads by
     -0.15 to +0.02 px at 2.5 m and by -0.01 to +0.08 px at 3.5 m, that of the distance itself
     by 0.02 px RMS at either, the method's own error off the axis (printed by
     tests/compute/optics/coded_aperture/test_correlation_template.py); ``mask_template`` makes it.
 
     Args:
-        lines: counts or electrons, shape (..., P).
-        template: the software model of the mask's shadow, e.g. the footprint of a reference point
-            (it may be longer than a line), shape (T,).
+        scans: counts or electrons, shape (..., P).
+        template: the software model of the mask's shadow, e.g. the shadow of a reference point
+            (it may be longer than a scan), shape (T,).
 
     Raises:
-        InvalidParameter: a line or template that is too short, not finite, or of no contrast.
+        InvalidParameter: a scan or template that is too short, not finite, or of no contrast.
     """
-    line = np.asarray(lines, dtype=np.float64)
+    scan = np.asarray(scans, dtype=np.float64)
     model = np.asarray(template, dtype=np.float64)
     if model.ndim != 1 or model.size < 3:
         raise InvalidParameter(
             f"template has the shape {model.shape}; it must have one axis of 3 or more pixels",
             shape=model.shape,
         )
-    if line.ndim < 1 or line.shape[-1] < 3:
+    if scan.ndim < 1 or scan.shape[-1] < 3:
         raise InvalidParameter(
-            f"lines have the shape {line.shape}; their last axis must have 3 or more pixels",
-            shape=line.shape,
+            f"scans have the shape {scan.shape}; their last axis must have 3 or more pixels",
+            shape=scan.shape,
         )
-    if not (np.isfinite(model).all() and np.isfinite(line).all()):
-        raise InvalidParameter("lines or template hold a value that is not finite")
+    if not (np.isfinite(model).all() and np.isfinite(scan).all()):
+        raise InvalidParameter("scans or template hold a value that is not finite")
     if np.ptp(model) == 0.0:
         raise InvalidParameter(
             f"template is {model[0]} everywhere; it must have contrast", template=float(model[0])
         )
-    line = line - line.mean(axis=-1, keepdims=True)
-    length = line.shape[-1] + model.size - 1
+    scan = scan - scan.mean(axis=-1, keepdims=True)
+    length = scan.shape[-1] + model.size - 1
     size = next_fast_len(length, real=True)
-    correlation = irfft(rfft(line, size) * rfft(model, size).conj(), size)
+    correlation = irfft(rfft(scan, size) * rfft(model, size).conj(), size)
     # Shift 0 comes first: put the negative shifts before it.
-    lag = np.arange(1 - model.size, line.shape[-1])
+    lag = np.arange(1 - model.size, scan.shape[-1])
     correlation = correlation[..., lag % size]
-    return _peaks(correlation, lag, _lobe(model - model.mean(), size), _scale(line, model))
+    return _peaks(correlation, lag, _lobe(model - model.mean(), size), _scale(scan, model))
 
 
-def _scale(line: Array, model: Array) -> Array:
+def _scale(scan: Array, model: Array) -> Array:
     """Return the product of the norms about the means, never zero."""
-    norm = np.sqrt((line**2).sum(axis=-1) * ((model - model.mean()) ** 2).sum())
+    norm = np.sqrt((scan**2).sum(axis=-1) * ((model - model.mean()) ** 2).sum())
     return np.asarray(np.maximum(norm, np.finfo(np.float64).tiny))
 
 

@@ -1,4 +1,4 @@
-"""DiffractedShadow: the shadow of a coded mask with its fringes, from a table."""
+"""Shadow of a coded mask with Fresnel diffraction, from a table."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,13 @@ _FWHM_PER_SD = 2.0 * np.sqrt(2.0 * np.log(2.0))
 class DiffractedShadow:
     """Shadow with Fresnel diffraction, averaged over spectrum, penumbra and pixel.
 
-    The field is that of ``slit_field``. It depends on the place s on the mask and on the squared
-    Fresnel width ``q = wavelength / W`` alone, and its intensity is tabulated over both, as
-    its second integral along s, so that any pixel and any penumbra is one second difference.
-    The table's rows lie on a fixed lattice in ln q and are made when first needed, by the angular
-    spectrum (on a lattice of bars the code's spectrum is exact); a spectral line averages rows.
+    The field adds ``+-(C(v) + i S(v)) / (1 + i)``, ``v = (x - edge) sqrt(2) / fresnel_mm``, for
+    each edge (Born and Wolf, Principles of Optics, section 8.7). It depends on the place s on the
+    mask and on the squared Fresnel width ``q = wavelength / W`` alone, and its intensity is
+    tabulated over both, as its second integral along s, so that any pixel and any penumbra is one
+    second difference. The table's rows lie on a fixed lattice in ln q and are made when first
+    needed, by the angular spectrum (on a lattice of bars the code's spectrum is exact); a spectral
+    line averages rows.
 
     Limits. The table is within 0.005 of the full light of the closed form, averaged; an edge
     counts in full within 20 Fresnel widths; ``q`` is held within 0.25 and 100 times wavelength x
@@ -107,7 +109,14 @@ class DiffractedShadow:
     def mean_transmission(
         self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
     ) -> Array:
-        """Return the light on stretches relative to that without a mask; see ``Shadow``."""
+        """Return the light on stretches relative to that without a mask; see ``Shadow``.
+
+        Args:
+            centre_mm: as of ``Shadow``.
+            width_mm: as of ``Shadow``.
+            blur_mm: as of ``Shadow``.
+            curvature_per_mm: as of ``Shadow``.
+        """
         # Beyond the grid is frame, and the fringes there are too faint to count.
         half = self._count * self._step_mm / 2.0
         inside = abs(centre_mm - self._start_mm - half) < half - width_mm - blur_mm

@@ -1,4 +1,4 @@
-"""Shadow: how much light a coded mask lets fall on a stretch behind it; without diffraction."""
+"""Geometric shadow of a coded mask, without diffraction."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -14,7 +14,7 @@ _LEAST_BLUR_MM = 1e-4  # a narrower one, below the wavelength, shows nowhere
 
 
 class Shadow(Protocol):
-    """Mean transmission over a stretch of the mask, blurred."""
+    """Mean transmission of a mask over a stretch, with a penumbra."""
 
     def mean_transmission(
         self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
@@ -50,7 +50,14 @@ class GeometricShadow:
     def mean_transmission(
         self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
     ) -> Array:
-        """Return the light on stretches relative to that without a mask; see ``Shadow``."""
+        """Return the light on stretches relative to that without a mask; see ``Shadow``.
+
+        Args:
+            centre_mm: as of ``Shadow``.
+            width_mm: as of ``Shadow``.
+            blur_mm: as of ``Shadow``.
+            curvature_per_mm: as of ``Shadow``.
+        """
         del curvature_per_mm
         centre = self._bar(centre_mm)
 
@@ -77,7 +84,14 @@ class GeometricShadow:
 def second_difference(
     integral: Callable[[Array], Array], centre_mm: Array, width_mm: Array, blur_mm: Array
 ) -> Array:
-    """Average over a stretch and a penumbra what ``integral`` is the second integral of."""
+    """Average a function over a stretch and a penumbra, from its second integral.
+
+    Args:
+        integral: the second integral of the function [mm^2].
+        centre_mm: middles of the stretches [mm].
+        width_mm: widths of the stretches [mm].
+        blur_mm: widths of the penumbra [mm].
+    """
     blur = np.maximum(blur_mm, _LEAST_BLUR_MM)
     far, near = (width_mm + blur) / 2.0, (width_mm - blur) / 2.0
     outer = integral(centre_mm + far) + integral(centre_mm - far)

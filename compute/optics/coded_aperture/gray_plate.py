@@ -1,24 +1,20 @@
-"""GrayPlate: tracks of transparent and opaque zones in Gray code, a detector behind each."""
+"""Gray-coded plate: transparent and opaque zones in tracks, with a detector behind each."""
 
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from compute.errors import InvalidParameter
-from compute.optics.coded_aperture.gray_code import gray_encode, to_bits
-from compute.optics.pixel_solid_angles import PixelSolidAngles
+from compute.optics.pixel_solid_angles import PixelSolidAngles, SolidAngleOptics
 
 Array = NDArray[np.float64]
-
-_AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True)
 class GrayPlate:
-    """The plate of Mitchelson's instrument: a line of light lies across tracks of zones.
+    """Plate of Mitchelson's instrument: a stripe of light lies across tracks of zones.
 
     The thesis (section 2.3, Figure 2.3) gives Gray code, "additional analogue-to-digital
     conversion", 12 bits in all and 10 mm of receptive length, and not how the bits are divided.
@@ -76,62 +72,39 @@ class GrayPlate:
         """Step of the whole resolution [mm]."""
         return float(self.length_mm / 2**self.bits)
 
-    @property
-    def quantisation_sigma_mm(self) -> float:
-        """Standard deviation of the rounding to whole steps, step / sqrt(12) [mm]."""
-        return float(self.step_mm / np.sqrt(12.0))
-
     @cached_property
     def transparent(self) -> NDArray[np.bool_]:
         """Which cells of which track are transparent, shape (cells, tracks)."""
         cell = np.arange(2**self.gray_bits)
-        gray = to_bits(gray_encode(cell), self.gray_bits)
+        code = cell ^ (cell >> 1)
+        gray = (code[:, None] >> np.arange(self.gray_bits - 1, -1, -1)) & 1 == 1
         quarter = cell % 4
         sine, cosine = quarter < 2, (quarter == 0) | (quarter == 3)
         return np.column_stack([gray, sine, ~sine, cosine])
 
-    def outputs(self, position_mm: Array, sigma_mm: Array) -> Array:
-        """Return the share of a line's light that passes each track, shape (..., tracks).
 
-        Args:
-            position_mm: centre of the line on the plate, shape (...) [mm]; NaN: no line.
-            sigma_mm: standard deviation of its Gaussian shape, same shape [mm]; may be zero.
+class TrackOptics:
+    """Light that the detectors behind a plate's tracks collect, one plate for each sensor.
 
-        Raises:
-            InvalidParameter: a width that is negative or not finite.
-        """
-        position, sigma = np.broadcast_arrays(position_mm, sigma_mm)
-        if not ((sigma >= 0.0) & np.isfinite(sigma)).all():
-            raise InvalidParameter(
-                f"sigma_mm has {sigma[~((sigma >= 0.0) & np.isfinite(sigma))][0]}; it must be "
-                "zero or positive",
-                sigma_mm=sigma_mm,
-            )
-        edges = np.arange(2**self.gray_bits + 1) * self.cell_mm
-        zones = self.transparent.astype(np.float64)
-        lines = np.nan_to_num(position.reshape(-1, 1), nan=-np.inf, posinf=-np.inf)
-        # A line without width is one far narrower than any cell.
-        widths = np.maximum(sigma.reshape(-1, 1), 1e-9 * self.cell_mm)
-        passed = np.empty((len(lines), self.tracks))
-        chunk = max(1, _AT_ONCE // len(edges))
-        for start in range(0, len(lines), chunk):
-            part = slice(start, start + chunk)
-            passed[part] = np.diff(ndtr((edges - lines[part]) / widths[part]), axis=1) @ zones
-        return passed.reshape(*position.shape, self.tracks)
+    Args:
+        stripes: optics that image a marker as a stripe on a row of pixels; the pixels are the
+            steps of the plate, and as high as a track.
+        plate: the plate.
+    """
 
-    def solid_angles(
-        self, position_mm: Array, sigma_mm: Array, track_sr: Array
-    ) -> PixelSolidAngles:
-        """Return footprints whose pixels are the detectors behind the tracks.
+    def __init__(self, stripes: SolidAngleOptics, plate: GrayPlate) -> None:
+        self._stripes = stripes
+        steps = np.arange(2**plate.bits)
+        # By steps, not by cells: a stripe's window begins at any step.
+        self._passes = plate.transparent[steps // 2**plate.analogue_bits].astype(np.float64)
+        # Two steps of darkness, one at either end, stand for all that falls beside the plate.
+        self._passes = np.pad(self._passes, ((1, 1), (0, 0)))
 
-        Args:
-            position_mm: centres of the lines of N points on S plates, shape (N, S) [mm].
-            sigma_mm: their standard deviations, shape (N, S) [mm].
-            track_sr: solid angle through which the line optics collect the light that falls
-                on the height of one track, shape (N, S) [sr].
-        """
-        passed = self.outputs(position_mm, sigma_mm)
-        # No light where there is no line, whatever its solid angle says.
-        light = np.where(np.isfinite(position_mm), track_sr, 0.0)
-        first = np.zeros(position_mm.shape, dtype=np.int64)
-        return PixelSolidAngles(first, passed * light[..., None])
+    def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
+        """Return the solid angles of points (N, 3) [mm]; the pixels are the detectors."""
+        stripes = self._stripes.solid_angles(points_mm)
+        window = stripes.solid_angle_sr.shape[2]
+        step = stripes.first_px[..., None] + np.arange(window)
+        rows = np.clip(step, -1, len(self._passes) - 2) + 1
+        collected = np.einsum("nsw,nswt->nst", stripes.solid_angle_sr, self._passes[rows])
+        return PixelSolidAngles(np.zeros(stripes.first_px.shape, dtype=np.int64), collected)

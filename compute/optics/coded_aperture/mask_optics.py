@@ -1,4 +1,4 @@
-"""MaskOptics: the light that coded windows let through to placed line sensors."""
+"""Light that coded windows let through to the pixels of placed line sensors."""
 
 from collections.abc import Sequence
 
@@ -91,7 +91,7 @@ class MaskOptics:
             )
 
     def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
-        """Return the light of points (N, 3) in the world frame [mm], in windows of all pixels.
+        """Return the solid angles of points (N, 3) in the world [mm], in windows of all pixels.
 
         A point that is not in front of the plate, or not finite, gives no light; beyond the
         code is opaque frame.
@@ -108,7 +108,7 @@ class MaskOptics:
         return PixelSolidAngles(np.zeros(light.shape[:2], dtype=np.int64), light)
 
     def readings(self, points_mm: Array) -> Array:
-        """Return where the shadow of the code's middle falls, shape (N, S) [px].
+        """Return the positions of the shadow of the code's middle, shape (N, S) [px].
 
         By the exact rays through the plate; NaN for points that are not in front of it. The
         middle's shadow may lie beyond the ends of the line.

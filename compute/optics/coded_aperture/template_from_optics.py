@@ -1,4 +1,4 @@
-"""Templates of coded windows' shadows on a grid finer than pixels, from their optics."""
+"""Templates of coded windows' shadows, computed from the optics."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -27,7 +27,7 @@ def template_from_optics(
     far_px: Sequence[int] = (0,),
     dark_beyond: bool = False,
 ) -> ShadowTemplate:
-    """Return the template of a reference point for ``compute.signal.coded_aperture``.
+    """Return the shadow template of a reference point.
 
     Its shadow is worked out for points displaced along a direction, whose readings are parts of
     a pixel apart, and woven into one pattern: what a pixel gets that lies anywhere in it.

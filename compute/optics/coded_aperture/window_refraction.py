@@ -1,4 +1,4 @@
-"""The way of light through a coded window: which point of the mask shades which pixel."""
+"""Refraction in a coded window: the point of the mask that shades a pixel."""
 
 from dataclasses import dataclass
 
@@ -37,7 +37,7 @@ class WindowPaths:
 def trace_window(
     window: CodedWindow, across_mm: Array, along_mm: Array, z_mm: Array
 ) -> WindowPaths:
-    """Solve the rays from points to pixels exactly, in three dimensions.
+    """Trace the rays from points to pixels through a window exactly, in three dimensions.
 
     A plane-parallel plate keeps the plane of incidence and the angle in air, t. With the
     distance D in air and the plate's thickness d and index n, a ray ends at the lateral distance

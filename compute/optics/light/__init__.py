@@ -1,1 +1,1 @@
-"""Light: what sources send towards the lenses, and what of it makes electrons."""
+"""Light of the markers: emission, spectra, photoelectrons."""

@@ -1,4 +1,4 @@
-"""Angular emission: how the radiant intensity of a source falls off its axis."""
+"""Angular emission of a light source."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -12,21 +12,21 @@ Array = NDArray[np.float64]
 
 
 class AngularEmission(Protocol):
-    """The pattern of a source of rotational symmetry; 1 on the axis, 0 behind it."""
+    """Pattern of a rotationally symmetric source; 1 on the axis, 0 behind it."""
 
     def relative(self, cosine: Array) -> Array:
-        """Return the intensity by that on the axis at cosines of the angle to it, any shape."""
+        """Return the relative intensity at cosines of the angle to the axis, any shape."""
         ...
 
     @property
     def solid_angle_sr(self) -> float:
-        """The integral over the sphere [sr]: radiant power by intensity on the axis."""
+        """Radiant power by intensity on the axis [sr]: the integral of the pattern."""
         ...
 
 
 @dataclass(frozen=True)
 class CosinePower:
-    """The generalised Lambertian pattern ``cos^m``, from the angle of half the intensity.
+    """Generalised Lambertian pattern ``cos^m``, given by its half-intensity angle.
 
     ``m = -ln 2 / ln cos(half angle)``; 60 degrees give Lambert's m = 1.
 
@@ -53,7 +53,7 @@ class CosinePower:
         return float(-np.log(2.0) / np.log(np.cos(self.half_angle_rad)))
 
     def relative(self, cosine: Array) -> Array:
-        """Return the intensity by that on the axis, same shape."""
+        """Return the relative intensity, same shape."""
         return np.asarray(cosine.clip(0.0, 1.0) ** self.exponent)
 
     @property
@@ -64,7 +64,7 @@ class CosinePower:
 
 @dataclass(frozen=True)
 class TabulatedEmission:
-    """A measured pattern, linear between its angles.
+    """Measured pattern, linear between its angles.
 
     Args:
         angles_rad: ascending, the first 0, the last at most pi/2 [rad]; dark beyond the last.
@@ -95,14 +95,14 @@ class TabulatedEmission:
             )
 
     def relative(self, cosine: Array) -> Array:
-        """Return the intensity by that on the axis, same shape."""
+        """Return the relative intensity, same shape."""
         values = np.array(self.intensities) / self.intensities[0]
         angle = np.arccos(cosine.clip(-1.0, 1.0))
         return np.asarray(np.interp(angle, self.angles_rad, values, right=0.0))
 
     @property
     def solid_angle_sr(self) -> float:
-        """``2 pi`` times the integral of pattern times sine [sr], exact for straight pieces."""
+        """``2 pi`` times the integral of pattern times sine [sr], exact for linear pieces."""
         a, values = np.array(self.angles_rad), np.array(self.intensities) / self.intensities[0]
         slope = np.diff(values) / np.diff(a)
         # The antiderivative of (v + s (x - a)) sin x is -(v + s (x - a)) cos x + s sin x.

@@ -1,7 +1,6 @@
-"""Led: an active marker, a light emitting diode."""
+"""Light-emitting diode as an active marker."""
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Led:
-    """A light emitting diode that is lit in an exposure, wholly or by a pulse.
+    """Light-emitting diode that is lit during an exposure, wholly or by a pulse.
 
     Section 4.3 of the thesis says how narrow its emission makes its use, section 4.4 that
     pulses of a higher current raise the signal.
@@ -54,36 +53,23 @@ class Led:
         if self.pulse_s is not None:
             check_positive(self, "pulse_s")
 
-    @classmethod
-    def of_power(
-        cls,
-        radiant_power_w: float,
-        *,
-        wavelength_nm: float,
-        emission: AngularEmission,
-        spectral_width_nm: float = 0.0,
-        emitter_width_mm: float = 0.0,
-    ) -> Self:
-        """Return the LED whose pattern adds up to a radiant power [W]."""
-        return cls(
-            radiant_power_w / emission.solid_angle_sr,
-            wavelength_nm,
-            emission,
-            spectral_width_nm,
-            emitter_width_mm,
-        )
-
     @property
     def width_mm(self) -> float:
-        """Width of the part that shines [mm]."""
+        """Width of the emitter [mm]."""
         return self.emitter_width_mm
 
     def photons_per_sr(
         self, points_mm: Array, facing: Array | None, lens_positions_mm: Array, exposure_s: float
     ) -> Array:
-        """Return the photons towards each lens, shape (N, S) [1/sr], as ``LightSource`` says.
+        """Return the photons towards each lens, shape (N, S) [1/sr]; see ``LightSource``.
 
         The light per steradian is the same at every distance.
+
+        Args:
+            points_mm: positions of N markers in the world, shape (N, 3) [mm].
+            facing: directions in which they face, shape (N, 3); None: towards each lens.
+            lens_positions_mm: centres of S lenses, shape (S, 3) [mm].
+            exposure_s: length of the exposure [s].
         """
         check_exposure(exposure_s)
         lit_s = exposure_s if self.pulse_s is None else min(self.pulse_s, exposure_s)

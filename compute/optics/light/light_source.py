@@ -1,4 +1,4 @@
-"""LightSource: what every marker that shines, or shines back, can tell."""
+"""Interface of the markers as sources of light."""
 
 from typing import Protocol
 
@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 class LightSource(Protocol):
-    """A marker as a source of light."""
+    """A marker as a source of light, active or retro-reflective."""
 
     @property
     def wavelength_nm(self) -> float:
@@ -23,7 +23,7 @@ class LightSource(Protocol):
 
     @property
     def width_mm(self) -> float:
-        """Width of what shines, seen from the front [mm]; the optics blur the line by it."""
+        """Width of the emitting part, seen from the front [mm]; it blurs the stripe."""
         ...
 
     def photons_per_sr(

@@ -10,19 +10,33 @@ Array = NDArray[np.float64]
 
 
 def photons(energy_j: Array, wavelength_nm: float) -> Array:
-    """Return the number of photons of a radiant energy, any shape: ``E wavelength / (h c)``."""
+    """Return the number of photons of a radiant energy, any shape: ``E wavelength / (h c)``.
+
+    Args:
+        energy_j: radiant energy, any shape [J].
+        wavelength_nm: mean wavelength [nm].
+    """
     return np.asarray(energy_j * (wavelength_nm * 1e-9 / (h * c)))
 
 
 def directions(from_mm: Array, to_mm: Array) -> tuple[Array, Array]:
-    """Return unit vectors and distances, shapes (..., 3) and (...) [mm]; zero for no distance."""
+    """Return unit vectors and distances, shapes (..., 3) and (...) [mm]; zero for no distance.
+
+    Args:
+        from_mm: start points, shape (..., 3) [mm].
+        to_mm: end points, of a shape that broadcasts [mm].
+    """
     path = to_mm - from_mm
     distance = np.linalg.norm(path, axis=-1)
     return path / np.where(distance > 0.0, distance, 1.0)[..., None], distance
 
 
 def towards_lenses(points_mm: Array, lens_positions_mm: Array) -> Array:
-    """Return unit vectors from points (N, 3) to lenses (S, 3), shape (N, S, 3).
+    """Return unit vectors from points to lenses, shape (N, S, 3).
+
+    Args:
+        points_mm: shape (N, 3) [mm].
+        lens_positions_mm: shape (S, 3) [mm].
 
     Raises:
         InvalidParameter: an array of another shape.
@@ -38,6 +52,10 @@ def towards_lenses(points_mm: Array, lens_positions_mm: Array) -> Array:
 
 def unit_facing(facing: Array, points_mm: Array) -> Array:
     """Return the directions in which markers face as unit vectors, shape (N, 3).
+
+    Args:
+        facing: directions of any length, shape (N, 3).
+        points_mm: the markers, shape (N, 3) [mm].
 
     Raises:
         InvalidParameter: of another shape than the points, or a direction without length.

@@ -1,4 +1,4 @@
-"""Passive markers: retro-reflective discs and spheres, and what illuminates them."""
+"""Passive markers: retro-reflective discs and spheres, and their illuminator."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -54,7 +54,7 @@ class Illuminator:
             )
 
     def irradiance_w_per_m2(self, points_mm: Array) -> Array:
-        """Return the irradiance of a plane across the light's way, shape (N,) [W/m^2].
+        """Return the irradiance normal to the light, shape (N,) [W/m^2].
 
         It falls with the square of the distance. A point in the lamp itself has none.
         """
@@ -68,7 +68,7 @@ class Illuminator:
 
 @dataclass(frozen=True)
 class RetroSheet:
-    """Retro-reflective material: how much it sends back, and how narrowly.
+    """Retro-reflective sheet: coefficient of retro-reflection and its angular fall-off.
 
     The coefficient of retro-reflection R_A is the intensity sent back, by the irradiance of a
     plane across the incident light and by the sheet's area: [cd/(lx m^2)], which is [1/sr] in
@@ -97,11 +97,11 @@ class RetroSheet:
         )
 
     def observation_factor(self, angle_rad: Array) -> Array:
-        """Return what is left of R_A at observation angles, any shape."""
+        """Return the relative R_A at observation angles, any shape."""
         return np.asarray(np.exp2(-((angle_rad / self.observation_half_angle_rad) ** 2)))
 
     def entrance_factor(self, angle_rad: Array) -> Array:
-        """Return what is left of R_A at entrance angles, any shape; nothing from behind."""
+        """Return the relative R_A at entrance angles, any shape; zero from behind."""
         left = np.exp2(-((angle_rad / self.entrance_half_angle_rad) ** 2))
         return np.asarray(left * np.cos(angle_rad).clip(0.0))
 
@@ -166,9 +166,15 @@ class RetroDisc(_Retroreflector):
     def photons_per_sr(
         self, points_mm: Array, facing: Array | None, lens_positions_mm: Array, exposure_s: float
     ) -> Array:
-        """Return the photons towards each lens, shape (N, S) [1/sr], as ``LightSource`` says.
+        """Return the photons towards each lens, shape (N, S) [1/sr]; see ``LightSource``.
 
         The way from the illuminator is in it, with the square of the distance.
+
+        Args:
+            points_mm: positions of N markers in the world, shape (N, 3) [mm].
+            facing: directions in which they face, shape (N, 3); None: towards each lens.
+            lens_positions_mm: centres of S lenses, shape (S, 3) [mm].
+            exposure_s: length of the exposure [s].
         """
         towards = towards_lenses(points_mm, lens_positions_mm)
         sent = self._sent_back(points_mm, towards, exposure_s)
@@ -197,9 +203,15 @@ class RetroSphere(_Retroreflector):
     def photons_per_sr(
         self, points_mm: Array, facing: Array | None, lens_positions_mm: Array, exposure_s: float
     ) -> Array:
-        """Return the photons towards each lens, shape (N, S) [1/sr], as ``LightSource`` says.
+        """Return the photons towards each lens, shape (N, S) [1/sr]; see ``LightSource``.
 
         The way from the illuminator is in it, with the square of the distance.
+
+        Args:
+            points_mm: positions of N markers in the world, shape (N, 3) [mm].
+            facing: directions in which they face, shape (N, 3); None: towards each lens.
+            lens_positions_mm: centres of S lenses, shape (S, 3) [mm].
+            exposure_s: length of the exposure [s].
         """
         if facing is not None:
             unit_facing(facing, points_mm)
@@ -208,7 +220,7 @@ class RetroSphere(_Retroreflector):
 
     @cached_property
     def effective_area_m2(self) -> float:
-        """The area of a disc facing the light that sends back as much [m^2].
+        """Area of the disc facing the light that returns the same light [m^2].
 
         The sum of ``cos(b) 2^-(b/b_half)^2`` over the lit half of the sphere, at most its
         projected area: ``2 pi R^2`` times the integral of it times sin(b).

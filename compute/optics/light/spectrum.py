@@ -1,11 +1,10 @@
-"""Spectra, filter and quantum efficiency: what of the light makes electrons."""
+"""Spectra, band-pass filter and quantum efficiency: photoelectrons of the light."""
 
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.constants import c, h, k
 
 from compute.errors import InvalidParameter
 from compute.optics.light.light_source import LightSource
@@ -16,17 +15,9 @@ Array = NDArray[np.float64]
 _REACH_FWHM: Final = 2.5  # of a Gaussian, 4e-9 lie farther out
 
 
-class Spectrum(Protocol):
-    """How photons are distributed over the wavelengths."""
-
-    def nodes(self) -> tuple[Array, Array]:
-        """Return wavelengths [nm] and shares of the photons, adding up to 1, shape (K,)."""
-        ...
-
-
 @dataclass(frozen=True)
 class LineSpectrum:
-    """The Gaussian spectrum of an LED.
+    """Gaussian spectrum of an LED.
 
     Args:
         wavelength_nm: its mean [nm].
@@ -51,46 +42,8 @@ class LineSpectrum:
 
 
 @dataclass(frozen=True)
-class BlackBodySpectrum:
-    """Ambient light of a glowing body (daylight is near 5800 K, a lamp near 2800 K).
-
-    Args:
-        temperature_k: of the body [K].
-        from_nm: shortest wavelength that reaches the sensor [nm].
-        to_nm: longest wavelength that counts [nm]; silicon ends near 1100.
-
-    Raises:
-        InvalidParameter: a value that is not positive, or wavelengths in the wrong order.
-    """
-
-    temperature_k: float
-    from_nm: float = 350.0
-    to_nm: float = 1150.0
-
-    def __post_init__(self) -> None:
-        check_positive(self, "temperature_k", "from_nm", "to_nm")
-        if not self.from_nm < self.to_nm:
-            raise InvalidParameter(
-                f"to_nm is {self.to_nm}; it must be above from_nm, {self.from_nm}",
-                to_nm=self.to_nm,
-            )
-
-    def nodes(self) -> tuple[Array, Array]:
-        """Return wavelengths [nm] and shares of the photons, adding up to 1, shape (K,).
-
-        Planck's law divided by the energy of a photon, as 1/wavelength^4.
-        """
-        wavelength = np.linspace(self.from_nm, self.to_nm, 2001)
-        exponent = h * c / (wavelength * 1e-9 * k * self.temperature_k)
-        # By logarithms, against the overflow of a cold body; the largest share is 1.
-        log = -4.0 * np.log(wavelength) - exponent - np.log(-np.expm1(-exponent))
-        share = np.exp(log - log.max())
-        return wavelength, share / share.sum()
-
-
-@dataclass(frozen=True)
 class BandpassFilter:
-    """An interference filter with a flat top.
+    """Interference filter with a flat top.
 
     ``T = blocking + (peak - blocking) 2^-(2 (wavelength - centre) / width)^4``, the fourth power
     as of two cavities. Its shift with the angle of the light is left out.
@@ -129,7 +82,7 @@ class BandpassFilter:
 
 @dataclass(frozen=True)
 class QuantumEfficiency:
-    """Electrons per photon by wavelength, linear between the given ones and zero outside.
+    """Quantum efficiency by wavelength, linear between its nodes and zero outside.
 
     Args:
         wavelengths_nm: ascending, two or more [nm].
@@ -166,9 +119,15 @@ class QuantumEfficiency:
 
 
 def electrons_per_photon(
-    spectrum: Spectrum, efficiency: QuantumEfficiency, bandpass: BandpassFilter | None = None
+    spectrum: LineSpectrum, efficiency: QuantumEfficiency, bandpass: BandpassFilter | None = None
 ) -> float:
-    """Return the electrons that a photon of a spectrum makes on average behind a filter."""
+    """Return the mean number of electrons per photon of a spectrum behind a filter.
+
+    Args:
+        spectrum: of the light.
+        efficiency: of the sensor.
+        bandpass: filter before it; None: none.
+    """
     wavelength, share = spectrum.nodes()
     passed = share * efficiency.at(wavelength)
     if bandpass is not None:
@@ -186,12 +145,16 @@ def photoelectrons_per_sr(
     efficiency: QuantumEfficiency,
     bandpass: BandpassFilter | None = None,
 ) -> Array:
-    """Return the electrons that markers' light can make in an exposure, per steradian.
+    """Return the photoelectrons per steradian of markers in an exposure.
 
     Times the effective solid angle of a pixel, it is the mean of the pixel's electrons.
 
     Args:
-        source: the markers' light; points, facing, lenses and exposure as it says.
+        source: the markers' light.
+        points_mm: positions of N markers, shape (N, 3) [mm].
+        facing: directions in which they face, shape (N, 3); None: towards each lens.
+        lens_positions_mm: centres of S lenses, shape (S, 3) [mm].
+        exposure_s: length of the exposure [s].
         efficiency: of the sensor.
         bandpass: the filter before it; None: none.
 

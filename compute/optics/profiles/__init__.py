@@ -1,1 +1,1 @@
-"""Device profiles: what is published of a device, and what had to be assumed, as one text file."""
+"""Device profiles: published and assumed parameters of a device in one TOML file."""

@@ -1,4 +1,4 @@
-"""A profile's tables to its dataclasses; whatever is wrong is named by its dotted path."""
+"""Deserialisation of a profile to dataclasses; errors name the dotted path."""
 
 import dataclasses
 import types
@@ -34,7 +34,7 @@ KINDS: Final[dict[type, str]] = {
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong in a profile.
+    """One error in a profile.
 
     Args:
         path: dotted path of the field.
@@ -57,7 +57,7 @@ class _InvalidField(Exception):
 
 @dataclass
 class ProfileDeserialiser:
-    """Builds values of types from parsed text, and collects what is wrong instead of stopping.
+    """Builds typed values from parsed TOML, and collects all errors.
 
     A field whose name ends in a unit (``radius_mm``) is written without it (``radius``), as text
     with any unit of that kind ("16.54 mm"); the other numbers are written as numbers.
@@ -66,7 +66,13 @@ class ProfileDeserialiser:
     problems: list[Problem] = field(default_factory=list)
 
     def build(self, expected: Any, value: object, path: str, unit: Unit | None = None) -> Any:
-        """Return ``value`` as ``wanted``, a type or a union or tuple of types.
+        """Return ``value`` as ``expected``, a type or a union or tuple of types.
+
+        Args:
+            expected: a type, or a union or tuple of types.
+            value: the parsed value.
+            path: its dotted path in the profile.
+            unit: unit of the field's name; None: no quantity.
 
         Raises:
             _Wrong: it cannot be one; ``problems`` says why.
@@ -219,7 +225,7 @@ class _MaximalLength:
 
 
 def build_profile(document: Mapping[str, object]) -> tuple[DeviceProfile | None, list[Problem]]:
-    """Return the profile that a parsed document describes, or None, and what is wrong with it."""
+    """Return the profile of a parsed document, or None, and the errors."""
     structurer = ProfileDeserialiser()
     try:
         return structurer.build(DeviceProfile, document, ""), structurer.problems
@@ -228,7 +234,12 @@ def build_profile(document: Mapping[str, object]) -> tuple[DeviceProfile | None,
 
 
 def join(path: str, key: str) -> str:
-    """Return the path of a key in the table at ``path``."""
+    """Return the dotted path of a key in a table.
+
+    Args:
+        path: of the table; empty for the profile itself.
+        key: in the table.
+    """
     return f"{path}.{key}" if path else key
 
 

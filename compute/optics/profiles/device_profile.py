@@ -1,4 +1,4 @@
-"""DeviceProfile: a tracking device as published, ready to be built and traced."""
+"""Profile of a tracking device: geometry, optics, detector, markers, rates."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ from compute.optics.tracing.assembly import Assembly
 
 @dataclass(frozen=True)
 class PlateOptics:
-    """Lenses that throw a line of light across a plate with Gray tracks (section 2.3).
+    """Lenses that image a stripe of light across a plate with Gray tracks (section 2.3).
 
     Args:
         assembly: the lenses; its sensor stands for the plate.
@@ -38,7 +38,7 @@ Optics = Assembly | CodedWindow | PlateOptics
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """Where one line sensor is and where it looks.
+    """Position and orientation of one line sensor.
 
     The frame of its assembly has its origin at ``position_mm``, its z axis, which goes with the
     light, away from ``aim_mm``, and its x axis along ``measured_direction`` made perpendicular
@@ -152,3 +152,15 @@ class DeviceProfile:
                     f"{one.plate.tracks} tracks, with a detector behind each",
                     pixels=self.pixels.count,
                 )
+
+    @property
+    def limitations(self) -> tuple[str, ...]:
+        """What a device of this profile cannot do here, one sentence each."""
+        if not any(isinstance(one, PlateOptics) for one in self.optics.values()):
+            return ()
+        sentence = (
+            "The outputs of the Gray tracks are simulated and not decoded: a device of this "
+            "profile streams frames without peaks, points, tracks or tools, and cannot be "
+            "calibrated."
+        )
+        return (sentence,)

@@ -1,4 +1,4 @@
-"""Reads profiles: the built-in ones by name, a user's own by path."""
+"""Loading of profiles: built-in ones by name, others by path."""
 
 import re
 import tomllib
@@ -21,7 +21,7 @@ def profile_names() -> tuple[str, ...]:
 
 
 def load_profile(name_or_path: str | Path) -> DeviceProfile:
-    """Return a built-in profile by its name, or one's own by the path of its file.
+    """Return a built-in profile by name, or a profile of a file by path.
 
     A text that is the name of a built-in profile means that one; "./name" is a file.
 

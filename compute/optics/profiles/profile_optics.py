@@ -1,4 +1,4 @@
-"""What a profile describes, built: its sensors' optics and its markers' light."""
+"""Optics, markers and shadow templates that a profile describes."""
 
 from collections.abc import Sequence
 from typing import Final, Literal, get_args
@@ -7,9 +7,9 @@ import numpy as np
 
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow
-from compute.optics.coded_aperture.gray_plate import GrayPlate
-from compute.optics.coded_aperture.gray_plate_optics import TrackOptics
+from compute.optics.coded_aperture.gray_plate import GrayPlate, TrackOptics
 from compute.optics.coded_aperture.mask_optics import MaskOptics
+from compute.optics.coded_aperture.template_from_optics import template_from_optics
 from compute.optics.light.emission import CosinePower, TabulatedEmission
 from compute.optics.light.led import Led
 from compute.optics.light.light_source import LightSource
@@ -25,10 +25,12 @@ from compute.optics.stripe_optics.stripe_profile import Blur
 from compute.optics.stripe_optics.tabulated_optics import TabulatedOptics
 from compute.optics.stripe_optics.traced_stripes import ExactOptics
 from compute.optics.tracing.assembly import Assembly
+from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 
 OpticsMode = Literal["tabulated", "exact"]
 
 _BESIDE: Final = 0.02  # what the tables reach beyond the volume, relative or in tangents
+
 _NEAREST_MM: Final = 50.0
 
 
@@ -45,7 +47,7 @@ def pixel_row(profile: DeviceProfile) -> PixelRow:
 
 
 def gray_plate(profile: DeviceProfile) -> GrayPlate | None:
-    """Return the plate with tracks before every sensor's detectors; None: it has none.
+    """Return the Gray plate before every sensor's detectors; None: it has none.
 
     Raises:
         InvalidParameter: plates of several lengths or resolutions.
@@ -60,7 +62,11 @@ def gray_plate(profile: DeviceProfile) -> GrayPlate | None:
 
 
 def lens_sensors(profile: DeviceProfile, row: PixelRow) -> tuple[OpticalSensor, ...]:
-    """Return the sensors of a profile with lenses, placed.
+    """Return the placed sensors of a profile with lenses.
+
+    Args:
+        profile: the device.
+        row: the row of pixels of every sensor.
 
     Raises:
         InvalidParameter: a sensor has a coded window.
@@ -80,6 +86,10 @@ def lens_sensors(profile: DeviceProfile, row: PixelRow) -> tuple[OpticalSensor, 
 
 def mask_optics(profile: DeviceProfile, source: LightSource) -> MaskOptics | None:
     """Return the optics of a profile with coded windows; None: it has none.
+
+    Args:
+        profile: the device.
+        source: the markers' light.
 
     Raises:
         InvalidParameter: some sensors have a window and others not, or other windows.
@@ -160,7 +170,12 @@ def _assembly(profile: DeviceProfile, name: str) -> Assembly:
 
 
 def profile_field(profile: DeviceProfile, sensors: Sequence[OpticalSensor]) -> FieldOfView:
-    """Return the part of the sensors' fields of view that holds the whole working volume."""
+    """Return the part of the sensors' fields of view that holds the whole working volume.
+
+    Args:
+        profile: the device.
+        sensors: its sensors, placed.
+    """
     centre, half = np.array(profile.volume.centre_mm), np.array(profile.volume.size_mm) / 2.0
     signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), axis=-1)
     corners = centre + half * signs.reshape(-1, 3)
@@ -206,3 +221,22 @@ def profile_optics(profile: DeviceProfile, mode: OpticsMode) -> SolidAngleOptics
         lines = TabulatedOptics(sensors, blur, profile_field(profile, sensors))
     plate = gray_plate(profile)
     return lines if plate is None else TrackOptics(lines, plate)
+
+
+def window_shadows(profile: DeviceProfile) -> tuple[ShadowTemplate, ...]:
+    """Return the shadow of a marker in the middle of the volume on each sensor.
+
+    Empty where the profile has no coded windows. Takes tenths of a second.
+    """
+    optics = mask_optics(profile, light_source(profile))
+    if optics is None:
+        return ()
+    return tuple(
+        template_from_optics(
+            optics,
+            np.array(profile.volume.centre_mm),
+            sensor=number,
+            direction=sensor.measured_direction,
+        )
+        for number, sensor in enumerate(profile.sensors)
+    )

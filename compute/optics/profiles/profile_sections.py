@@ -1,4 +1,4 @@
-"""The parts of a device's profile: pixels, detector, markers, rates, volume, figures."""
+"""Sections of a profile: detector, markers, rates, volume, published figures."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -17,7 +17,7 @@ Axis = Literal["x", "y", "z", "lateral", "depth", "3d"]
 
 @dataclass(frozen=True)
 class DetectorProfile:
-    """What the pixels and their converter do to light.
+    """Detector parameters of a profile.
 
     Args:
         bits: resolution of the conversion, 8 to 16.
@@ -61,7 +61,7 @@ class DetectorProfile:
             )
 
     def detector(self, exposure_s: float) -> Detector:
-        """Return the detector as it is in exposures of this length [s]."""
+        """Return the detector for exposures of this length [s]."""
         return Detector(
             bits=self.bits,
             electrons_per_count=self.electrons_per_count,
@@ -79,7 +79,7 @@ class DetectorProfile:
 
 @dataclass(frozen=True)
 class LedMarkers:
-    """Markers that shine by themselves.
+    """Active markers.
 
     Args:
         radiant_intensity_w_per_sr: on the axis of the LED [W/sr].
@@ -111,7 +111,7 @@ class LedMarkers:
 
 @dataclass(frozen=True)
 class RetroMarkers:
-    """Markers that send the light of one illuminator back; they all shine at once.
+    """Retro-reflective markers with one illuminator; all are lit at once.
 
     Args:
         illuminator_intensity_w_per_sr: radiant intensity towards the markers [W/sr].
@@ -165,7 +165,7 @@ Markers = LedMarkers | RetroMarkers
 
 @dataclass(frozen=True)
 class Rates:
-    """How often a line is read, and how long it collects light.
+    """Line rate and exposure time.
 
     Args:
         line_rate_hz: lines of each sensor per second [Hz].
@@ -191,7 +191,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class Volume:
-    """The working volume, a box along the axes of the world.
+    """Working volume, a box along the axes of the world.
 
     Args:
         centre_mm: its middle [mm].
@@ -213,7 +213,7 @@ class Volume:
 
 @dataclass(frozen=True)
 class PublishedFigure:
-    """A figure that was published of a device.
+    """One published figure of a device.
 
     Args:
         quantity: what it says: "resolution", "accuracy" (a mean error), "max error".

@@ -1,4 +1,4 @@
-"""Quantities as text: "13 um", "5 kHz", "35 deg" to numbers in a field's own unit."""
+"""Quantities with units as text ("13 um", "5 kHz"), converted to the unit of a field."""
 
 import re
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ lux = candela * steradian / metre ** 2 = lx
 
 @dataclass(frozen=True)
 class Unit:
-    """The unit that a field's name carries.
+    """Unit that a field's name carries.
 
     Args:
         name: the unit in which the program keeps the value.
@@ -50,7 +50,7 @@ class Unit:
 
     @property
     def expected(self) -> str:
-        """What to write, for a message."""
+        """Expected notation, for a message."""
         article = "an" if self.noun[0] in "aeiou" else "a"
         return f'{article} {self.noun} such as "{self.example}"'
 
@@ -79,7 +79,7 @@ _QUANTITY = re.compile(
 
 
 class InvalidQuantity(ValueError):
-    """A value that is no quantity of the kind that its field needs; the text says why."""
+    """A value that is no quantity of the expected kind; the message says why."""
 
 
 def split_unit(field_name: str) -> tuple[str, Unit | None]:
@@ -93,7 +93,11 @@ def split_unit(field_name: str) -> tuple[str, Unit | None]:
 
 
 def magnitude(value: object, unit: Unit) -> float:
-    """Return a quantity, written as text with its unit, as a number in ``unit``.
+    """Return a quantity, given as text with its unit, as a number in ``unit``.
+
+    Args:
+        value: the text, as "13 um".
+        unit: unit of the result.
 
     Raises:
         InvalidQuantity: not text, no number, no unit, an unknown unit, one of another kind.

@@ -1,1 +1,1 @@
-"""Light lines on a row of pixels, from traced rays: exactly, and from tables of exact traces."""
+"""Images of points as stripes on a row of pixels: exact ray traces, and tables of them."""

@@ -1,4 +1,4 @@
-"""Field: the part of a sensor's field of view that is tabulated, and how finely."""
+"""Part of a sensor's field of view that is tabulated, and the number of nodes."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -16,7 +16,7 @@ DEGREE: Final = 3
 
 @dataclass(frozen=True)
 class FieldOfView:
-    """The part of a sensor's field of view that is tabulated, in its frame.
+    """Tabulated part of a sensor's field of view, in its frame.
 
     Args:
         u: least and largest x/z, along the row.
@@ -56,7 +56,7 @@ class FieldOfView:
 
 @dataclass(frozen=True)
 class TableNodes:
-    """Numbers of nodes of a table, at least 7 along u and 4 along the others.
+    """Numbers of nodes of a table, at least 7 along u and 4 along the other axes.
 
     Args:
         u: along u, from end to end.

@@ -1,4 +1,4 @@
-"""OpticalSensor: a row of pixels behind its optics, placed in the world."""
+"""Row of pixels behind its optics, placed in the world."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +21,7 @@ _HALF_ROTATION = np.array([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True)
 class OpticalSensor:
-    """A line sensor with real optics.
+    """Line sensor with real optics.
 
     The sensor's frame has x along growing readings, y along the lens's axis and z towards the
     object, as a camera model's has.
@@ -67,7 +67,15 @@ def place_optics(
     assembly: Assembly,
     row: PixelRow,
 ) -> OpticalSensor:
-    """Place optics and their row of pixels by position and aim, as ``place_sensor`` does.
+    """Place optics and their row of pixels by position and aim; see ``place_sensor``.
+
+    Args:
+        name: of the sensor.
+        position_mm: origin of the optics' frame in the world [mm].
+        aim_mm: a point on the optical axis, in front of the sensor [mm].
+        measured_direction: world direction along which readings grow; any length.
+        assembly: the optics.
+        row: the pixels.
 
     Raises:
         InvalidParameter: the aim lies on the position, or the measured direction on the axis.

@@ -1,4 +1,4 @@
-"""Rays from points of light to a row of pixels: which reach it, where, with how much light.
+"""Ray aiming: rays from points through the optics to heights on a row of pixels.
 
 A cylindrical lens draws a point out into a line, and the row of pixels meets that line at one
 place only. Of all rays of a point, those that end on the row form a fan, one ray for each place
@@ -11,15 +11,20 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebval, chebvander
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from compute.errors import InvalidParameter
+from compute.optics.stripe_optics.guide_rays import (
+    GUIDES,
+    NODES,
+    GuideSeries,
+    RayTargets,
+    fit_series,
+    hits_row,
+    pupil_reach_mm,
+)
 from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Lens
 from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.shapes import sag
 from compute.optics.tracing.surfaces import SurfaceStack
 from compute.optics.tracing.traced_rays import RayStatus, TracedRays
 
@@ -28,15 +33,9 @@ Tracer = Callable[[SurfaceStack, Array, Array], TracedRays]
 
 _COARSE: Final = 33  # places in the pupil looked at to find the fan's ends, at least
 _MOST_COARSE: Final = 1025
-_GUIDES: Final = 9  # aimed rays that all others start from
-_FEW_TERMS: Final = 4  # of a guide where rays are lost
-_NODES: Final = np.cos(np.pi * (np.arange(_GUIDES) + 0.5) / _GUIDES)
 _AIM_ITERATIONS: Final = 8
 _AIM_TOLERANCE_MM: Final = 1e-9
-_HIT_MM: Final = 1e-4  # a ray that passes its height on the row by more was not aimed
 _BISECTIONS: Final = 22  # of a 33rd of the pupil: to 1e-8 of its width
-_STEEPEST: Final = 1.0  # tangent of the most slanting light along x
-_CORNERS: Final = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
 _CHUNK: Final = 400_000  # rays traced at once, to bound the memory
 
 
@@ -72,7 +71,7 @@ class RayFans:
 
 
 class RayAimer:
-    """Aims rays of points at a row behind an assembly.
+    """Aims rays from points at a row of pixels behind an assembly.
 
     Args:
         assembly: the optics.
@@ -99,7 +98,7 @@ class RayAimer:
         self._sensor_z_mm = assembly.sensor_z_mm
         self._plane_z_mm = assembly.front_z_mm
         self._centre_mm = first.alignment.decentre_mm[0]
-        self._reach_mm = _reach(assembly)
+        self._reach_mm = pupil_reach_mm(assembly)
         # Fine enough to meet the narrowest opening, wherever it is.
         narrowest = min(element.aperture.width_mm for element in assembly.elements)
         steps = np.ceil(
@@ -108,7 +107,13 @@ class RayAimer:
         self._coarse = int(np.clip(2 * steps + 1, _COARSE, _MOST_COARSE))
 
     def fans(self, points_mm: Array, heights_mm: Array, samples: int) -> RayFans:
-        """Return the fans of points (N, 3) [mm] in the optics' frame to heights (T,) [mm]."""
+        """Return the ray fans of points in the optics' frame.
+
+        Args:
+            points_mm: shape (N, 3) [mm].
+            heights_mm: heights on the row of pixels, shape (T,) [mm].
+            samples: M, the rays of each fan.
+        """
         shape = (len(points_mm), len(heights_mm), samples)
         source = np.repeat(points_mm, len(heights_mm), axis=0)
         height = np.tile(heights_mm, len(points_mm))
@@ -116,13 +121,13 @@ class RayAimer:
         first, last, lit = self._ends(source, height, guide)
         share = np.linspace(0.0, 1.0, samples)
         pupil = first[:, None] + (last - first)[:, None] * share
-        aim = _Aim.of(source, height, pupil)
+        aim = RayTargets.of(source, height, pupil)
         y, slope = (values.ravel() for values in guide.at(pupil))
         y, slope = self._aim_rays(aim, y, slope)
         # Where a ray would end is known behind the edge of a lens as well; whether it does is not.
         rays = self._through(aim, y, self._open)
         status = self._through(aim, y, self._stack).status
-        arrived = ((status == RayStatus.ARRIVED) & _hit(rays, aim)).reshape(shape)
+        arrived = ((status == RayStatus.ARRIVED) & hits_row(rays, aim)).reshape(shape)
         # The ends lie on an edge, and the rounding decides to which side.
         arrived[..., 0], arrived[..., -1] = arrived[..., 1], arrived[..., -2]
         light = self._density(aim, y, slope) * rays.transmittance.mean(axis=1)
@@ -136,7 +141,7 @@ class RayAimer:
         )
 
     def row_positions_mm(self, points_mm: Array, pupil_mm: Array) -> Array:
-        """Return where single rays meet the middle of the row, shape (N,) [mm].
+        """Return the positions at which single rays meet the middle of the row, shape (N,) [mm].
 
         Edges are not heeded; NaN for a ray that misses a surface.
 
@@ -144,36 +149,34 @@ class RayAimer:
             points_mm: where they start, in the optics' frame, shape (N, 3) [mm].
             pupil_mm: where they pass the plane of the first element, shape (N,) [mm].
         """
-        aim = _Aim(points_mm, np.zeros(len(points_mm)), pupil_mm)
+        aim = RayTargets(points_mm, np.zeros(len(points_mm)), pupil_mm)
         y, _ = self._aim_rays(aim)
         return self._through(aim, y, self._open).position_mm[:, 0]
 
-    def _guide(self, source_mm: Array, height_mm: Array) -> "_Guide":
+    def _guide(self, source_mm: Array, height_mm: Array) -> "GuideSeries":
         """Aim a few rays of each fan, to start all others from."""
-        pupil = np.broadcast_to(
-            self._centre_mm + self._reach_mm * _NODES, (len(source_mm), _GUIDES)
-        )
-        aim = _Aim.of(source_mm, height_mm, pupil)
+        pupil = np.broadcast_to(self._centre_mm + self._reach_mm * NODES, (len(source_mm), GUIDES))
+        aim = RayTargets.of(source_mm, height_mm, pupil)
         y, slope = self._aim_rays(aim)
-        found = _hit(self._through(aim, y, self._open), aim)
+        found = hits_row(self._through(aim, y, self._open), aim)
         found &= np.isfinite(y) & np.isfinite(slope) & (slope != 0.0)
         by_fan = found.reshape(pupil.shape)
-        return _Guide(
+        return GuideSeries(
             self._centre_mm,
             self._reach_mm,
-            _series(y.reshape(pupil.shape), by_fan, 0.0),
-            _series(slope.reshape(pupil.shape), by_fan, 1.0),
+            fit_series(y.reshape(pupil.shape), by_fan, 0.0),
+            fit_series(slope.reshape(pupil.shape), by_fan, 1.0),
             ~np.asarray(by_fan.all(axis=1)),
         )
 
     def _ends(
-        self, source_mm: Array, height_mm: Array, guide: "_Guide"
+        self, source_mm: Array, height_mm: Array, guide: "GuideSeries"
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Find the ends of each fan in the pupil, shape (R,), and whether there is one."""
 
         def passes(pupil: Array) -> NDArray[np.bool_]:
             y, slope = (values.ravel() for values in guide.at(pupil))
-            aim = _Aim.of(source_mm, height_mm, pupil)
+            aim = RayTargets.of(source_mm, height_mm, pupil)
             if guide.unreliable.any():
                 unreliable = np.repeat(guide.unreliable, pupil.shape[1])
                 y[unreliable], _ = self._aim_rays(
@@ -183,7 +186,7 @@ class RayAimer:
             good = rays.status == RayStatus.ARRIVED
             if guide.unreliable.any():
                 # The search may end beside a fold of the optics, where no ray meets the row.
-                good &= ~unreliable | _hit(rays, aim)
+                good &= ~unreliable | hits_row(rays, aim)
             return np.asarray(good).reshape(pupil.shape)
 
         count = self._coarse
@@ -205,7 +208,7 @@ class RayAimer:
         return inside[:, 0], inside[:, 1], lit
 
     def _aim_rays(
-        self, aim: "_Aim", y_mm: Array | None = None, slope: Array | None = None
+        self, aim: "RayTargets", y_mm: Array | None = None, slope: Array | None = None
     ) -> tuple[Array, Array]:
         """Find where rays must pass the pupil along y to meet the row at their heights.
 
@@ -240,17 +243,17 @@ class RayAimer:
             slope = np.where(np.abs(change) > 1e-4, secant, slope)
         return y, slope
 
-    def _miss(self, aim: "_Aim", y_mm: Array) -> Array:
+    def _miss(self, aim: "RayTargets", y_mm: Array) -> Array:
         return self._through(aim, y_mm, self._open).position_mm[:, 1] - aim.height_mm
 
-    def _through(self, aim: "_Aim", y_mm: Array, stack: SurfaceStack) -> TracedRays:
+    def _through(self, aim: "RayTargets", y_mm: Array, stack: SurfaceStack) -> TracedRays:
         depth = self._plane_z_mm - aim.source_mm[:, 2]
         towards = np.stack(
             [aim.pupil_mm - aim.source_mm[:, 0], y_mm - aim.source_mm[:, 1], depth], axis=1
         )
         return self._in_chunks(stack, aim.source_mm, towards)
 
-    def _density(self, aim: "_Aim", y_mm: Array, slope: Array) -> Array:
+    def _density(self, aim: "RayTargets", y_mm: Array, slope: Array) -> Array:
         """Return the solid angle per mm of pupil and mm of height, without losses, shape (R,)."""
         depth = self._plane_z_mm - aim.source_mm[:, 2]
         x, y = aim.pupil_mm - aim.source_mm[:, 0], y_mm - aim.source_mm[:, 1]
@@ -273,95 +276,3 @@ class RayAimer:
                 )
             )
         )  # fmt: skip
-
-
-def _hit(rays: TracedRays, aim: "_Aim") -> NDArray[np.bool_]:
-    """Whether rays meet the row at their heights: the search for one may end elsewhere."""
-    return np.asarray(np.abs(rays.position_mm[:, 1] - aim.height_mm) <= _HIT_MM)
-
-
-def _reach(assembly: Assembly) -> float:
-    """Return how far from its middle the plane of the first vertex lets light in along x [mm].
-
-    A turned opening reaches farther than half its width, and one that lies before or behind the
-    plane, being tilted or the edge of a curved face, is passed by slanting light elsewhere in it.
-    """
-    first = assembly.elements[0]
-    heights = [element.aperture.height_mm for element in assembly.elements]
-    finite = [height for height in heights if np.isfinite(height)]
-    half = 0.5 * np.array([first.aperture.width_mm, min(heights[0], max(finite, default=100.0))])
-    x, y = (signs.ravel() * size for signs, size in zip(_CORNERS, half, strict=True))
-    depth = np.zeros_like(x)
-    if isinstance(first, Lens):
-        # Only the corners of a round lens may lie beyond where its face ends.
-        depth = np.nan_to_num(sag(first.shapes[0], x, y))
-    corners = Rotation.from_rotvec(first.alignment.tilt_rad).apply(np.stack([x, y, depth], axis=1))
-    return float((np.abs(corners[:, 0]) + _STEEPEST * np.abs(corners[:, 2])).max())
-
-
-@dataclass(frozen=True, eq=False)
-class _Aim:
-    """R rays to aim: where they start (R, 3), the height on the row and the pupil's x (R,)."""
-
-    source_mm: Array
-    height_mm: Array
-    pupil_mm: Array
-
-    @classmethod
-    def of(cls, source_mm: Array, height_mm: Array, pupil_mm: Array) -> "_Aim":
-        """Return the rays of fans: sources (R, 3) and heights (R,) through places (R, M)."""
-        samples = pupil_mm.shape[1]
-        return cls(
-            np.repeat(source_mm, samples, axis=0), np.repeat(height_mm, samples), pupil_mm.ravel()
-        )
-
-    def part(self, which: NDArray[np.bool_]) -> "_Aim":
-        """Return some of the rays."""
-        return _Aim(self.source_mm[which], self.height_mm[which], self.pupil_mm[which])
-
-
-@dataclass(frozen=True, eq=False)
-class _Guide:
-    """Chebyshev series through aimed rays of N points: y in the pupil, and slope, over x.
-
-    Args:
-        centre_mm: middle of the pupil [mm].
-        reach_mm: half its width [mm].
-        y_mm: coefficients, shape (K, N, 1).
-        slope: coefficients, shape (K, N, 1).
-        unreliable: fans of which rays are lost or not aimed, so that the series is not to be relied on,
-            shape (N,).
-    """
-
-    centre_mm: float
-    reach_mm: float
-    y_mm: Array
-    slope: Array
-    unreliable: NDArray[np.bool_]
-
-    def at(self, pupil_mm: Array) -> tuple[Array, Array]:
-        """Return y and slope at places (N, M) in the pupil, both (N, M)."""
-        x = (pupil_mm - self.centre_mm) / self.reach_mm
-        return (
-            np.asarray(chebval(x, self.y_mm, tensor=False), dtype=np.float64),
-            np.asarray(chebval(x, self.slope, tensor=False), dtype=np.float64),
-        )
-
-
-def _series(values: Array, found: NDArray[np.bool_], otherwise: float) -> Array:
-    """Return Chebyshev coefficients (K, N, 1) of values (N, K) at the nodes.
-
-    Where rays are lost the series is a low one, fitted to those that are found.
-    """
-    basis = chebvander(_NODES, _GUIDES - 1)
-    series = np.linalg.solve(basis, np.where(found, values, 0.0).T)
-    for row in np.flatnonzero(~found.all(axis=1)):
-        series[:, row] = 0.0
-        known = found[row]
-        terms = min(_FEW_TERMS, int(known.sum()))
-        if terms == 0:
-            series[0, row] = otherwise
-            continue
-        fitted, *_ = np.linalg.lstsq(basis[known, :terms], values[row, known], rcond=None)
-        series[:terms, row] = fitted
-    return np.asarray(series[:, :, None], dtype=np.float64)

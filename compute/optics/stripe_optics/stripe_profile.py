@@ -1,4 +1,4 @@
-"""Shapes of light lines: rays gathered on a fine grid, blurred by emitter and diffraction."""
+"""Profiles of stripes on a sub-pixel grid: traced rays, blurred by emitter and diffraction."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ _BLOCK: Final = 4_000_000  # grid cells worked on at once
 
 @dataclass(frozen=True, eq=False)
 class StripeProfiles:
-    """N light lines on the fine grid, in readings.
+    """N stripes on the sub-pixel grid, in readings.
 
     A line of which any light falls within 64 px of the row is whole, but for what falls farther
     beside the row than the row is long; any other line is dark. Cell k of line n covers
@@ -45,7 +45,7 @@ class StripeProfiles:
 
     @property
     def total_sr(self) -> Array:
-        """Effective solid angle of each line, shape (N,) [sr]."""
+        """Effective solid angle of each stripe, shape (N,) [sr]."""
         total: Array = self.cell_sr.sum(axis=1)
         return total
 
@@ -63,7 +63,7 @@ class StripeProfiles:
 
     @property
     def centroid_px(self) -> Array:
-        """Centre of gravity of each line, shape (N,) [px]; NaN for a line without light."""
+        """Centre of gravity of each stripe, shape (N,) [px]; NaN without light."""
         with np.errstate(invalid="ignore"):
             centroid: Array = (self.cell_sr * self.centres_px).sum(axis=1) / self.total_sr
         return centroid
@@ -71,7 +71,7 @@ class StripeProfiles:
 
 @dataclass(frozen=True)
 class Blur:
-    """What widens a line beyond its rays.
+    """Blur of a stripe beyond geometrical optics: emitter width and diffraction.
 
     Args:
         wavelength_nm: wavelength, for the diffraction at the pupil [nm]; None: none.
@@ -89,7 +89,7 @@ def stripe_profiles(
     blur: Blur,
     scale_px_per_mm: Array,
 ) -> StripeProfiles:
-    """Gather fans of rays into lines of light.
+    """Bin ray fans to stripe profiles on the sub-pixel grid.
 
     The light between two neighbouring rays lies between their two places on the row. Emitter and
     diffraction then widen the line: the first by the emitter's image, the second by the line
@@ -140,7 +140,7 @@ class _Tubes:
 def merge_profiles(
     parts: Sequence[tuple[NDArray[np.int64], StripeProfiles]], count: int
 ) -> StripeProfiles:
-    """Put lines of several grids together.
+    """Merge profiles of several grids.
 
     Args:
         parts: which of the lines they are, and the lines.
@@ -156,11 +156,15 @@ def merge_profiles(
 
 
 def spline_error_px(rays: RayFans, row: PixelRow) -> Array:
-    """Return about how far a spline through the rays' places is off, shape (N,) [px].
+    """Return an estimate of the error of a spline through the rays' positions, shape (N,) [px].
 
     A spline through every second ray misses those between by sixteen times as much as one
     through all misses what lies between them. Infinite where rays are lost inside of a fan;
     zero for a dark line.
+
+    Args:
+        rays: the ray fans of N points.
+        row: the pixels.
     """
     places = np.linspace(0.0, 1.0, rays.position_mm.shape[2])
     position = rays.position_mm / row.pitch_mm

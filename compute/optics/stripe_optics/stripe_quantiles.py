@@ -1,4 +1,4 @@
-"""Quantiles of light lines: the readings below which given shares of the light lie."""
+"""Quantiles of stripes: the readings below which given shares of the light lie."""
 
 from typing import Final
 
@@ -18,7 +18,7 @@ _OVERLAP_PX: Final = 2  # pixels of a window beyond the line's ends
 
 
 def quantiles(lines: StripeProfiles) -> Array:
-    """Return the readings below which the QUANTILE_LEVELS of each line's light lie, shape (N, K) [px].
+    """Return the readings below which the QUANTILE_LEVELS of the light lie, shape (N, K) [px].
 
     The two ends are set so that each outermost piece has its own centre of gravity, and all are
     shifted together by what the pieces between, taken as even, lack of the whole line's; so the
@@ -57,7 +57,7 @@ def _quantiles(light: Array) -> Array:
 
 
 def pixel_windows(quantiles_px: Array, light_sr: Array) -> tuple[NDArray[np.int64], Array]:
-    """Spread lines given by quantiles over pixels.
+    """Return the light of the pixels of stripes given by quantiles.
 
     Args:
         quantiles_px: quantiles at QUANTILE_LEVELS, shape (N, K) [px].
@@ -84,6 +84,6 @@ def pixel_windows(quantiles_px: Array, light_sr: Array) -> tuple[NDArray[np.int6
 
 
 def centroid_of_quantiles(quantiles_px: Array) -> Array:
-    """Return the centroids of lines that are even between their quantiles, shape (N,) [px]."""
+    """Return the centroids of stripes that are even between their quantiles, shape (N,) [px]."""
     centroid: Array = (0.5 * (quantiles_px[:, 1:] + quantiles_px[:, :-1])) @ _PIECES
     return centroid

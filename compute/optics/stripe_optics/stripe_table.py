@@ -1,4 +1,4 @@
-"""StripeTable: the light lines of one kind of sensor, interpolated between exact traces.
+"""Table of the stripes of one kind of sensor, interpolated between exact traces.
 
 A table holds, over both field angles and the inverse distance, each line's total light and its
 quantiles: the readings below which given shares of the light lie. Between two lines of different
@@ -29,7 +29,7 @@ _SHAPES: Final = 24  # principal components of the quantiles: what they leave is
 
 
 class StripeTable:
-    """The tabulated lines of one kind of sensor.
+    """Tabulated stripes of one kind of sensor.
 
     Args:
         lines: what traces them.
@@ -85,8 +85,8 @@ class StripeTable:
         Points outside of the field, and those at the edge of what the row can see, are traced.
 
         Returns:
-            Quantiles at QUANTILE_LEVELS, shape (N, K) [px], and the total light, shape (N,) [sr]; zero
-            for a point that the row does not see.
+            Quantiles at QUANTILE_LEVELS, shape (N, K) [px], and the total light, shape (N,) [sr];
+            zero for a point that the row does not see.
         """
         in_field = self.field.contains(points_mm)
         z = np.where(in_field, points_mm[:, 2], 1.0)

@@ -1,4 +1,4 @@
-"""TabulatedOptics: the light lines of points on real sensors, from tables of exact traces."""
+"""Optics of placed sensors by tables of exact ray traces, for live simulation."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -28,7 +28,7 @@ _Kind = tuple[Assembly, PixelRow]  # sensors of one kind share a table
 
 
 class TabulatedOptics:
-    """The optics of S sensors by tables of exact traces: for live simulation.
+    """Optics of S sensors by tables of exact traces.
 
     Points outside of a table's field, and at the edge of what the row can see, are traced.
 
@@ -62,7 +62,7 @@ class TabulatedOptics:
                 )
 
     def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
-        """Return the footprints of points (N, 3) in the world frame [mm]."""
+        """Return the solid angles of points (N, 3) in the world frame [mm]."""
         count, total = len(points_mm), len(self._sensors)
         levels, light = [], []
         for kind, numbers in self._of_kind.items():

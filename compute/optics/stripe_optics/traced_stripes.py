@@ -1,4 +1,4 @@
-"""ExactOptics: the light lines of points on real sensors, every ray traced."""
+"""Optics of placed sensors by exact ray traces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ _PITCHES_BY_NODE: Final = 8.0  # height of a pixel for which one more node is ne
 
 @dataclass(frozen=True)
 class RaySampling:
-    """How finely a line is traced.
+    """Sampling of a stripe by rays.
 
     Args:
         rays: rays of a fan to begin with, odd and at least 9; more are traced, four times as
@@ -53,7 +53,8 @@ class RaySampling:
             )
         if self.max_rays < self.rays or self.max_rays % 2 == 0:
             raise InvalidParameter(
-                f"max_rays is {self.max_rays}; it must be odd, and at least {self.rays}, the rays to "
+                f"max_rays is {self.max_rays}; it must be odd, and at least {self.rays}, "
+                "the rays to "
                 "begin with",
                 max_rays=self.max_rays,
             )
@@ -65,7 +66,7 @@ class RaySampling:
 
 
 class TracedStripes:
-    """The light lines of one kind of sensor, for points in its own frame.
+    """Traced stripes of one kind of sensor, for points in its own frame.
 
     Args:
         assembly: the optics.
@@ -95,7 +96,7 @@ class TracedStripes:
         self._weights_mm = weights * row.height_mm / 2.0
 
     def shapes(self, points_mm: Array) -> StripeProfiles:
-        """Return the lines of points (N, 3) in the sensor's frame [mm]; dark where none is seen.
+        """Return the stripes of points (N, 3) in the sensor's frame [mm]; dark where not seen.
 
         Raises:
             InvalidParameter: a point inside a lens.
@@ -147,7 +148,7 @@ class TracedStripes:
 
 
 class ExactOptics:
-    """The optics of S sensors, every ray of every point traced: slow, and as exact as rays are.
+    """Optics of S sensors, every ray of every point traced: slow and exact.
 
     Args:
         sensors: the sensors, in the device's order.
@@ -168,7 +169,7 @@ class ExactOptics:
         self._lines = {kind: TracedStripes(*kind, blur, sampling, tracer) for kind in kinds}
 
     def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
-        """Return the footprints of points (N, 3) in the world frame [mm]."""
+        """Return the solid angles of points (N, 3) in the world frame [mm]."""
         return gather_solid_angles(
             [
                 self._lines[sensor.assembly, sensor.row].shapes(sensor.to_sensor_frame(points_mm))
@@ -178,7 +179,7 @@ class ExactOptics:
 
 
 def gather_solid_angles(lines: Sequence[StripeProfiles]) -> PixelSolidAngles:
-    """Put the lines of N points on each of S sensors into windows of one width."""
+    """Put the stripes of N points on each of S sensors into windows of one width."""
     by_pixel = [line.pixels_sr for line in lines]
     width = max(pixels.shape[1] for pixels in by_pixel)
     window = np.zeros((len(by_pixel[0]), len(lines), width))

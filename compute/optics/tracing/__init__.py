@@ -1,1 +1,1 @@
-"""Exact geometrical optics: surfaces, lenses and stops, rays through them."""
+"""Exact ray tracing: surfaces, lenses and stops."""

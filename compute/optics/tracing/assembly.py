@@ -1,4 +1,4 @@
-"""Assembly: what stands before a line sensor, and where the sensor is."""
+"""Assembly of lenses and stops before a line sensor."""
 
 from dataclasses import dataclass, field
 
@@ -54,7 +54,7 @@ class Assembly:
 
     @property
     def front_z_mm(self) -> float:
-        """Where the first element begins on the axis [mm]."""
+        """Position of the front of the first element on the axis [mm]."""
         return self.elements[0].z_mm
 
     def check_source(self, points_mm: Array) -> None:
@@ -74,7 +74,7 @@ class Assembly:
                 )
 
     def stack(self) -> SurfaceStack:
-        """Return the surfaces, placed."""
+        """Return the surfaces in the frame of the assembly."""
         surfaces: list[Surface] = []
         for element in self.elements:
             if isinstance(element, Lens):

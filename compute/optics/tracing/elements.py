@@ -1,4 +1,4 @@
-"""Elements of an assembly: lenses (cemented ones too) and stops, each with its misalignment."""
+"""Elements of an assembly: lenses (cemented ones too) and stops, with misalignments."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -17,7 +17,7 @@ AIR: Final = 1.0
 
 @dataclass(frozen=True)
 class Alignment:
-    """How far an element is off its nominal place.
+    """Misalignment of an element.
 
     Args:
         decentre_mm: shift along x (pixels) and y (lens axis) [mm].
@@ -30,7 +30,7 @@ class Alignment:
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens of one piece, or several cemented together; a plate, where both faces are plane.
+    """Lens of one piece, or several cemented together; a plate, if both faces are plane.
 
     Args:
         shapes: its N + 1 faces in the order of the light.
@@ -127,7 +127,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class Stop:
-    """An opening in a thin screen.
+    """Aperture stop in a thin screen.
 
     Args:
         aperture: the opening.
@@ -144,7 +144,14 @@ Element = Lens | Stop
 
 
 def plate(thickness_mm: float, index: float, aperture: Aperture, z_mm: float = 0.0) -> Lens:
-    """Return a plane-parallel plate: a filter, a window, the glass over a sensor."""
+    """Return a plane-parallel plate: a filter, a window, the glass over a sensor.
+
+    Args:
+        thickness_mm: on the axis [mm].
+        index: refractive index.
+        aperture: outline.
+        z_mm: position of its front face on the axis [mm].
+    """
     return Lens((Plane(), Plane()), (thickness_mm,), (index,), aperture, z_mm)
 
 

@@ -1,4 +1,4 @@
-"""Where rays first meet a surface, in the surface's own frame, and its normal there.
+"""Intersections of rays with a surface in its own frame, and the surface's normals.
 
 The kernel does the same operations in the same order, so that both give the same numbers.
 """
@@ -31,12 +31,17 @@ ROUNDING: Final = 2.0**-50
 
 
 def dot(a: Vectors, b: Vectors) -> Array:
-    """Return the scalar products."""
+    """Return the scalar products of vectors given by components.
+
+    Args:
+        a: components x, y, z, arrays of any shape.
+        b: likewise.
+    """
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def intersect(record: np.void, origin: Vectors, direction: Vectors) -> tuple[Array, Vectors]:
-    """Find where rays first meet a surface going forward, on the sheet of its vertex.
+    """Return where rays first meet a surface going forward, on the sheet of its vertex.
 
     Args:
         record: the surface, a SURFACE_RECORD.
@@ -63,7 +68,12 @@ def intersect(record: np.void, origin: Vectors, direction: Vectors) -> tuple[Arr
 
 
 def normal(record: np.void, position: Vectors) -> Vectors:
-    """Return the unit normals of a curved surface at places on it, towards +z at the vertex."""
+    """Return the unit normals of a curved surface, towards +z at the vertex.
+
+    Args:
+        record: the surface, a SURFACE_RECORD.
+        position: points on it, in the surface's own frame [mm].
+    """
     x, y, z = position
     cx, cy, e = record["cx"], record["cy"], record["e"]
     if record["form"] == Form.QUADRIC:

@@ -1,6 +1,7 @@
-"""The Warp kernels that trace rays, one thread for each, on the CPU and on CUDA.
+"""Warp kernels that trace rays, one thread a ray, on the CPU and on CUDA.
 
-Only ``compute.optics.tracing.ray_tracer`` imports this module, when a tracer is made: it loads Warp.
+Only ``compute.optics.tracing.ray_tracer`` imports this module, when a tracer is made: it loads
+Warp.
 """
 
 from typing import Final

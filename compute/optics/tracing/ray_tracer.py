@@ -1,4 +1,4 @@
-"""RayTracer: traces many rays through one stack on one device, in buffers of its own."""
+"""Ray tracer by Warp for many rays through one stack of surfaces, on one device."""
 
 from typing import Any, Final
 
@@ -20,7 +20,7 @@ THREADS_PER_BLOCK: Final = 64
 
 
 class RayTracer:
-    """Exact rays through a stack of surfaces by Warp: the numbers of ``trace_rays``, faster.
+    """Exact ray trace through a stack of surfaces by Warp; the results of ``trace_rays``.
 
     Warp is not thread-safe: one thread makes the tracer and calls it. Making it loads Warp and
     compiles the kernel, unless an earlier process has (seconds). The surfaces are data to the
@@ -81,7 +81,12 @@ class RayTracer:
         return self.download()
 
     def upload(self, origins_mm: Array, directions: Array) -> None:
-        """Bring rays to the device; ``trace`` is upload, launch and download."""
+        """Copy rays to the device; ``trace`` is upload, launch and download.
+
+        Args:
+            origins_mm: start points, shape (N, 3) [mm].
+            directions: of any length, shape (N, 3).
+        """
         origins, vectors = validate_rays(origins_mm, directions)
         count = len(origins)
         self._reserve(count)

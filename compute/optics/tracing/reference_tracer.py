@@ -1,4 +1,4 @@
-"""Exact rays through a stack of surfaces: refraction, openings, losses, in vectorised NumPy."""
+"""Exact ray trace through a stack of surfaces in NumPy: refraction, apertures, losses."""
 
 from typing import Final
 
@@ -47,7 +47,16 @@ def trace_rays(stack: SurfaceStack, origins_mm: Array, directions: Array) -> Tra
 
 
 def validate_rays(origins_mm: Array, directions: Array) -> tuple[Array, Array]:
-    """Return origins and directions as float64, or say what is wrong with them."""
+    """Return origins and directions as float64, after checks.
+
+    Args:
+        origins_mm: start points, shape (N, 3) [mm].
+        directions: of any length, shape (N, 3).
+
+    Raises:
+        InvalidParameter: arrays of another shape, values that are not finite, or a direction
+            without length.
+    """
     arrays = []
     for name, values in (("origins_mm", origins_mm), ("directions", directions)):
         array = np.asarray(values, dtype=np.float64)
@@ -81,7 +90,7 @@ def validate_rays(origins_mm: Array, directions: Array) -> tuple[Array, Array]:
 
 
 def empty_results(count: int) -> TracedRays:
-    """Return room for the results of so many rays, none of which arrived."""
+    """Return results of ``count`` rays, none of which has arrived."""
     return TracedRays(
         position_mm=np.full((count, 3), np.nan),
         direction=np.full((count, 3), np.nan),
@@ -95,7 +104,15 @@ def empty_results(count: int) -> TracedRays:
 def trace_chunk(
     records: Records, origins: Array, directions: Array, results: TracedRays, part: slice
 ) -> None:
-    """Trace checked rays together into a part of the results; ``trace_rays`` is made of it."""
+    """Trace validated rays into a part of the results.
+
+    Args:
+        records: the surfaces, SURFACE_RECORDs.
+        origins: components of the start points [mm].
+        directions: components of the unit vectors.
+        results: of all rays, written in place.
+        part: the rows of these rays.
+    """
     # Lost rays go on as NaN, which costs less than to sort them out.
     with np.errstate(all="ignore"):
         origin = _columns(origins)

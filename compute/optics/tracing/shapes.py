@@ -1,4 +1,4 @@
-"""Shapes of optical surfaces: plane, conic (a sphere is one), cylinder, toroid."""
+"""Shapes of optical surfaces: plane, conic of revolution, cylinder, toroid."""
 
 from dataclasses import dataclass
 
@@ -21,13 +21,13 @@ class Plane:
 
     @property
     def conic(self) -> float:
-        """Conic constant; nothing to a plane."""
+        """Conic constant; irrelevant to a plane."""
         return 0.0
 
 
 @dataclass(frozen=True)
 class Conic:
-    """A conic of revolution about z; a sphere with the conic constant 0.
+    """Conic of revolution about z; a sphere has the conic constant 0.
 
     Args:
         radius_mm: radius of curvature at the vertex [mm], positive with the centre at +z.
@@ -52,7 +52,7 @@ class Conic:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A cylinder along y: curved along x, the direction that has the optical power.
+    """Cylinder along y: curved along x, the direction that has the optical power.
 
     Args:
         radius_mm: radius of curvature at the vertex [mm], positive with the centre at +z.
@@ -77,7 +77,7 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Toroid:
-    """A profile in the x-z plane turned about an axis parallel to x at z = ``radius_y_mm``.
+    """Toroid: a profile in the x-z plane, rotated about an axis parallel to x at ``radius_y_mm``.
 
     With g the distance of the profile from the vertex's tangent plane, turned,
     ``g = Ry - sign(Ry) sqrt(y^2 + (Ry - z)^2)``, the surface is ``c (x^2 + (1 + k) g^2) = 2 g``.
@@ -113,6 +113,11 @@ def sag(shape: Shape, x_mm: Array, y_mm: Array) -> Array:
     """Return the height z of a surface over its vertex's tangent plane, same shape as x [mm].
 
     NaN where the surface does not reach that far out.
+
+    Args:
+        shape: of the surface.
+        x_mm: any shape [mm].
+        y_mm: same shape [mm].
     """
     cx, cy = shape.curvatures_per_mm
     square = x_mm**2 + y_mm**2 if isinstance(shape, Conic) else x_mm**2

@@ -1,4 +1,4 @@
-"""A stack of surfaces as records of plain numbers: what both tracers read."""
+"""Stack of surfaces as flat records that both ray tracers read."""
 
 from enum import IntEnum
 from functools import lru_cache
@@ -13,7 +13,7 @@ from compute.optics.tracing.surfaces import Surface, SurfaceStack
 
 
 class Form(IntEnum):
-    """How a ray's crossing with a surface is found."""
+    """Method by which the intersection with a surface is found."""
 
     PLANE = 0
     QUADRIC = 1

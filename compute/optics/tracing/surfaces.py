@@ -1,4 +1,4 @@
-"""Surface: one surface of an optical system, with its place, its edge and the glass behind it."""
+"""Surface of an optical system: shape, position, aperture, and the medium behind it."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -16,7 +16,7 @@ OUTLINES: Final[tuple[Outline, ...]] = ("rectangular", "elliptical")
 
 @dataclass(frozen=True)
 class Aperture:
-    """The opening that a ray must pass, in the x-y plane of its surface.
+    """Aperture that a ray must pass, in the x-y plane of its surface.
 
     Args:
         width_mm: full size along x, the direction of the pixels [mm]; may be infinite.

@@ -1,4 +1,4 @@
-"""Rays that were traced: where they ended, how much light they carry, why one was lost."""
+"""Traced rays: end points, transmitted light, and why a ray was lost."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -10,7 +10,7 @@ from compute.optics.tracing.shapes import Array
 
 
 class RayStatus(IntEnum):
-    """What became of a ray."""
+    """Status of a traced ray."""
 
     ARRIVED = 0
     """It reached the plane of the sensor."""

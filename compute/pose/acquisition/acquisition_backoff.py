@@ -1,4 +1,4 @@
-"""AcquisitionBackoff: when a tool that was looked for in vain is looked for again."""
+"""AcquisitionBackoff: when an unsuccessful acquisition is tried again."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Lit start: tools whose markers are lit together, found among the points of a frame."""
+"""Acquisition of tools whose markers are lit together, from the points of an exposure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,18 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.pose.acquisition.marker_labelling import IdentifiedTool, identify_tools
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.pose_equations import PoseEquations
 from compute.pose.estimation.pose_fit import PoseFit, fit_pose
 from compute.pose.filtering.association import (
-    Measurements,
     ToolObservation,
     associate,
     common_jacobian,
+    without_tools,
 )
 from compute.pose.filtering.pose_filter import PoseState, initial_state
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus
@@ -104,7 +105,7 @@ def acquire_simultaneous(
         settings.gate_probability,
         settings.resolution_px,
     )
-    rest = measurements.without(list(observations.values()))
+    rest = without_tools(measurements, list(observations.values()))
     free = rest.usable.sum(axis=1)
     starts = []
     for index, tool in enumerate(tools):
@@ -114,7 +115,8 @@ def acquire_simultaneous(
             and observation.count_contradictions(free) > observation.readings
         ):
             reason = (
-                f"{observation.readings} readings are where its geometry among the points puts it, and "
+                f"{observation.readings} readings are where its geometry among the points puts it, "
+                "and "
                 f"{observation.count_contradictions(free)} are not where they must be"
             )
             starts.append(_failed(model, tool, PoseStatus.INVALID, reason, len(place)))
@@ -179,7 +181,7 @@ def _failure_reason(
 def _failed(
     model: MeasurementModel, tool: RigidBody, status: PoseStatus, reason: str, points: int
 ) -> SimultaneousAcquisition:
-    nothing = np.zeros((len(tool), model.sensors), dtype=np.bool_)
+    nothing = np.zeros((len(tool), len(model)), dtype=np.bool_)
     return SimultaneousAcquisition(None, status, reason, points, 0.0, nothing, nothing.sum(axis=1))
 
 
@@ -240,7 +242,7 @@ def _fitted_state(
     )
     if common_errors == 0:
         return state
-    expected = model.full(equations.lever_arms(fit.rotation) + centroid)
+    expected = model.predict(equations.lever_arms(fit.rotation) + centroid, with_common_errors=True)
     lit = np.arange(len(readings_px))
     common = common_jacobian(expected, lit, common_errors)[fit.used]
     state.common[:6] = -covariance @ jacobian.T @ (whitening @ common)

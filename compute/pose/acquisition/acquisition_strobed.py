@@ -1,4 +1,4 @@
-"""Strobed start: a tool found from exposures of its markers one after the other.
+"""Acquisition of a strobed tool from exposures of its markers one after the other.
 
 While the markers are lit in turn the tool moves: its last readings fit no single pose. They tell
 one roughly, with a deviation that grows with their age; from there a filter runs over the
@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.observability import missing_readings
 from compute.pose.estimation.pose_equations import PoseCandidates, PoseEquations
@@ -27,7 +28,6 @@ from compute.pose.filtering.pose_filter import (
     predict_measurement,
     update,
 )
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.so3 import exp_so3
 from compute.reconstruction.triangulation import chi2_limit
@@ -114,7 +114,7 @@ def acquire_strobed(
             f"{count} readings so far; pose and velocity take {STATES} and "
             f"{settings.fit.min_redundancy} more to check them",
         )
-    readings, sigma, age_s = _latest_per_marker(exposures, len(centred.markers_mm), model.sensors)
+    readings, sigma, age_s = _latest_per_marker(exposures, len(centred.markers_mm), len(model))
     reason = missing_readings(centred, np.isfinite(readings), settings.fit)
     if reason is not None:
         return StrobedAcquisition(None, reason)
@@ -224,7 +224,7 @@ def _motion_inflated_sigma(
     place = rough_position(model, readings_px, sigma_px)
     if place is None:
         return None
-    slope = np.linalg.norm(model.expected(place[None])[1][0], axis=1)
+    slope = np.linalg.norm(model.linearise(place[None])[1][0], axis=1)
     slope = np.where(np.isfinite(slope), slope, 0.0)
     found: Array = np.hypot(sigma_px, velocity_sigma_mm_s * age_s * slope)
     return found
@@ -305,12 +305,12 @@ def _filter_pass(
             continue
         lit = np.array([one.marker])
         arms = centred.markers_mm[lit] @ state.rotation.T
-        expected = model.full(arms + state.centroid_mm)
-        if not np.isfinite(expected.value_px[0, seen]).all():
+        expected = model.predict(arms + state.centroid_mm, with_common_errors=True)
+        if not np.isfinite(expected.reading_px[0, seen]).all():
             return None
         common = common_jacobian(expected, lit, state.common.shape[1])
         prediction = predict_measurement(state, arms, expected, common)
-        if len(seen) < model.sensors:
+        if len(seen) < len(model):
             prediction = prediction.of(seen)
         residual = one.readings_px[seen] - prediction.value_px
         if robust:

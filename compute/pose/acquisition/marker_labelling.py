@@ -1,4 +1,4 @@
-"""Identify: which points are the markers of which tools, by the tools' geometry."""
+"""Marker labelling: which points are the markers of which tools, by their distances."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -124,13 +124,14 @@ def _ambiguity(
             continue
         if other == index:
             return (
-                f'{labelling.markers} points fit tool "{tools[index].name}" in more than one way: chi2 '
-                f"is {labelling.chi2:.3g} and {rival.chi2:.3g}"
+                f'{labelling.markers} points fit tool "{tools[index].name}" in more than one way: '
+                f"chi2 is {labelling.chi2:.3g} and {rival.chi2:.3g}"
             )
         if _shared_points(rival, labelling) >= settings.min_markers:
             return (
-                f'the same {_shared_points(rival, labelling)} points fit tool "{tools[index].name}" and tool '
-                f'"{tools[other].name}": chi2 is {labelling.chi2:.3g} and {rival.chi2:.3g}'
+                f"the same {_shared_points(rival, labelling)} points fit tool "
+                f'"{tools[index].name}" and tool "{tools[other].name}": chi2 is '
+                f"{labelling.chi2:.3g} and {rival.chi2:.3g}"
             )
     return None
 

@@ -1,4 +1,4 @@
-"""Geometry: whether a tool's markers tell its pose, and tell it from other tools."""
+"""Tool geometry: whether markers determine a pose and tell tools apart."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -116,7 +116,8 @@ def check_distinguishable(
         min_markers: so many alike markers are too many; tools are known by this many.
 
     Raises:
-        IndistinguishableTools: two tools have subsets of markers that look alike, or share a strobe slot.
+        IndistinguishableTools: two tools have subsets of markers that look alike, or share a strobe
+            slot.
         NonFiniteValue: a coordinate is NaN or infinite.
     """
     for first, second in combinations(tools, 2):
@@ -135,8 +136,9 @@ def check_distinguishable(
         if alike:
             pairs = _matching_distances(first, second, alike[0])
             raise IndistinguishableTools(
-                f'tools "{first.name}" and "{second.name}" look alike within {point_sigma_mm:g} mm of '
-                f"noise: {'; '.join(pairs)}; move a marker of one so that no {min_markers} "
+                f'tools "{first.name}" and "{second.name}" look alike within '
+                f"{point_sigma_mm:g} mm of noise: {'; '.join(pairs)}; move a marker of one so "
+                f"that no {min_markers} "
                 "markers have the same distances",
                 tools=(first.name, second.name),
                 pairs=pairs,

@@ -1,4 +1,4 @@
-"""PoseDeviationMonitor: a beam-hold signal when a patient leaves the tolerance (thesis, section 7.2.2)."""
+"""PoseDeviationMonitor: beam hold when a patient leaves the tolerance (thesis, section 7.2.2)."""
 
 import math
 from collections.abc import Iterator
@@ -55,7 +55,8 @@ class BeamHoldLimits:
         given = [one for one in limits if one is not None]
         if not given or not all(one > 0.0 and np.isfinite(one) for one in given):
             raise InvalidParameter(
-                f"the limits are shift {self.shift_mm}, axes {self.axis_mm}, turn {self.rotation_rad}; "
+                f"the limits are shift {self.shift_mm}, axes {self.axis_mm}, turn "
+                f"{self.rotation_rad}; "
                 "give at least one, above 0"
             )
         if not 0.0 < self.probability <= 0.5:
@@ -86,7 +87,8 @@ class BeamHoldLimits:
             return None, worst
         message = self._describe(message, shift_mm, rotation_rad, share)
         if worst < 0.5:
-            message += f", with a probability of {worst:.0%} to be beyond it; at most {self.probability:.0%}"
+            message += f", with a probability of {worst:.0%} to be beyond it; "
+            message += f"at most {self.probability:.0%}"
         return message, worst
 
     def _exceedance_probabilities(

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from compute.camera.rotation import rotation_matrix
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.centred_markers import CentredMarkers
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.so3 import exp_so3
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ class PoseEquations:
 
     @cached_property
     def _marker(self) -> NDArray[np.intp]:
-        return self._flat // self.model.sensors
+        return self._flat // len(self.model)
 
     @cached_property
     def _measured(self) -> Array:
@@ -92,7 +92,7 @@ class PoseEquations:
     @property
     def has_independent_noise(self) -> bool:
         """Whether the readings' own noise is all that is uncertain: exact cameras, no table."""
-        return self.model.corrections is None and self.model.common.shape[2] == 0
+        return self.model.corrections is None and self.model.covariance_factor.shape[2] == 0
 
     def lever_arms(self, rotation: Array) -> Array:
         """Return the markers about their centroid along the world's axes, shape (K, M, 3)."""
@@ -103,7 +103,7 @@ class PoseEquations:
         """Return slopes and residuals side by side, not whitened, shape (K, n, 7)."""
         lever_arms = self.lever_arms(rotation)
         places = (lever_arms + centroid_mm[:, None, :]).reshape(-1, 3)
-        value, slope = self.model.expected(places)
+        value, slope = self.model.linearise(places)
         count = len(rotation)
         slope = slope.reshape(count, -1, 3)[:, self._flat]
         rows = np.empty((count, len(self._flat), 7))
@@ -120,11 +120,11 @@ class PoseEquations:
         markers together, and no number of markers averages it away.
         """
         places = self.lever_arms(rotation) + centroid_mm
-        expected = self.model.full(places)
+        expected = self.model.predict(places, with_common_errors=True)
         variance = self.sigma_px**2 + expected.table_variance_px2
         found = np.diag(variance.ravel()[self._flat])
-        if expected.common_px.shape[2]:
-            common = expected.common_px[self.used]
+        if expected.common_jacobian_px.shape[2]:
+            common = expected.common_jacobian_px[self.used]
             found += common @ common.T
         return found
 
@@ -207,7 +207,7 @@ class PoseEquations:
     def _gram_one(self, rotation: Array, centroid_mm: Array, whitening: Array) -> Array:
         """Return the whitened equations' squares of one pose, shape (7, 7)."""
         lever_arms = self.centred.markers_mm @ rotation.T
-        value, slope = self.model.expected(lever_arms + centroid_mm)
+        value, slope = self.model.linearise(lever_arms + centroid_mm)
         slope = slope.reshape(-1, 3)[self._flat]
         rows = np.empty((len(self._flat), 7))
         rotation_jacobian(lever_arms[self._marker], slope, rows)

@@ -10,6 +10,7 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.observability import missing_readings, observability
 from compute.pose.estimation.pose_equations import PoseCandidates, PoseEquations
@@ -17,7 +18,6 @@ from compute.pose.estimation.pose_initialisation import (
     initial_pose_from_points,
     initial_poses_from_readings,
 )
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
 from compute.pose.tool_pose import PoseStatus
@@ -143,7 +143,7 @@ def _validate(
 ) -> tuple[Array, Array]:
     """Return readings and deviations (M, S), both NaN where either is of no use."""
     readings = np.asarray(readings_px, dtype=np.float64)
-    shape = (len(tool), model.sensors)
+    shape = (len(tool), len(model))
     if readings.shape != shape:
         raise InvalidParameter(
             f'readings of tool "{tool.name}" have the shape {readings.shape}; {shape[0]} markers '

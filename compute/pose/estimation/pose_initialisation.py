@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.centred_markers import CentredMarkers, are_collinear
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.transform import cross_matrix, nearest_rotation
 
 Array = NDArray[np.float64]
@@ -114,7 +114,7 @@ def _planes(
     slope = cameras.correction_derivative(readings_px)
     deviation = (sigma_px * slope)[used]
     weight = 1.0 / deviation
-    shift = np.zeros(model.sensors)
+    shift = np.zeros(len(model))
     place: Array | None = None
     for _ in range(3):
         rows = (

@@ -1,4 +1,4 @@
-"""Association: which peaks of a frame are which markers of the tools that are being tracked.
+"""Association of peaks with the markers of tracked tools.
 
 All markers of a tool move as one, so its peaks are found jointly: first those that only one marker
 of one tool can have made, which update the tool's pose; then, with the narrower expectations of
@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
+from compute.measurement.measurements import Measurements
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.pose_filter import (
@@ -23,9 +25,7 @@ from compute.pose.filtering.pose_filter import (
     update,
 )
 from compute.pose.filtering.second_order import needs_second_order, second_order_prediction
-from compute.pose.measurement_model import ExpectedReadings, MeasurementModel
 from compute.reconstruction.triangulation import chi2_limit
-from compute.signal.peaks import PeakFlag
 
 if TYPE_CHECKING:
     from compute.pose.filtering.native.strobed_step import Step
@@ -35,72 +35,22 @@ Array = NDArray[np.float64]
 ASSOCIATION_ROUNDS: Final = 3
 RIVAL_VARIANCE_RATIO: Final = 16.0
 """Of two markers that expect a peak, the one with so many times the variance does not count."""
-UNUSABLE_FLAGS: Final = PeakFlag.CLIPPED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
-"""Peaks that may be anywhere: drawn inwards, of two maxima, or of a pattern that fits elsewhere."""
-SUSPECT_FLAGS: Final = PeakFlag.SATURATED | PeakFlag.JOINT | PeakFlag.POOR_FIT
-"""Peaks whose standard deviation is too small: their shape is not what was fitted to them, or a
-neighbour's light is in it."""
 NEAR_MISS_PX: Final = 8.0
 """A peak that nothing explains so near to where a marker must be is likely the marker's: farther
 off a false peak beside a hidden marker is more likely."""
 MAX_EXCLUDED_NIS: Final = 25.0
 """Square that a reading that was left out counts with at most: one alone may be anything."""
-SUSPECT_SIGMA_FACTOR: Final = 3.0
-"""On the standard deviations of these."""
 
 
-@dataclass(frozen=True, eq=False)
-class Measurements:
-    """The peaks of one frame that poses may rest on.
-
-    Args:
-        position_px: shape (S, K) [px].
-        variance_px2: of the positions, shape (S, K).
-        usable: which of them there are, and are not in doubt, shape (S, K).
-        all_px: all peaks, those in doubt as well, shape (S, K) [px].
-    """
-
-    position_px: Array
-    variance_px2: Array
-    usable: NDArray[np.bool_]
-    all_px: Array
-
-    @classmethod
-    def of(
-        cls, position_px: Array, sigma_px: Array, peak_flags: NDArray[np.int32]
-    ) -> "Measurements":
-        """Return the peaks of a frame, all of shape (S, K), NaN where there are fewer than K."""
-        position = np.asarray(position_px, dtype=np.float64)
-        sigma = np.asarray(sigma_px, dtype=np.float64)
-        usable = np.isfinite(position) & np.isfinite(sigma) & (sigma > 0.0)
-        flags = np.asarray(peak_flags)
-        variance = sigma**2
-        if np.count_nonzero(flags):
-            usable &= (flags & int(UNUSABLE_FLAGS)) == 0
-            variance = np.where(
-                flags & int(SUSPECT_FLAGS), SUSPECT_SIGMA_FACTOR**2 * variance, variance
-            )
-        if np.count_nonzero(usable) == usable.size:
-            return cls(position, variance, usable, position)
-        return cls(
-            np.where(usable, position, np.nan), np.where(usable, variance, 1.0), usable, position
-        )
-
-    def unambiguous_readings(self) -> tuple[Array, Array]:
-        """Return readings and deviations of sensors with one peak, NaN of others, (S,) each."""
-        one = self.usable.sum(axis=1) == 1
-        peak = self.usable.argmax(axis=1)
-        row = np.arange(len(peak))
-        reading = np.where(one, self.position_px[row, peak], np.nan)
-        return reading, np.where(one, np.sqrt(self.variance_px2[row, peak]), np.nan)
-
-    def without(self, observations: Sequence["ToolObservation"]) -> "Measurements":
-        """Return the peaks that tools have not taken."""
-        usable = self.usable.copy()
-        for observation in observations:
-            row, sensor = np.nonzero(observation.peaks >= 0)
-            usable[sensor, observation.peaks[row, sensor]] = False
-        return replace(self, usable=usable)
+def without_tools(
+    measurements: Measurements, observations: Sequence["ToolObservation"]
+) -> Measurements:
+    """Return the peaks that no tool has taken, at their indices."""
+    free = measurements.usable.copy()
+    for observation in observations:
+        row, sensor = np.nonzero(observation.peaks >= 0)
+        free[sensor, observation.peaks[row, sensor]] = False
+    return measurements.only(free)
 
 
 @dataclass(eq=False)
@@ -227,7 +177,7 @@ def associate(
     alone = active[0] if len(active) == 1 else None
     ready = alone is not None and alone.step is not None and alone.step.imm is not None
     for observation in observations:
-        shape = (len(observation.lit), model.sensors)
+        shape = (len(observation.lit), len(model))
         observation.merged = np.zeros(shape, dtype=np.bool_)
         if ready and observation is alone:
             observation.accept_step()
@@ -292,7 +242,7 @@ def _predict_observed(
             for arm, observation in zip(arms, observations, strict=True)
         ]
     )
-    whole = model.full(marker_positions)
+    whole = model.predict(marker_positions, with_common_errors=True)
     focal = float(model.cameras.principal_distance_px.min())
     found = []
     first = 0
@@ -309,13 +259,15 @@ def _predict_observed(
     return found
 
 
-def common_jacobian(expected: ExpectedReadings, lit: NDArray[np.intp], common_errors: int) -> Array:
+def common_jacobian(
+    expected: PredictedMeasurements, lit: NDArray[np.intp], common_errors: int
+) -> Array:
     """Return the readings' slopes by all common errors, shape (m, S, errors).
 
     First the calibration's, then, where there is a correction table, one for each of the tool's
     markers and sensors: the table's deviation at the place, which is the same in every frame.
     """
-    own = expected.common_px
+    own = expected.common_jacobian_px
     markers, sensors, count = own.shape
     if common_errors == count:
         return own
@@ -361,13 +313,13 @@ def _withdraw_merged(
     off by ten times what it states, and still near enough to pass for either. So where more markers
     than peaks are expected within the width of a line, none of them is read.
     """
-    sensors = len(measurements.all_px)
+    sensors = len(measurements.found_px)
     value = np.concatenate([one.value_px.reshape(-1, sensors) for one in prediction])
     markers = (np.abs(value[:, None] - value[None]) <= resolution_px).sum(axis=1)
     crowded = markers > 1
     if not crowded.any():
         return
-    peaks = (np.abs(measurements.all_px - value[..., None]) <= resolution_px).sum(axis=2)
+    peaks = (np.abs(measurements.found_px - value[..., None]) <= resolution_px).sum(axis=2)
     merged = crowded & (markers > peaks)
     first = 0
     for observation, offer in zip(observations, offers, strict=True):

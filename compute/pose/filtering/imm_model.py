@@ -1,4 +1,4 @@
-"""ImmModel: how a tool's state changes under each mode of motion, as matrices made once."""
+"""ImmModel: transition and noise matrices of a tool under each motion mode."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -40,7 +40,8 @@ class ImmModel:
 
     Args:
         mean_sojourn_s: time that a tool keeps to a mode, in the mean [s].
-        constant_velocity: 1 for modes whose accelerations do not last, 0 for the others, shape (K,).
+        constant_velocity: 1 for modes whose accelerations do not last, 0 for the others, shape
+            (K,).
         state_mask: 1 for the states that a mode has, 0 for the others, shape (K, 18).
         initial_covariance: covariance of lasting accelerations at first, shape (K, 18, 18).
         noise_terms: what a time adds to the covariance, by powers of the time from 1 to 5,
@@ -86,7 +87,8 @@ class ImmModel:
 
         Args:
             step_s: the time [s].
-            mode_probabilities: of each mode, shape (K,): the mean of all is returned, shape (18, 18).
+            mode_probabilities: of each mode, shape (K,): the mean of all is returned, shape (18,
+                18).
         """
         found: Array = step_s**_POWER @ self.noise_terms
         if mode_probabilities is None:

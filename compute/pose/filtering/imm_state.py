@@ -1,4 +1,4 @@
-"""ImmState: a tool's state as it is at rest, moved gently, moved steadily, and moved briskly.
+"""ImmState: a tool's state under several motion modes (interacting multiple models).
 
 While the markers are lit in turn, what a tool may do between two exposures of one marker is most of
 its uncertainty. No single figure is right for it: one that holds a brisk hand says nothing of a
@@ -83,7 +83,7 @@ class ImmState:
 
     @cached_property
     def packed(self) -> Array:
-        """All numbers one after another: the widest's pose, the chances, ``offsets`` and ``covariances``."""
+        """Widest pose, mode probabilities, ``offsets`` and ``covariances`` in one array."""
         pose = self.widest_state
         return np.concatenate(
             [

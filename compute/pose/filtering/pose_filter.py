@@ -1,4 +1,4 @@
-"""Pose filter: a tool's pose, velocity and angular velocity, straight from readings of any time.
+"""Pose filter: error-state Kalman filter of pose, velocity and angular velocity.
 
 An error-state Kalman filter on SE(3) x R^6 with constant velocity (J. Sola, arXiv:1711.02508),
 which a single reading can update: the markers of a strobed tool are never seen at one instant, and
@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
+from compute.measurement.measurement_model import PredictedMeasurements
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.pose_equations import rotation_jacobian
-from compute.pose.measurement_model import ExpectedReadings
 from compute.pose.settings import MotionSettings
 from compute.pose.so3 import exp_so3
 
@@ -224,7 +224,7 @@ class MeasurementPrediction:
 
 
 def predict_measurement(
-    state: PoseState, arms_mm: Array, expected: ExpectedReadings, common: Array
+    state: PoseState, arms_mm: Array, expected: PredictedMeasurements, common: Array
 ) -> MeasurementPrediction:
     """Return what all S readings of m markers are expected to be, marker by marker.
 
@@ -234,7 +234,7 @@ def predict_measurement(
         expected: of the markers there.
         common: of their readings by all common errors, shape (m, S, E).
     """
-    slope = expected.gradient_px_per_mm
+    slope = expected.jacobian_px_per_mm
     jacobian = np.empty((*slope.shape[:2], 6))
     rotation_jacobian(arms_mm[:, None, :], slope, jacobian)
     jacobian[..., 3:] = slope
@@ -247,7 +247,7 @@ def predict_measurement(
         cross_covariance = cross_covariance + state.common @ by_common.T
         covariance = covariance + crossed + crossed.T + by_common @ by_common.T
     return MeasurementPrediction(
-        expected.value_px.ravel(), flat, by_common, cross_covariance, covariance
+        expected.reading_px.ravel(), flat, by_common, cross_covariance, covariance
     )
 
 

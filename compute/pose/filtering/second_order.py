@@ -1,4 +1,4 @@
-"""Curvature: what a pose's uncertainty does to readings beyond the linear.
+"""Second-order correction of predicted readings for a pose's uncertainty.
 
 A filter that updates a pose known to a tenth of a radian by readings good to a hundredth of a
 millimetre is wrong at once: the markers move on arcs and it follows the tangent, by far more than
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.pose_filter import MeasurementPrediction, PoseState
-from compute.pose.measurement_model import MeasurementModel
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ def second_order_prediction(
     rotations = rotation_matrix(steps[:, :3]) @ state.rotation
     places = centred.markers_mm[lit] @ rotations.swapaxes(1, 2)
     places += (state.centroid_mm + steps[:, 3:])[:, None, :]
-    value = model.expected(places.reshape(-1, 3))[0].reshape(2, 6, -1)
+    value = model.linearise(places.reshape(-1, 3))[0].reshape(2, 6, -1)
     even = 0.5 * (value[0] + value[1]) - prediction.value_px
     if not np.isfinite(even).all():
         # Part of where it may be lies behind a lens: nothing can be said of its readings.

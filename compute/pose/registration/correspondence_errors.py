@@ -69,8 +69,8 @@ def find_correspondence_errors(
 
     Tries all orders of up to six pairs; of more, all exchanges of two and of three in a ring
     (up to 60 and 20 pairs; of more, among those that are off most); and leaving out one or two.
-    An explanation has to beat the given order by more than noise does, at ``SIGNIFICANCE`` over all that
-    are tried, and of those that do the one that leaves most pairs in is taken.
+    An explanation has to beat the given order by more than noise does, at ``SIGNIFICANCE`` over all
+    that are tried, and of those that do the one that leaves most pairs in is taken.
 
     Args:
         source: shape (N, 3) [mm].

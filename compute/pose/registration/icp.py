@@ -19,10 +19,10 @@ from compute.errors import (
 from compute.pose.registration.absolute_orientation import fit_isotropic_similarity
 from compute.pose.registration.surface import Surface
 from compute.pose.transform import Transform, cross_matrix, nearest_rotation
+from compute.robust_statistics import MAD_OF_NORMAL
 
 Array = NDArray[np.float64]
 
-_NORMAL_MEDIAN: Final = 0.6745
 _HALVINGS: Final = 10
 _MIN_RESTART_POINTS: Final = 100
 """Points, at least, by which other starts are tried: fewer than twice as many."""
@@ -39,7 +39,8 @@ class IcpSettings:
         trim: share of the points, those furthest off, that are left out at every step, below a
             half.
         max_steps: before it is given up; halved ones count.
-        min_stiffness_ratio: smallest share of the best held motion's stiffness that the worst held one
+        min_stiffness_ratio: smallest share of the best held motion's stiffness that the worst held
+            one
             may have: the square of the ratio of their deviations.
         max_rms_mm: largest RMS distance of the points kept [mm].
         start_turn_rad: how far the start may be turned from the truth [rad]: it is done again
@@ -72,8 +73,8 @@ class IcpRegistration:
         kept: which points were used, shape (N,).
         rms_mm: of those [mm].
         steps: how many it took.
-        stiffness_ratio: stiffness of the worst held motion over the best's, from 0 to 1; turns count by the
-            RMS distance of the points from their middle.
+        stiffness_ratio: stiffness of the worst held motion over the best's, from 0 to 1; turns
+            count by the RMS distance of the points from their middle.
         weakest_motion: that motion in words.
         other: the answer nearest to as good that another start led to, if it differs; None: all
             starts agree, or were not asked.
@@ -155,8 +156,10 @@ def register_surface(
     weakest_motion = _describe_motion(axes[:, 0], centre)
     if stiffness_ratio < wanted.min_stiffness_ratio:
         raise UndeterminedParameters(
-            f"the surface does not hold {weakest_motion}: its stiffness is {stiffness_ratio:.1e} of the best held "
-            f"motion's; at least {wanted.min_stiffness_ratio:.0e} is needed. Take points where the surface "
+            f"the surface does not hold {weakest_motion}: its stiffness is {stiffness_ratio:.1e} "
+            "of the best held "
+            f"motion's; at least {wanted.min_stiffness_ratio:.0e} is needed. Take points where "
+            "the surface "
             "bends another way",
             stiffness_ratio=stiffness_ratio,
             needed=wanted.min_stiffness_ratio,
@@ -299,7 +302,7 @@ def _stiffness(alignment: _Alignment, centre: Array) -> tuple[float, Array]:
 def _covariance(alignment: _Alignment, normal: Array, centre: Array, length: float) -> Array:
     """Return the covariance of turn and translation."""
     # Trimming takes the tails off: the deviation comes from the median.
-    sigma = float(np.median(alignment.off)) / _NORMAL_MEDIAN
+    sigma = float(np.median(alignment.off)) / MAD_OF_NORMAL
     sigma *= float(np.sqrt(len(alignment.off) / (len(alignment.off) - 6.0)))
     scale = np.diag([1.0 / length] * 3 + [1.0] * 3)
     centred = sigma**2 * scale @ np.linalg.inv(normal) @ scale

@@ -119,8 +119,8 @@ def register_points(
             exact, if the target has covariances.
         target_covariance_mm2: likewise. Without either every fiducial errs alike in all
             directions, by as much as the residuals tell.
-        weighting: ``covariances``, or ``fit_isotropic_similarity``: the closed form, which covariances do not
-            change; its own covariance is then what they make of it.
+        weighting: ``covariances``, or ``fit_isotropic_similarity``: the closed form, which
+            covariances do not change; its own covariance is then what they make of it.
         scaled: whether the scale is free as well.
         names: of the fiducials, for messages; None: their numbers from 1.
 

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from compute.calibration.single_sensor.m_estimators import biweight
 from compute.camera.rotation import rotation_matrix
 from compute.errors import HighError, NoConvergence, TooFewPoses, TooLittleRotation
 from compute.pose.tool_calibration.orientation_coverage import OrientationCoverage
 from compute.pose.tool_calibration.pose_validation import validate_poses
 from compute.pose.transform import cross_matrix
+from compute.robust_statistics import biweight
 
 Array = NDArray[np.float64]
 
@@ -140,8 +140,8 @@ def pivot_calibration(
             rms_mm=rms,
             max_mm=wanted.max_rms_mm,
         )
-    normal, misfit = _normal(rotations[used], translations[used], None if pose_covariances is None else pose_covariances[used],
-                             unknowns)  # fmt: skip
+    covariances = None if pose_covariances is None else pose_covariances[used]
+    normal, misfit = _normal(rotations[used], translations[used], covariances, unknowns)
     factor = misfit / (3 * used.sum() - UNKNOWNS)
     covariance = np.linalg.inv(normal) * (factor if pose_covariances is None else max(1.0, factor))
     return PivotResult(
@@ -180,7 +180,8 @@ def _check_used(used: NDArray[np.bool_], wanted: PivotSettings) -> None:
     first = np.flatnonzero(~used)[:10].tolist()
     raise HighError(
         f"{len(used) - left} of {len(used)} poses do not fit the others (the first: {first}); "
-        f"at least {wanted.min_poses} poses and {1.0 - wanted.max_outlier_fraction:.0%} of them must "
+        f"at least {wanted.min_poses} poses and {1.0 - wanted.max_outlier_fraction:.0%} of them "
+        "must "
         "agree: the tip moved, or there was none",
         outlying=len(used) - left,
         poses=len(used),
@@ -297,7 +298,8 @@ def _least_squares(
         if np.abs(step).max() < 1e-9 * (1.0 + np.abs(unknowns).max()):
             return unknowns
     raise NoConvergence(
-        f"the pivot calibration did not converge in {_MAX_ITERATIONS} steps; the last moved the tip by "
+        f"the pivot calibration did not converge in {_MAX_ITERATIONS} steps; the last moved the "
+        "tip by "
         f"{np.linalg.norm(step[:3]):.2g} mm"
     )
 

@@ -138,7 +138,8 @@ def spin_calibration(
         if used.sum() < max(wanted.min_poses, (1.0 - wanted.max_outlier_fraction) * count):
             raise HighError(
                 f"{count - int(used.sum())} of {count} poses do not fit the others; at least "
-                f"{wanted.min_poses} poses and {1.0 - wanted.max_outlier_fraction:.0%} of them must "
+                f"{wanted.min_poses} poses and {1.0 - wanted.max_outlier_fraction:.0%} of them "
+                "must "
                 "agree: the tool was not turned about one axis",
                 outlying=count - int(used.sum()),
                 poses=count,
@@ -296,7 +297,8 @@ def _least_squares(
         if np.abs(step[:4]).max() < 1e-10 and np.abs(step[4:]).max() < 1e-7:
             return axis, _weights(rotations, translations, pose_covariances, axis, used)
     raise NoConvergence(
-        f"the spin calibration did not converge in {_MAX_ITERATIONS} steps; the last turned the axis by "
+        f"the spin calibration did not converge in {_MAX_ITERATIONS} steps; the last turned the "
+        "axis by "
         f"{np.linalg.norm(step[:2]):.2g} rad"
     )
 

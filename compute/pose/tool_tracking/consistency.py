@@ -1,4 +1,4 @@
-"""ExposureResiduals: what the readings of an exposure are off a tool, and whether many are too far off.
+"""ExposureResiduals: residuals of recent exposures and a chi-square consistency test.
 
 An error of the calibration is the same in all exposures. What single exposures are off by is right
 on average over all calibrations; of one device it may be too much in every one. So squares of

@@ -1,4 +1,4 @@
-"""Pose report: the state of a filter as a ToolPose, with its status and the reason for it."""
+"""Pose report: a filter state as a ToolPose, with status and reason."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,10 +7,10 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.observability import observability
 from compute.pose.filtering.pose_filter import PoseState
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose
@@ -134,7 +134,7 @@ def outside_volume(
                 f"reaches from {_place(low)} to {_place(high)}"
             )
     if model.corrections is not None:
-        inside = model.corrections.at(state.marker_positions(centred)).inside
+        inside = model.inside_hull(state.marker_positions(centred))
         foreign = (support.sensors & ~inside).any(axis=1)
         if foreign.any():
             names = [f"marker {index + 1}" for index in np.flatnonzero(foreign)]

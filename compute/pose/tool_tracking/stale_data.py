@@ -1,4 +1,4 @@
-"""Frozen image: peaks that come again, the same to the bit, show nothing of now."""
+"""StaleDataDetector: bit-identical consecutive peaks carry no new measurement."""
 
 import math
 from typing import Final

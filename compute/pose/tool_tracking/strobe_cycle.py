@@ -1,4 +1,4 @@
-"""StrobeCycle: how long it takes until a strobed marker is lit again, learned from exposures."""
+"""StrobeCycle: the strobe period of each slot, learned from exposures."""
 
 from collections import deque
 from typing import Final

@@ -1,4 +1,4 @@
-"""ToolTrack: a tool and what a tracker knows of it from frame to frame."""
+"""ToolTrack: the state of one tool between exposures."""
 
 from collections import deque
 from collections.abc import Callable
@@ -9,14 +9,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.pose.acquisition.acquisition_backoff import AcquisitionBackoff
 from compute.pose.acquisition.acquisition_strobed import MarkerExposure
 from compute.pose.centred_markers import CentredMarkers
-from compute.pose.filtering.association import MAX_EXCLUDED_NIS, Measurements, ToolObservation
+from compute.pose.filtering.association import MAX_EXCLUDED_NIS, ToolObservation
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel
 from compute.pose.filtering.pose_filter import PoseState, predict
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import MotionSettings
 from compute.pose.tool_pose import PoseStatus
@@ -52,8 +53,8 @@ class ToolTrack:
         exposures_since_search: exposures since it was last looked for in vain.
         backoff: when it is looked for again, a strobed one.
         fit_history: whether its last exposures fitted it.
-        exposures_to_confirm: exposures that must fit, in a row, before a strobed tool that was just found is
-            believed: it may have been found from a false peak.
+        exposures_to_confirm: exposures that must fit, in a row, before a strobed tool that was just
+            found is believed: it may have been found from a false peak.
         lit_by_slot: which of its markers an exposure lights, as far as asked.
         status: of a lost tool.
         reason: why it is lost.
@@ -218,8 +219,8 @@ class ToolTrack:
         """Return that its readings do not fit it, those that were left out of it as well.
 
         All that its last exposures offered is judged, of one cycle of its markers and of
-        CONSISTENCY_CYCLES: a marker that is bent has its readings left out frame after frame, and what
-        is left agrees with a pose that is wrong.
+        CONSISTENCY_CYCLES: a marker that is bent has its readings left out frame after frame, and
+        what is left agrees with a pose that is wrong.
 
         Args:
             probability: chance that right readings are taken for wrong ones.
@@ -231,8 +232,8 @@ class ToolTrack:
         if times >= EXCLUSION_COUNT_THRESHOLD:
             return (
                 f"marker {exposures.argmax() + 1} does not fit the tool's geometry, or another "
-                f"does not: in {times} of its last {CONSISTENCY_CYCLES} exposures readings were left "
-                "out of the pose"
+                f"does not: in {times} of its last {CONSISTENCY_CYCLES} exposures readings were "
+                "left out of the pose"
             )
         cycle = list(self.recent_residuals)[-max(1, len(self.recent_updates)) :]
         # An error of the calibration is the same in all of them: they do not average it away.

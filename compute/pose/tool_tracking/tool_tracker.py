@@ -1,4 +1,4 @@
-"""ToolTracker: poses of all tools of a device, frame by frame, each with what it is worth."""
+"""ToolTracker: poses of all tools of a device, exposure by exposure."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -13,20 +13,21 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements, check_sensors
 from compute.pose.acquisition.acquisition_simultaneous import acquire_simultaneous
 from compute.pose.acquisition.acquisition_strobed import MarkerExposure, acquire_strobed
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.association import (
     MAX_EXCLUDED_NIS,
-    Measurements,
     ToolObservation,
     associate,
+    without_tools,
 )
 from compute.pose.filtering.imm_model import ImmModel
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel, has_kernel
 from compute.pose.filtering.pose_filter import PoseState
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose
@@ -50,9 +51,10 @@ MISFIT: Final = "the readings do not fit it where it was and how it moved"
 class ToolTracker:
     """Poses of tools from the peaks of each frame; the same input gives the same poses.
 
-    A tool that is tracked has a filter (``compute.pose.filtering.pose_filter``), which every reading of its
-    markers updates, be they lit in turn or together. A strobed tool that is lost is found from the
-    last exposures of its markers, one whose markers are lit together among reconstructed points.
+    A tool that is tracked has a filter (``compute.pose.filtering.pose_filter``), which every
+    reading of its markers updates, be they lit in turn or together. A strobed tool that is lost is
+    found from the last exposures of its markers, one whose markers are lit together among
+    reconstructed points.
 
     Args:
         cameras: S calibrated cameras, one by one or stacked.
@@ -82,13 +84,13 @@ class ToolTracker:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise InvalidParameter(f'two tools are named "{twice[0]}"; names must differ')
-        if pixels is not None and len(pixels) != self.model.sensors:
+        if pixels is not None and len(pixels) != len(self.model):
             raise InvalidParameter(
-                f"pixels are of {len(pixels)} sensors; there are {self.model.sensors} cameras"
+                f"pixels are of {len(pixels)} sensors; there are {len(self.model)} cameras"
             )
         self.pixels = pixels
-        common = self.model.common.shape[2]
-        table = 0 if corrections is None else self.model.sensors
+        common = self.model.covariance_factor.shape[2]
+        table = 0 if corrections is None else len(self.model)
         self._imm_model = ImmModel.of(self.settings.motion, self.settings.imm)
         self._tools = [self._untracked(body, common + table * len(body)) for body in tools]
         self._time_ns: int | None = None
@@ -159,9 +161,7 @@ class ToolTracker:
         self,
         time_ns: int,
         sequence: int,
-        position_px: Array,
-        sigma_px: Array,
-        peak_flags: NDArray[np.int32],
+        measurements: Measurements,
         marker: int | None,
         points: PointBatch | None = None,
     ) -> tuple[ToolPose, ...]:
@@ -170,9 +170,9 @@ class ToolTracker:
         Args:
             time_ns: middle of the exposure [ns], not before that of the frame before.
             sequence: number of the frame.
-            position_px: peaks of each sensor, shape (S, K) [px]; NaN where there are fewer than K.
-            sigma_px: their standard deviations, shape (S, K) [px].
-            peak_flags: PeakFlag values, shape (S, K).
+            measurements: the peaks of the S sensors. Those that two markers may share are not used,
+                as each peak goes to one marker at most; those that start no track serve tools that
+                are tracked, not those that are looked for.
             marker: strobe slot that was lit; None: all markers.
             points: points reconstructed of this frame, to find tools by their geometry; None: none.
 
@@ -184,17 +184,15 @@ class ToolTracker:
                 f"the frame at {time_ns} ns comes after that at {self._time_ns} ns; call reset() "
                 "where time goes back"
             )
-        if position_px.ndim != 2 or len(position_px) != self.model.sensors:
-            raise InvalidParameter(
-                f"position_px has the shape {position_px.shape}; it must be "
-                f"({self.model.sensors}, K)"
-            )
+        check_sensors(measurements, len(self.model))
         self._time_ns = time_ns
-        self._stale_data.add_exposure(marker, position_px, sigma_px)
-        measurements = Measurements.of(position_px, sigma_px, peak_flags)
+        self._stale_data.add_exposure(marker, measurements.position_px, measurements.sigma_px)
+        if np.count_nonzero(measurements.shared):
+            measurements = measurements.only(~measurements.shared)
         observations = self._track(time_ns, marker, measurements)
         self._cycle.add_exposure(marker, time_ns)
-        self._acquire(time_ns, marker, measurements, observations, points)
+        starting = measurements.only(measurements.can_initiate)
+        self._acquire(time_ns, marker, starting, observations, points)
         return tuple(self._report(tool, time_ns, sequence) for tool in self._tools)
 
     def _track(
@@ -224,8 +222,8 @@ class ToolTracker:
         self._retry_manoeuvring(observations, time_ns, marker, measurements)
         found = list(observations.values())
         # Of several before one of them gives back what it has taken; of one where it is asked for.
-        rest = measurements.without(found) if len(found) > 1 else None
-        free = partial(measurements.without, found) if rest is None else lambda: rest
+        rest = without_tools(measurements, found) if len(found) > 1 else None
+        free = partial(without_tools, measurements, found) if rest is None else lambda: rest
         for index, observation in observations.items():
             tool = self._tools[index]
             tool.check_consistency(
@@ -255,7 +253,7 @@ class ToolTracker:
             return
         motion = self.settings.motion
         others = [observation for index, observation in observations.items() if index not in weak]
-        free = measurements.without(others)
+        free = without_tools(measurements, others)
         trials = {
             index: self._tools[index].predict_observation(
                 time_ns, marker, motion, motion.manoeuvre_factor
@@ -294,7 +292,7 @@ class ToolTracker:
         """Return that too few of a tool's readings would be on the pixels, if so."""
         if self.pixels is None:
             return None
-        value = self.model.expected(state.marker_positions(tool.centred))[0]
+        value = self.model.linearise(state.marker_positions(tool.centred))[0]
         here = (value >= -0.5) & (value <= np.array(self.pixels) - 0.5)
         if here.sum() >= self.settings.fit.min_readings:
             return None
@@ -385,7 +383,7 @@ class ToolTracker:
         tool.exposures.clear()
         tool.fit_history.clear()
         tool.recent_updates.clear()
-        sensors = np.zeros((len(tool.body), self.model.sensors), dtype=np.bool_)
+        sensors = np.zeros((len(tool.body), len(self.model)), dtype=np.bool_)
         for one in shown:
             sensors[one.marker] = np.isfinite(one.readings_px)
         tool.recent_updates.append((found.nis, found.readings, sensors))
@@ -406,7 +404,7 @@ class ToolTracker:
             [tool.body for tool in lost],
             [tool.common_errors for tool in lost],
             time_ns,
-            measurements.without(taken),
+            without_tools(measurements, taken),
             taken,
             points,
             self.settings,

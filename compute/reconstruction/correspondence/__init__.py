@@ -1,6 +1,5 @@
-"""Which peaks of the sensors belong to one marker, when several are seen at once."""
+"""Correspondence: which peaks of the sensors belong to one marker."""
 
-from compute.reconstruction.correspondence.group_with_cameras import match_peaks
 from compute.reconstruction.correspondence.grouping import group_peaks
 from compute.reconstruction.correspondence.intersections import (
     IntersectionPoints,
@@ -8,7 +7,6 @@ from compute.reconstruction.correspondence.intersections import (
     intersection_points,
 )
 from compute.reconstruction.correspondence.predicted_candidates import PredictedPoints
-from compute.reconstruction.correspondence.predictor import Predictor
 from compute.reconstruction.correspondence.result import Correspondence
 from compute.reconstruction.correspondence.settings import FALSE_REJECTION, MatchSettings
 
@@ -18,9 +16,7 @@ __all__ = [
     "IntersectionPoints",
     "MatchSettings",
     "PredictedPoints",
-    "Predictor",
     "SearchPart",
     "group_peaks",
     "intersection_points",
-    "match_peaks",
 ]

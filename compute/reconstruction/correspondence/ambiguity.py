@@ -1,4 +1,4 @@
-"""Doubt: how likely a group is wrong in ways that no other set of candidates shows."""
+"""ErrorEstimate: probability that a group is wrong, beyond what other sets of candidates show."""
 
 from dataclasses import dataclass
 from math import exp, log, pi
@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.candidates import (
     MAX_EXTENT_MM,
     Candidates,
@@ -20,7 +21,6 @@ from compute.reconstruction.correspondence.predicted_candidates import (
 )
 from compute.reconstruction.correspondence.rigid_bodies import BodyMatch
 from compute.reconstruction.correspondence.settings import MatchSettings
-from compute.reconstruction.correspondence.sorted_peaks import SortedPeaks
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class ErrorEstimate:
     """
 
     solve: Solve
-    peaks: SortedPeaks
+    peaks: Measurements
     settings: MatchSettings
     unassigned_peaks: Array
     markers: int

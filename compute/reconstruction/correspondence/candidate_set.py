@@ -1,12 +1,14 @@
-"""Pool: a frame's candidates, what was decided of them, and the groups that came of it."""
+"""CandidateSet: the candidates of an exposure and the groups that are chosen from them."""
 
 from functools import lru_cache
 from math import inf
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.ambiguity import ErrorEstimate
 from compute.reconstruction.correspondence.candidates import (
     Candidates,
@@ -22,12 +24,13 @@ from compute.reconstruction.correspondence.predicted_candidates import (
     PredictedPoints,
     predicted_candidates,
 )
-from compute.reconstruction.correspondence.predictor import Predictor
 from compute.reconstruction.correspondence.result import Group
 from compute.reconstruction.correspondence.rigid_bodies import BodyMatch, body_matches
 from compute.reconstruction.correspondence.set_packing import SetPacking, solve_set_packing
 from compute.reconstruction.correspondence.settings import MatchSettings
-from compute.reconstruction.correspondence.sorted_peaks import SortedPeaks
+
+if TYPE_CHECKING:
+    from compute.reconstruction.point_batch import PointBatch
 
 Array = NDArray[np.float64]
 
@@ -46,14 +49,18 @@ class CandidateSet:
         solve: reconstructs.
         peaks: of the frame.
         settings: the model.
-        predict: the sensors, forward; None: not known.
+        model: the measurement model; None: readings cannot be predicted.
     """
 
     def __init__(
-        self, solve: Solve, peaks: SortedPeaks, settings: MatchSettings, predict: Predictor | None
+        self,
+        solve: Solve,
+        peaks: Measurements,
+        settings: MatchSettings,
+        model: MeasurementModel | None,
     ) -> None:
-        self.solve, self.peaks, self.settings, self.predict = solve, peaks, settings, predict
-        self.free = np.isfinite(peaks.position_px)
+        self.solve, self.peaks, self.settings, self.model = solve, peaks, settings, model
+        self.free = peaks.usable.copy()
         self.seeing = tuple(int(sensor) for sensor in np.flatnonzero(peaks.count > 0))
         self.candidates = empty_candidates(len(peaks))
         self.misfit_density = MisfitDensity()
@@ -62,16 +69,17 @@ class CandidateSet:
         self.body_misfit_density = MisfitDensity()
         self.bodies: list[tuple[int, BodyMatch]] = []
         self.groups: list[Group] = []
+        self.group_points: list[PointBatch] = []
         self.cut = 0
         self.points = 0
 
     def add_predicted(self, predicted: PredictedPoints) -> None:
         """Add the combinations that may be predicted points."""
-        assert self.predict is not None
+        assert self.model is not None
         self.predicted = predicted
         candidates, cut = predicted_candidates(
             self.solve,
-            self.predict,
+            self.model,
             self.peaks,
             predicted,
             self.settings.max_points,
@@ -88,8 +96,8 @@ class CandidateSet:
         whole = np.prod([counts[sensor] + several for sensor in self.seeing], dtype=np.float64)
         if whole <= MAX_EXHAUSTIVE_COMBINATIONS:
             self._add_all(_all_choices(counts, 4))
-        elif self.predict is not None:
-            self._add_stepwise(self.predict)
+        elif self.model is not None:
+            self._add_stepwise(self.model)
         elif plain <= MAX_UNPREDICTED_COMBINATIONS:
             self._add_all(_all_choices(counts, len(self.seeing)))
         else:
@@ -110,8 +118,8 @@ class CandidateSet:
         if len(choice) == 0:
             return
         candidates = solve_combinations(self.solve, self.peaks, choice).candidates
-        if self.predict is not None:
-            seen = self.predict(candidates.position_mm)
+        if self.model is not None:
+            seen = self.model.predict(candidates.position_mm)
             # A ghost that a sensor would have to read beyond its ends is none.
             candidates = candidates.take(
                 np.flatnonzero((seen.in_view | (candidates.choice < 0)).all(axis=1))
@@ -143,7 +151,7 @@ class CandidateSet:
         self.misfit_density.count(tried.chi2[tried.dof == least], least, true)
         self.candidates = self.candidates.concatenate(tried.candidates)
 
-    def _add_stepwise(self, predict: Predictor) -> None:
+    def _add_stepwise(self, model: MeasurementModel) -> None:
         """Start from triples of sensors that no marker escapes; first what nearly all saw."""
         seeing = len(self.seeing)
         strict = max(5, seeing - 2)
@@ -159,7 +167,7 @@ class CandidateSet:
                     continue
                 choice, cut = complete_triples(
                     self.solve,
-                    predict,
+                    model,
                     self.peaks,
                     self.free,
                     (sensors[0], sensors[1], sensors[2]),
@@ -187,13 +195,13 @@ class CandidateSet:
     def _missed(self, candidates: Candidates) -> NDArray[np.intp]:
         """Return how many sensors should have a peak of each candidate and have none."""
         none = candidates.choice < 0
-        if self.predict is not None and none.any():
-            none &= self.predict(candidates.position_mm).in_view
+        if self.model is not None and none.any():
+            none &= self.model.predict(candidates.position_mm).in_view
         missed: NDArray[np.intp] = none.sum(axis=1)
         return missed
 
     def _columns(self) -> tuple[list[tuple[int, ...]], list[float]]:
-        room, sensors = self.peaks.room, len(self.peaks)
+        room, sensors = self.peaks.max_count, len(self.peaks)
         scores = self.candidates.scores(self.settings, self._missed(self.candidates))
         # Three peaks alone are only looked at as part of a body.
         scores[(self.candidates.dof < 1) & (self.candidates.predicted < 0)] = -inf
@@ -231,7 +239,7 @@ class CandidateSet:
         packing = solve_set_packing(
             columns, scores, settings.window, settings.max_hypotheses, self.peaks.capacity
         )
-        room = self.peaks.room
+        room = self.peaks.max_count
         peaks = len(self.peaks) * room
         left = self.free.sum(axis=1).astype(np.float64)
         for index in packing.chosen:
@@ -279,12 +287,14 @@ class CandidateSet:
         if index < len(self.candidates):
             choice = tuple(int(peak) for peak in self.candidates.choice[index])
             self.groups.append(Group(choice, ambiguous, int(self.candidates.predicted[index])))
+            self.group_points.append(self.candidates.points.part(index, index + 1))
             return
         body, match = self.bodies[index - len(self.candidates)]
         for marker, row in enumerate(match.rows):
             if row >= 0:
                 choice = tuple(int(peak) for peak in self.candidates.choice[row])
                 self.groups.append(Group(choice, ambiguous, -1, body, marker))
+                self.group_points.append(self.candidates.points.part(row, row + 1))
 
     def _add_single(self) -> None:
         """One peak left on each of three sensors or more may be a marker that others missed."""
@@ -298,6 +308,7 @@ class CandidateSet:
             and float(candidates.scores(self.settings, self._missed(candidates))[0]) > 0.0
         ):
             self.groups.append(Group(tuple(int(peak) for peak in choice), True))
+            self.group_points.append(candidates.points)
 
 
 @lru_cache(maxsize=256)

@@ -1,4 +1,4 @@
-"""Candidates: combinations of peaks that meet in a point, and how likely each is a marker."""
+"""Candidates: combinations of peaks that intersect, with their likelihoods."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from math import lgamma, log, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.settings import FALSE_REJECTION, MatchSettings
-from compute.reconstruction.correspondence.sorted_peaks import SortedPeaks
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import chi2_limit
 
@@ -34,19 +34,18 @@ class Candidates:
 
     Args:
         choice: index of each sensor's peak, -1: none, shape (C, S).
-        position_mm: shape (C, 3) [mm].
-        covariance_mm2: shape (C, 3, 3) [mm^2].
+        points: the C points where they meet.
         chi2: of the readings, and of the predicted point where there is one, shape (C,).
         dof: of freedom of ``chi2``, shape (C,).
         log_marginal: log of the integral of the readings' likelihood over space, shape (C,) [mm^3].
-        log_marginal_capped: the same, but not larger for being less determined than ``PRIOR_EXTENT_MM``.
+        log_marginal_capped: the same, but not larger for being less determined than
+            ``PRIOR_EXTENT_MM``.
         predicted: index of the predicted point that it would be, -1: none, shape (C,).
         log_density: log of that point's density at the position, shape (C,) [1/mm^3]; 0: none.
     """
 
     choice: Choice
-    position_mm: Array
-    covariance_mm2: Array
+    points: PointBatch
     chi2: Array
     dof: NDArray[np.intp]
     log_marginal: Array
@@ -58,12 +57,21 @@ class Candidates:
         """Return the number of combinations."""
         return len(self.choice)
 
+    @property
+    def position_mm(self) -> Array:
+        """Positions, shape (C, 3) [mm]."""
+        return self.points.position_mm
+
+    @property
+    def covariance_mm2(self) -> Array:
+        """Covariances of the positions, shape (C, 3, 3) [mm^2]."""
+        return self.points.covariance_mm2
+
     def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "Candidates":
         """Return some of them."""
         return Candidates(
             self.choice[index],
-            self.position_mm[index],
-            self.covariance_mm2[index],
+            self.points.take(index),
             self.chi2[index],
             self.dof[index],
             self.log_marginal[index],
@@ -78,8 +86,7 @@ class Candidates:
             return other
         return Candidates(
             np.concatenate([self.choice, other.choice]),
-            np.concatenate([self.position_mm, other.position_mm]),
-            np.concatenate([self.covariance_mm2, other.covariance_mm2]),
+            PointBatch.concatenate([self.points, other.points]),
             np.concatenate([self.chi2, other.chi2]),
             np.concatenate([self.dof, other.dof]),
             np.concatenate([self.log_marginal, other.log_marginal]),
@@ -125,7 +132,7 @@ class SolvedCombinations:
     dof: NDArray[np.intp]
 
 
-def solve_combinations(solve: Solve, peaks: SortedPeaks, choice: Choice) -> SolvedCombinations:
+def solve_combinations(solve: Solve, peaks: Measurements, choice: Choice) -> SolvedCombinations:
     """Reconstruct combinations (N, S) of three or more peaks."""
     readings, sigma = peaks.readings(choice)
     points = solve(readings, sigma)
@@ -140,8 +147,7 @@ def solve_combinations(solve: Solve, peaks: SortedPeaks, choice: Choice) -> Solv
         log_volume, compared = log_volumes(covariance)
         candidates = Candidates(
             choice[good],
-            points.position_mm[good],
-            covariance,
+            points.take(good),
             chi2,
             n_dof,
             log_volume + rest,
@@ -186,8 +192,7 @@ def empty_candidates(sensors: int) -> Candidates:
     whole = np.empty(0, dtype=np.intp)
     return Candidates(
         np.empty((0, sensors), dtype=np.intp),
-        np.empty((0, 3)),
-        np.empty((0, 3, 3)),
+        PointBatch.empty(sensors),
         none,
         whole,
         none,

@@ -1,4 +1,4 @@
-"""Triples of sensors to start from, so that no marker that enough sensors see is passed over."""
+"""Covering design: sensor triples such that every visible marker has one."""
 
 from functools import cache
 from itertools import combinations

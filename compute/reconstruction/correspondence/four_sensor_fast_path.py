@@ -1,4 +1,4 @@
-"""Small frames: few peaks on four sensors, of which nothing competes for any, in one pass.
+"""Fast path for small exposures on four sensors in which no peak is contested.
 
 What ``Pool`` does step by step, for the usual case on the live path: with the same result.
 """
@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.ambiguity import ErrorEstimate, log_misfit_density
 from compute.reconstruction.correspondence.candidates import (
     MAX_EXTENT_MM,
@@ -21,7 +22,6 @@ from compute.reconstruction.correspondence.candidates import (
 )
 from compute.reconstruction.correspondence.result import Group
 from compute.reconstruction.correspondence.settings import FALSE_REJECTION, MatchSettings
-from compute.reconstruction.correspondence.sorted_peaks import SortedPeaks
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import chi2_limit
 
@@ -48,9 +48,9 @@ class _Plan:
 
 
 def group_four_sensor_frame(
-    solve: Solve, peaks: SortedPeaks, settings: MatchSettings
-) -> list[Group] | None:
-    """Return the groups of a small frame; None: it is none, or there is something to weigh.
+    solve: Solve, peaks: Measurements, settings: MatchSettings
+) -> tuple[list[Group], PointBatch] | None:
+    """Return the groups of a small frame and their points; None: there is something to weigh.
 
     Args:
         solve: reconstructs.
@@ -106,11 +106,11 @@ def group_four_sensor_frame(
         doubt += exp(min(odds + 0.5 * misfit, 0.0))
         ambiguous = doubt > settings.max_error_rate or far > MAX_EXTENT_MM**2
         groups.append(Group(plan.columns[row], ambiguous))
-    return groups
+    return groups, points.take(good)
 
 
 def _family(
-    solve: Solve, peaks: SortedPeaks, plan: _Plan, points: PointBatch, good: NDArray[np.intp]
+    solve: Solve, peaks: Measurements, plan: _Plan, points: PointBatch, good: NDArray[np.intp]
 ) -> NDArray[np.float64]:
     """Return the covariances of fours and of them without a sensor each, shape (G 5, 3, 3)."""
     if plan.family is not None:

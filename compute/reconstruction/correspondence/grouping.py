@@ -1,4 +1,4 @@
-"""Grouping of peaks to markers: candidates, the likeliest set of them, and what is in doubt."""
+"""group_peaks: grouping of an exposure's peaks to markers, with their ambiguity."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -7,14 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.candidate_set import CandidateSet
 from compute.reconstruction.correspondence.candidates import Solve
 from compute.reconstruction.correspondence.four_sensor_fast_path import group_four_sensor_frame
 from compute.reconstruction.correspondence.predicted_candidates import PredictedPoints
-from compute.reconstruction.correspondence.predictor import Predictor
 from compute.reconstruction.correspondence.result import Correspondence, Group
 from compute.reconstruction.correspondence.settings import MatchSettings
-from compute.reconstruction.correspondence.sorted_peaks import SortedPeaks
+from compute.reconstruction.point_batch import PointBatch
 
 Array = NDArray[np.float64]
 
@@ -23,11 +24,9 @@ _STANDARD: Final = MatchSettings()
 
 def group_peaks(
     solve: Solve,
-    position_px: Array,
-    sigma_px: Array,
+    measurements: Measurements,
     *,
-    predict: Predictor | None = None,
-    merged: NDArray[np.bool_] | None = None,
+    model: MeasurementModel | None = None,
     predicted: PredictedPoints | None = None,
     bodies_mm: Sequence[Array] = (),
     settings: MatchSettings = _STANDARD,
@@ -50,30 +49,28 @@ def group_peaks(
 
     Args:
         solve: takes readings (N, S) and their standard deviations (N, S).
-        position_px: peaks of each sensor, shape (S, K); NaN where there are fewer than K.
-        sigma_px: their standard deviations, shape (S, K).
-        predict: the same sensors, forward; None: only small frames can be grouped, those with
-            up to ``pool.MAX_UNPREDICTED_COMBINATIONS`` combinations.
-        merged: peaks that may be two markers' (``PeakFlag.MERGED``), shape (S, K).
-        predicted: where markers are expected; needs ``predict``.
+        measurements: the peaks of S sensors; one that is ``shared`` may be two markers'.
+        model: the measurement model of the same sensors; None: only small frames can be grouped,
+            those with up to ``candidate_set.MAX_UNPREDICTED_COMBINATIONS`` combinations.
+        predicted: where markers are expected; needs ``model``.
         bodies_mm: markers of rigid bodies in their own coordinates, (M, 3) each [mm].
         settings: the model of peaks and markers, and the bounds.
 
     Raises:
-        InvalidParameter: predicted points without ``predict``, or a body of too few markers.
+        InvalidParameter: predicted points without ``model``, or a body of too few markers.
     """
-    if predicted is not None and predict is None:
-        raise InvalidParameter("predicted points need predict, which says where they are seen")
+    if predicted is not None and model is None:
+        raise InvalidParameter("predicted points need a model, which says where they are seen")
     outside = (predicted is not None and len(predicted) > 0) or len(bodies_mm) > 0
-    count = (np.isfinite(position_px) & np.isfinite(sigma_px)).sum(axis=1)
+    count = measurements.count
     seeing = int((count > 0).sum())
     if seeing < 3 or (not outside and (count.max() == 1 or seeing == 3)):
-        return _nothing_to_choose(position_px, sigma_px, count)
-    peaks = SortedPeaks.of(position_px, sigma_px, merged, settings.merged_sigma_px)
-    groups = None if outside else group_four_sensor_frame(solve, peaks, settings)
-    if groups is not None:
-        return _result(groups, peaks, 0)
-    candidate_set = CandidateSet(solve, peaks, settings, predict)
+        return _nothing_to_choose(solve, measurements)
+    peaks = measurements.sort()
+    small = None if outside else group_four_sensor_frame(solve, peaks, settings)
+    if small is not None:
+        return _result(*small, peaks, 0)
+    candidate_set = CandidateSet(solve, peaks, settings, model)
     if predicted is not None and len(predicted) > 0:
         candidate_set.add_predicted(predicted)
     if seeing >= 4:
@@ -81,25 +78,25 @@ def group_peaks(
     for index, body in enumerate(bodies_mm):
         candidate_set.add_body(index, np.asarray(body, dtype=np.float64))
     candidate_set.finish()
-    return _result(candidate_set.groups, peaks, candidate_set.cut)
+    groups = candidate_set.groups
+    points = PointBatch.concatenate([PointBatch.empty(len(peaks)), *candidate_set.group_points])
+    return _result(groups, points, peaks, candidate_set.cut)
 
 
-def _nothing_to_choose(
-    position_px: Array, sigma_px: Array, count: NDArray[np.intp]
-) -> Correspondence:
+def _nothing_to_choose(solve: Solve, measurements: Measurements) -> Correspondence:
     """Return the group of single peaks of three or more sensors, if that is all there is."""
-    sensors = len(position_px)
+    count = measurements.count
+    sensors = len(measurements)
     if (count == 1).sum() < 3 or count.max() > 1:
-        return _correspondence(sensors)
-    usable = np.isfinite(position_px) & np.isfinite(sigma_px)
-    column = usable.argmax(axis=1)
-    row = np.arange(sensors)
-    there = count == 1
+        return _no_groups(sensors)
+    choice = np.where(count == 1, measurements.usable.argmax(axis=1), -1)[None]
+    readings, sigma = measurements.readings(choice)
     return Correspondence(
-        np.where(there, position_px[row, column], np.nan)[None],
-        np.where(there, sigma_px[row, column], np.nan)[None],
+        readings,
+        sigma,
         np.zeros(1, dtype=np.bool_),
-        np.where(there, column, -1)[None],
+        solve(readings, sigma),
+        choice,
         np.full(1, -1),
         np.full(1, -1),
         np.full(1, -1),
@@ -107,12 +104,13 @@ def _nothing_to_choose(
     )
 
 
-def _correspondence(sensors: int, cut: int = 0) -> Correspondence:
+def _no_groups(sensors: int, cut: int = 0) -> Correspondence:
     empty, none = np.empty((0, sensors)), np.empty(0, dtype=np.intp)
     return Correspondence(
         empty,
         empty,
         np.zeros(0, dtype=np.bool_),
+        PointBatch.empty(sensors),
         np.empty((0, sensors), dtype=np.intp),
         none,
         none,
@@ -121,17 +119,23 @@ def _correspondence(sensors: int, cut: int = 0) -> Correspondence:
     )
 
 
-def _result(found: Sequence[Group], peaks: SortedPeaks, cut: int) -> Correspondence:
-    groups = sorted(found, key=lambda group: group.choice)
-    if not groups:
-        return _correspondence(len(peaks), cut)
+def _result(
+    found: Sequence[Group], points: PointBatch, peaks: Measurements, cut: int
+) -> Correspondence:
+    """Return groups and their points in the order of the groups' peaks."""
+    if not found:
+        return _no_groups(len(peaks), cut)
+    order = sorted(range(len(found)), key=lambda index: found[index].choice)
+    groups = [found[index] for index in order]
     choice = np.array([group.choice for group in groups])
     readings, sigma = peaks.readings(choice)
+    assert peaks.original_index is not None
     original_index = np.where(choice < 0, -1, peaks.original_index[np.arange(len(peaks)), choice])
     return Correspondence(
         readings,
         sigma,
         np.array([group.ambiguous for group in groups]),
+        points.take(np.array(order)),
         original_index,
         np.array([group.predicted for group in groups]),
         np.array([group.body for group in groups]),

@@ -1,4 +1,4 @@
-"""Combinations step by step: three sensors make a point, which says where the others see it."""
+"""Incremental search: triples of peaks, extended by the gated peaks of further sensors."""
 
 from dataclasses import dataclass
 from math import sqrt
@@ -7,20 +7,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.candidates import (
     MISFIT_BANDS,
     Choice,
     MisfitDensity,
     Solve,
 )
-from compute.reconstruction.correspondence.predictor import Predictor
 from compute.reconstruction.correspondence.settings import FALSE_REJECTION
-from compute.reconstruction.correspondence.sorted_peaks import SortedPeaks
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
 
 _GATE: Final = sqrt(chi2_limit(1, FALSE_REJECTION))
+_SAMPLE: Final = 64
 _ROUNDING_PX: Final = 0.01  # what a point that is a little off changes in a reading
 
 
@@ -39,8 +40,8 @@ class GatedPeaks:
 
 
 def find_gated_peaks(
-    predict: Predictor,
-    peaks: SortedPeaks,
+    model: MeasurementModel,
+    peaks: Measurements,
     free: NDArray[np.bool_],
     points_mm: Array,
     covariance_mm2: Array,
@@ -51,7 +52,7 @@ def find_gated_peaks(
     """Find the peaks within the innovation's limit of what is predicted.
 
     Args:
-        predict: the sensors.
+        model: the measurement model.
         peaks: of the frame.
         free: which of them may be used, shape (S, K).
         points_mm: shape (N, 3) [mm]; NaN: no point.
@@ -60,7 +61,8 @@ def find_gated_peaks(
         misfit_density: counts the peaks in and beside the gates.
         true: how many of a sensor's peaks may be where they should.
     """
-    seen = predict(points_mm)
+    seen = model.predict(points_mm)
+    systematic = _systematic_variance(model, seen, points_mm)
     own = tuple(np.flatnonzero(row) for row in free)
     first = np.zeros((len(points_mm), len(peaks)), dtype=np.intp)
     count = np.zeros_like(first)
@@ -70,9 +72,9 @@ def find_gated_peaks(
         place = peaks.position_px[sensor, index]
         slope = seen.jacobian_px_per_mm[:, sensor]
         by_point = np.einsum("ni,nij,nj->n", slope, covariance_mm2, slope)
-        spread = by_point + seen.variance_px2[sensor] + peaks.sigma_px[sensor, index].max() ** 2
+        spread = by_point + systematic[sensor] + peaks.sigma_px[sensor, index].max() ** 2
         half = _GATE * np.sqrt(spread) + _ROUNDING_PX
-        centre = seen.readings_px[:, sensor]
+        centre = seen.reading_px[:, sensor]
         there = np.isfinite(centre) & np.isfinite(half)
         centre, half = np.where(there, centre, -1e9), np.where(there, half, 0.0)
         first[:, sensor] = np.searchsorted(place, centre - half)
@@ -86,6 +88,23 @@ def find_gated_peaks(
     return GatedPeaks(first, count, own)
 
 
+def _systematic_variance(
+    model: MeasurementModel, predicted: PredictedMeasurements, points_mm: Array
+) -> Array:
+    """Return the largest variance by the cameras' and the table's own errors, shape (S,) [px^2].
+
+    The cameras' is that of some of the points: it varies slowly.
+    """
+    variance = np.zeros(len(model))
+    if len(points_mm) == 0:
+        return variance
+    variance += predicted.table_variance_px2.max(axis=0)
+    if model.parameter_covariance is not None:
+        sample = points_mm[:: max(1, len(points_mm) // _SAMPLE)]
+        variance += model.calibration_variance(sample).max(axis=0)
+    return variance
+
+
 def all_triples(free: NDArray[np.bool_], base: tuple[int, int, int]) -> Choice:
     """Return all combinations of three sensors' free peaks, -1 elsewhere, shape (N, S)."""
     axes = [np.flatnonzero(free[sensor]) for sensor in base]
@@ -97,8 +116,8 @@ def all_triples(free: NDArray[np.bool_], base: tuple[int, int, int]) -> Choice:
 
 def complete_triples(
     solve: Solve,
-    predict: Predictor,
-    peaks: SortedPeaks,
+    model: MeasurementModel,
+    peaks: Measurements,
     free: NDArray[np.bool_],
     base: tuple[int, int, int],
     min_peaks: int,
@@ -109,7 +128,7 @@ def complete_triples(
 
     Args:
         solve: reconstructs.
-        predict: the sensors.
+        model: the measurement model.
         peaks: of the frame.
         free: which of them may be used, shape (S, K).
         base: three sensors.
@@ -126,7 +145,7 @@ def complete_triples(
     points = solve(*peaks.readings(start))
     true = int(free.sum(axis=1)[list(base)].min())
     gated = find_gated_peaks(
-        predict, peaks, free, points.position_mm, points.covariance_mm2, base, misfit_density, true
+        model, peaks, free, points.position_mm, points.covariance_mm2, base, misfit_density, true
     )
     hopeful = np.flatnonzero(3 + (gated.count > 0).sum(axis=1) >= min_peaks)
     return extend_with_gated_peaks(start, gated, hopeful, min_peaks, max_combinations)

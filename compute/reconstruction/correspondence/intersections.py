@@ -1,4 +1,4 @@
-"""Meeting points: all combinations of a frame's peaks that meet, ghosts among them."""
+"""All intersections of an exposure's peaks, ghosts included."""
 
 from dataclasses import dataclass
 from math import comb, inf, log
@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.candidates import (
     Candidates,
     MisfitDensity,
@@ -15,9 +17,7 @@ from compute.reconstruction.correspondence.candidates import (
 )
 from compute.reconstruction.correspondence.covering_design import covering_triples
 from compute.reconstruction.correspondence.incremental import complete_triples
-from compute.reconstruction.correspondence.predictor import Predictor
 from compute.reconstruction.correspondence.settings import MatchSettings
-from compute.reconstruction.correspondence.sorted_peaks import SortedPeaks
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,8 @@ class IntersectionPoints:
         sigma_px: of the peaks; NaN where there is none, shape (N, S).
         log_ratio: log likelihood ratio of these peaks being one marker's to being no one's,
             integrated over space [mm^3]; other sensors missed it, shape (N,).
-        log_ratio_with_prior: with a marker anywhere; minus infinity where three peaks say nothing, shape (N,).
+        log_ratio_with_prior: with a marker anywhere; minus infinity where three peaks say nothing,
+            shape (N,).
     """
 
     choice: NDArray[np.intp]
@@ -89,10 +90,8 @@ class SearchPart:
 
 def intersection_points(
     solve: Solve,
-    predict: Predictor,
-    position_px: Array,
-    sigma_px: Array,
-    merged: NDArray[np.bool_] | None,
+    model: MeasurementModel,
+    measurements: Measurements,
     part: SearchPart,
     settings: MatchSettings,
 ) -> tuple[IntersectionPoints, float]:
@@ -104,10 +103,8 @@ def intersection_points(
 
     Args:
         solve: reconstructs.
-        predict: the sensors.
-        position_px: shape (S, K); NaN where there are fewer.
-        sigma_px: their standard deviations, shape (S, K).
-        merged: peaks that may be two markers', shape (S, K).
+        model: the measurement model.
+        measurements: the peaks of S sensors.
         part: of the combinations.
         settings: the model of peaks.
 
@@ -115,7 +112,7 @@ def intersection_points(
         The points, and the first reading of the part that comes next; minus infinity: all were
         tried.
     """
-    peaks = SortedPeaks.of(position_px, sigma_px, merged, settings.merged_sigma_px)
+    peaks = measurements.sort()
     seeing = np.flatnonzero(peaks.count > 0)
     misfit_density = MisfitDensity()
     candidates: list[Candidates] = []
@@ -133,7 +130,7 @@ def intersection_points(
             free, following = _slice(peaks, base, part.first_px)
             choice, _ = complete_triples(
                 solve,
-                predict,
+                model,
                 peaks,
                 free,
                 (int(base[0]), int(base[1]), int(base[2])),
@@ -143,14 +140,14 @@ def intersection_points(
             )
             if len(choice):
                 candidates.append(solve_combinations(solve, peaks, choice).candidates)
-    return _merged(predict, peaks, candidates, settings), following
+    return _merged(model, peaks, candidates, settings), following
 
 
-def _least(peaks: SortedPeaks, seeing: NDArray[np.intp]) -> int:
+def _least(peaks: Measurements, seeing: NDArray[np.intp]) -> int:
     """Return how many sensors must agree that not too many combinations do by chance."""
     sensors = len(seeing)
     count = float(peaks.count[seeing].mean())
-    by_chance = float(np.exp(_log_density(peaks, 1.0 / MAX_PIXELS)[seeing].mean())) * GATE_PX
+    by_chance = float(np.exp(peaks.log_density(1.0 / MAX_PIXELS)[seeing].mean())) * GATE_PX
     for least in range(4, sensors):
         ways = comb(sensors - 3, least - 3) * by_chance ** (least - 3)
         if count**3 * ways <= MAX_GHOSTS:
@@ -159,10 +156,10 @@ def _least(peaks: SortedPeaks, seeing: NDArray[np.intp]) -> int:
 
 
 def _slice(
-    peaks: SortedPeaks, base: NDArray[np.intp], first_px: float
+    peaks: Measurements, base: NDArray[np.intp], first_px: float
 ) -> tuple[NDArray[np.bool_], float]:
     """Return the peaks that are looked at, and the first of the next part."""
-    free = np.isfinite(peaks.position_px)
+    free = peaks.usable.copy()
     others = int(peaks.count[base[1]] * peaks.count[base[2]])
     room = max(MAX_TRIPLES // max(others, 1), 1)
     sensor = int(base[0])
@@ -176,7 +173,10 @@ def _slice(
 
 
 def _merged(
-    predict: Predictor, peaks: SortedPeaks, candidates: list[Candidates], settings: MatchSettings
+    model: MeasurementModel,
+    peaks: Measurements,
+    candidates: list[Candidates],
+    settings: MatchSettings,
 ) -> IntersectionPoints:
     """Return candidates as points, each combination once, in an order of their own."""
     sensors = len(peaks)
@@ -197,9 +197,9 @@ def _merged(
     _, index = np.unique(whole.choice, axis=0, return_index=True)
     whole = whole.take(index)
     used = whole.choice >= 0
-    missed = (~used & predict(whole.position_mm).in_view).sum(axis=1)
-    crowd = np.log(settings.detection_probability) - _log_density(
-        peaks, settings.clutter_density_per_px
+    missed = (~used & model.predict(whole.position_mm).in_view).sum(axis=1)
+    crowd = np.log(settings.detection_probability) - peaks.log_density(
+        settings.clutter_density_per_px
     )
     peaks_only = whole.log_marginal + used @ crowd
     peaks_only += missed * settings.log_missed
@@ -208,6 +208,7 @@ def _merged(
         best = np.sort(np.argsort(-peaks_only, kind="stable")[:MAX_INTERSECTION_POINTS])
         whole, used, peaks_only, alone = whole.take(best), used[best], peaks_only[best], alone[best]
     position, sigma = peaks.readings(whole.choice)
+    assert peaks.original_index is not None
     original_index = np.where(used, peaks.original_index[np.arange(sensors), whole.choice], -1)
     return IntersectionPoints(
         original_index,
@@ -218,11 +219,3 @@ def _merged(
         peaks_only,
         alone,
     )
-
-
-def _log_density(peaks: SortedPeaks, min_per_px: float) -> Array:
-    """Return the log of how densely peaks lie, whoever's they are, shape (S,)."""
-    last = peaks.position_px[np.arange(len(peaks)), np.maximum(peaks.count - 1, 0)]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        density = (peaks.count - 1) / (last - peaks.position_px[:, 0])
-    return np.log(np.maximum(np.where(peaks.count >= 3, density, 0.0), min_per_px))

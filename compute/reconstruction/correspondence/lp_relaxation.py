@@ -1,4 +1,4 @@
-"""The choice of columns as a linear programme, for clusters too large to be enumerated."""
+"""Linear-programming relaxation of set packing, for clusters too large to enumerate."""
 
 from collections.abc import Mapping, Sequence
 from math import exp

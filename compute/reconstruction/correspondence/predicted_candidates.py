@@ -1,4 +1,4 @@
-"""Candidates for predicted points: continuity in time as one more observation of a marker."""
+"""Candidates for predicted points: a track's prediction as one more observation."""
 
 from dataclasses import dataclass
 from math import log, pi
@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.candidates import (
     Candidates,
     MisfitDensity,
@@ -19,9 +21,7 @@ from compute.reconstruction.correspondence.incremental import (
     extend_with_gated_peaks,
     find_gated_peaks,
 )
-from compute.reconstruction.correspondence.predictor import Predictor
 from compute.reconstruction.correspondence.settings import FALSE_REJECTION
-from compute.reconstruction.correspondence.sorted_peaks import SortedPeaks
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
@@ -66,8 +66,8 @@ class PredictedPoints:
 
 def predicted_candidates(
     solve: Solve,
-    predict: Predictor,
-    peaks: SortedPeaks,
+    model: MeasurementModel,
+    peaks: Measurements,
     predicted: PredictedPoints,
     max_combinations: int,
     misfit_density: MisfitDensity,
@@ -80,9 +80,9 @@ def predicted_candidates(
     Returns:
         The candidates, and how many combinations were cut.
     """
-    free = np.isfinite(peaks.position_px)
+    free = peaks.usable
     place, spread = predicted.position_mm, predicted.covariance_mm2
-    gated = find_gated_peaks(predict, peaks, free, place, spread, (), misfit_density, len(place))
+    gated = find_gated_peaks(model, peaks, free, place, spread, (), misfit_density, len(place))
     start = np.full((len(place), len(peaks)), -1)
     rows = np.flatnonzero((gated.count > 0).sum(axis=1) >= _LEAST)
     choice, cut = extend_with_gated_peaks(start, gated, rows, _LEAST, max_combinations)
@@ -100,8 +100,7 @@ def predicted_candidates(
     return (
         Candidates(
             near.choice,
-            near.position_mm,
-            near.covariance_mm2,
+            near.points,
             near.chi2 + chi2[row, point],
             near.dof + 3,
             near.log_marginal,

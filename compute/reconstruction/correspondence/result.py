@@ -1,9 +1,11 @@
-"""Correspondence: readings grouped to markers."""
+"""Correspondence: readings grouped to markers, with their points."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from compute.reconstruction.point_batch import PointBatch
 
 Array = NDArray[np.float64]
 
@@ -15,8 +17,9 @@ class Correspondence:
     Args:
         readings_px: shape (M, S), NaN where a sensor did not see the marker.
         sigma_px: their standard deviations, shape (M, S).
-        ambiguous: whether another grouping is likelier than the settings' ``max_error_rate``, or not
-            all of them could be weighed; shape (M,).
+        ambiguous: whether another grouping is likelier than the settings' ``max_error_rate``, or
+            not all of them could be weighed; shape (M,).
+        points: the points of the groups, solved from these readings, M of them.
         peaks: index of each sensor's peak, in the order given, -1: none; shape (M, S).
         predicted: index of the predicted point that it is, -1: none; shape (M,).
         body: index of the rigid body that it belongs to, -1: none; shape (M,).
@@ -28,6 +31,7 @@ class Correspondence:
     readings_px: Array
     sigma_px: Array
     ambiguous: NDArray[np.bool_]
+    points: PointBatch
     peaks: NDArray[np.intp]
     predicted: NDArray[np.intp]
     body: NDArray[np.intp]

@@ -1,4 +1,4 @@
-"""Rigid bodies among candidates: points whose distances are those of a tool's markers."""
+"""Rigid bodies among candidates: points with the distances of a tool's markers."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

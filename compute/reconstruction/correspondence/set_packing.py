@@ -1,4 +1,4 @@
-"""Packing: the likeliest set of markers that uses each peak once, and how sure each of them is."""
+"""Set packing: the likeliest set of candidates that uses each peak once."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""MatchSettings: what is assumed of peaks and markers when they are grouped, and the bounds."""
+"""MatchSettings: model of peaks and markers for grouping, and limits of the search."""
 
 from dataclasses import dataclass
 from math import log
@@ -20,8 +20,6 @@ class MatchSettings:
         detection_probability: chance that a sensor has a peak of a marker.
         clutter_density_per_px: density of peaks that are no marker's [1/px].
         markers_per_mm3: density of markers [1/mm^3].
-        merged_sigma_px: standard deviation of the position of a peak that two markers share, as the
-            reading of either [px].
         max_error_rate: largest chance of being wrong with which a group counts as unambiguous.
         max_points: combinations that are reconstructed for a frame, at most.
         max_hypotheses: branches of the enumeration of sets of markers, for each cluster of peaks
@@ -34,7 +32,6 @@ class MatchSettings:
     detection_probability: float = 0.95
     clutter_density_per_px: float = 2e-4
     markers_per_mm3: float = 1e-7
-    merged_sigma_px: float = 2.0
     max_error_rate: float = 1e-3
     max_points: int = 200_000
     max_hypotheses: int = 1_000
@@ -49,7 +46,6 @@ class MatchSettings:
         for name in (
             "clutter_density_per_px",
             "markers_per_mm3",
-            "merged_sigma_px",
             "max_points",
             "max_hypotheses",
         ):

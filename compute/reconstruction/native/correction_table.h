@@ -7,7 +7,7 @@
 
 namespace lumiline {
 
-// Weights of the degree + 1 coefficients and their derivatives: compute.mapping.b_spline_basis.
+// Weights of the degree + 1 coefficients and their derivatives: compute.mapping.b_splines.
 template <int degree>
 LUMILINE_FN void spline_basis(double t, double* weight, double* derivative) {
     const double s = 1.0 - t;

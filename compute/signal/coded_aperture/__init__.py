@@ -1,1 +1,1 @@
-"""Readings of known shadow patterns: a weighted fit of the shift, started by correlation."""
+"""Readings of coded shadows: a weighted fit of the shift, started by correlation."""

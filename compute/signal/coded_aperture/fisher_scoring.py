@@ -1,4 +1,4 @@
-"""Fisher's scoring for shift, brightness, ambient level and scale, line by line."""
+"""Fisher scoring for shift, brightness, ambient level and scale of a shadow, scan by scan."""
 
 from dataclasses import dataclass, fields
 from typing import Final
@@ -6,16 +6,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.coded_aperture.shadow_template import ShadowTemplate
-from compute.signal.coded_aperture.shifted_template import ShiftedTemplate
-from compute.signal.sensor_noise import SensorNoise
+from compute.signal.coded_aperture.shadow_template import ShadowTemplate, ShiftedTemplate
+from compute.signal.sensor_noise import ScanNoise
 
 Array = NDArray[np.float64]
 
 _ITERATIONS: Final = 30
 _CONVERGED: Final = 0.01
 """The last step is done when the next will be this part of the standard deviation; of the one
-that the misfit says, where the template does not explain the line and steps shrink slowly."""
+that the misfit says, where the template does not explain the scan and steps shrink slowly."""
 
 _SHIFT, _BRIGHTNESS, _AMBIENT = range(3)
 _LONGEST_PX: Final = 0.5
@@ -26,34 +25,8 @@ _LEAST_DETERMINANT: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class ScanNoise:
-    """Noise of each of L lines, all of shape (L, 1)."""
-
-    dark: Array
-    photon: Array
-    offset: Array
-
-    @classmethod
-    def of(cls, noise: SensorNoise, sensor: NDArray[np.int64]) -> "ScanNoise":
-        """Return that of lines of these sensors, shape (L,)."""
-        return cls(
-            noise.dark_variance[sensor][:, None],
-            noise.photon_variance[sensor][:, None],
-            noise.offset_counts[sensor][:, None],
-        )
-
-    def variance(self, counts: Array) -> Array:
-        """Return the variance of pixels of mean counts, shape (L, P) [counts^2]."""
-        return self.dark + self.photon * np.maximum(counts - self.offset, 0.0)
-
-    def rows(self, kept: NDArray[np.int64]) -> "ScanNoise":
-        """Return that of some of the lines."""
-        return ScanNoise(self.dark[kept], self.photon[kept], self.offset[kept])
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Fits of L lines; all of shape (L,), NaN where the steps did not come to an end."""
+class ShadowSolution:
+    """Fits of L scans; arrays of shape (L,), NaN where the iterations did not converge."""
 
     shift_px: Array
     sigma_px: Array
@@ -63,19 +36,19 @@ class Solution:
     chi2: Array
     dof: Array
 
-    def rows(self, kept: NDArray[np.int64]) -> "Solution":
-        """Return those of some of the lines."""
-        return Solution(*(getattr(self, field.name)[kept] for field in fields(self)))
+    def rows(self, kept: NDArray[np.int64]) -> "ShadowSolution":
+        """Return the fits of some of the scans."""
+        return ShadowSolution(*(getattr(self, field.name)[kept] for field in fields(self)))
 
 
 class ShadowModel:
-    """A template on a line of pixels: ``c + a f``, with the derivatives of f.
+    """Model of a scan: ambient level plus brightness times the template, with derivatives.
 
     A pixel i sees the template f at ``r + (i - r - shift) / scale``, r the reference's reading.
 
     Args:
         template: the template.
-        pixels: pixels of a line.
+        pixels: pixels of a scan.
         fit_scale: the scale is a parameter.
     """
 
@@ -87,7 +60,12 @@ class ShadowModel:
         self._place = np.arange(float(pixels))
 
     def at(self, shift_px: Array, scale: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Return f, its derivatives by shift and scale, and what is known, each (L, P)."""
+        """Return the template, its derivatives by shift and scale, and where known, each (L, P).
+
+        Args:
+            shift_px: shifts of the scans, shape (L,) [px].
+            scale: magnifications against the template's, shape (L,).
+        """
         reading = self._template.reading_px
         if not self.fit_scale:
             value, slope, known = self._shifted.at(shift_px)
@@ -100,7 +78,7 @@ class ShadowModel:
 
 @dataclass(eq=False)
 class _State:
-    """Where the parameters of L lines have come to; all of shape (L,)."""
+    """Where the parameters of L scans have come to; all of shape (L,)."""
 
     shift: Array
     brightness: Array
@@ -108,8 +86,8 @@ class _State:
     scale: Array
     last_step_px: Array
 
-    def advance(self, model: ShadowModel, lines: NDArray[np.int64], step: Array) -> Array:
-        """Take a step of some lines' parameters, (L', K), the scale last; say what is left.
+    def advance(self, model: ShadowModel, scans: NDArray[np.int64], step: Array) -> Array:
+        """Take a step of some scans' parameters, (L', K), the scale last; say what is left.
 
         A long step is of a start far off: shortened, lest it leave the lobe. One that goes back
         is halved: in faint light steps would go to and fro for ever.
@@ -117,35 +95,35 @@ class _State:
         Returns:
             How long the next step will be at most, as steps have shrunk so far, (L',) [px].
         """
-        before, now = self.last_step_px[lines], step[:, _SHIFT]
+        before, now = self.last_step_px[scans], step[:, _SHIFT]
         turned = np.where(now * before < 0.0, 2.0, 1.0)
         longest = np.maximum(np.abs(now) / _LONGEST_PX, turned)
         if model.fit_scale:
             longest = np.maximum(longest, np.abs(step[:, -1]) / _LARGEST_SCALE_STEP)
-            self.scale[lines] += step[:, -1] / longest
-        self.shift[lines] += now / longest
-        self.brightness[lines] += step[:, _BRIGHTNESS]
-        self.ambient[lines] += step[:, _AMBIENT]
-        self.last_step_px[lines] = now
+            self.scale[scans] += step[:, -1] / longest
+        self.shift[scans] += now / longest
+        self.brightness[scans] += step[:, _BRIGHTNESS]
+        self.ambient[scans] += step[:, _AMBIENT]
+        self.last_step_px[scans] = now
         shrunk = np.minimum(np.abs(now) / np.maximum(np.abs(before), _LEAST_STEP_PX), 1.0)
         return np.asarray(np.abs(now) * np.maximum(shrunk, 1.0 - 1.0 / longest))
 
 
 def solve(
     model: ShadowModel, counts: Array, good: NDArray[np.bool_], noise: ScanNoise, start_px: Array
-) -> Solution:
-    """Fit lines from shifts to begin with.
+) -> ShadowSolution:
+    """Fit scans from initial shifts.
 
     Args:
-        model: the template on the line.
+        model: the template on the scan.
         counts: values, shape (L, P).
         good: which pixels count, shape (L, P).
-        noise: of the lines.
+        noise: of the scans.
         start_px: shifts to begin with, within the main lobe of the true ones, shape (L,).
     """
     zero = np.zeros(len(counts))
     state = _State(start_px.astype(np.float64), zero, zero, np.ones(len(counts)), zero.copy())
-    done = Solution(*(np.full(len(counts), np.nan) for _ in fields(Solution)))
+    done = ShadowSolution(*(np.full(len(counts), np.nan) for _ in fields(ShadowSolution)))
     moving = np.arange(len(counts))
     for turn in range(_ITERATIONS):
         value, by_shift, by_scale, known = model.at(state.shift[moving], state.scale[moving])
@@ -154,7 +132,7 @@ def solve(
             state.brightness, state.ambient = _level(value, counts, used)
         light = state.brightness[moving][:, None]
         mean = state.ambient[moving][:, None] + light * value
-        weight = used / noise.rows(moving).variance(mean)
+        weight = used / noise[moving].variance(mean)
         rest = counts[moving] - mean
         columns = [light * by_shift, value, np.ones_like(value)]
         if model.fit_scale:
@@ -193,7 +171,7 @@ def _level(value: Array, counts: Array, used: NDArray[np.bool_]) -> tuple[Array,
 def _step(columns: list[Array], weight: Array, rest: Array) -> tuple[Array, Array]:
     """Return the step of all parameters, (L, K), and the inverse of the information, (L, K, K).
 
-    NaN where the information is singular: a line without light tells no shift.
+    NaN where the information is singular: a scan without light tells no shift.
     """
     size = len(columns)
     information = np.empty((len(rest), size, size))

@@ -1,4 +1,4 @@
-"""MaskReader: lines behind coded windows to readings, one peak a line."""
+"""Readings of the shadows behind coded windows, at most one a scan."""
 
 from collections.abc import Sequence
 
@@ -18,13 +18,13 @@ class MaskReader:
 
     Args:
         templates: one for each of the S sensors, or one for all.
-        pixels: pixels of a line.
-        noise: noise of the S sensors, or of one for all; line l of a batch is of sensor
+        pixels: pixels of a scan.
+        noise: noise of the S sensors, or of one for all; scan l of a batch is of sensor
             ``l % S``, S the larger of both numbers.
         settings: what counts as found, and what is fitted.
 
     Raises:
-        InvalidParameter: numbers of templates and of sensors that do not agree, or a line that
+        InvalidParameter: numbers of templates and of sensors that do not agree, or a scan that
             is too short.
     """
 
@@ -54,19 +54,19 @@ class MaskReader:
             for sensor in range(sensors)
         )
 
-    def read(self, lines: NDArray[np.uint16]) -> PeakBatch:
-        """Read lines of counts, uint16, shape (L, P); K is 1.
+    def read(self, scans: NDArray[np.uint16]) -> PeakBatch:
+        """Read scans of counts, uint16, shape (L, P), as a batch of one peak a scan (K = 1).
 
-        Positions are readings, ``template.reading_px + shift``, which may lie beyond the line's
+        Positions are readings, ``template.reading_px + shift``, which may lie beyond the scan's
         ends; widths are those of the lit patterns, as magnified.
 
         Raises:
             InvalidParameter: another type or shape.
         """
-        batch = PeakBatch.empty(len(lines), 1)
+        batch = PeakBatch.empty(len(scans), 1)
         for sensor, fitter in enumerate(self._fitters):
             own = slice(sensor, None, len(self._fitters))
-            fit = fitter.fit(lines[own])
+            fit = fitter.fit(scans[own])
             template = fitter.template
             batch.count[own] = fit.found
             batch.position_px[own, 0] = template.reading_px + fit.shift_px

@@ -1,4 +1,4 @@
-"""ShadowFitter: shift, brightness and ambient level of a known shadow, weighted by the noise."""
+"""Maximum-likelihood fit of a known shadow: shift, brightness and ambient level."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 from scipy.stats import norm
 
 from compute.errors import InvalidParameter
-from compute.signal.coded_aperture.fisher_scoring import ScanNoise, ShadowModel, Solution, solve
+from compute.signal.coded_aperture.fisher_scoring import ShadowModel, ShadowSolution, solve
 from compute.signal.coded_aperture.shadow_search import ShadowSearch
 from compute.signal.coded_aperture.shadow_settings import ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
@@ -19,14 +19,14 @@ from compute.signal.sensor_noise import SensorNoise
 Array = NDArray[np.float64]
 
 CLIPPED_CONTRAST_THRESHOLD: Final = 0.9
-"""A shadow is clipped with less of the contrast on the line than this share of the most."""
+"""A shadow is clipped with less of the contrast on the scan than this share of the most."""
 
 _PIXELS_AT_ONCE: Final = 1 << 15
 
 
 @dataclass(frozen=True, eq=False)
 class ShadowFit:
-    """Shadows of L lines, one each; NaN where none is found.
+    """Shadows of L scans, one each; NaN where none is found.
 
     Args:
         found: the shadow stands out of the noise, and the fit converged, bool, shape (L,).
@@ -38,9 +38,9 @@ class ShadowFit:
         scale: magnification against the template's, shape (L,); 1 where it is not fitted.
         reduced_chi2: misfit per degree of freedom, shape (L,).
         flags: PeakFlag values, int32, shape (L,). SATURATED: pixels at full scale were left out.
-            CLIPPED: a tenth or more of the contrast that a line can hold is off the line.
+            CLIPPED: a tenth or more of the contrast that a scan can hold is off the scan.
             AMBIGUOUS: another shift is not excluded. POOR_FIT: the template does not explain the
-            line, and the standard deviation is too small.
+            scan, and the standard deviation is too small.
     """
 
     found: NDArray[np.bool_]
@@ -53,7 +53,7 @@ class ShadowFit:
     flags: NDArray[np.int32]
 
     def __len__(self) -> int:
-        """Return the number of lines."""
+        """Return the number of scans."""
         return len(self.found)
 
 
@@ -79,17 +79,17 @@ class ShadowFitter:
 
     A shadow is found where the correlation is so high that less than
     ``false_alarms_per_line`` of noise are expected, by the bound that all shifts are
-    independent; it is ambiguous where the second lobe's likelihood, in the noise of the line's
+    independent; it is ambiguous where the second lobe's likelihood, in the noise of the scan's
     mean, is more than ``ambiguity_probability`` of the first's.
 
     Args:
         template: the shadow of a reference point.
-        pixels: pixels of a line.
-        noise: noise of one sensor, or of S; line l of a batch is of sensor ``l % S``.
+        pixels: pixels of a scan.
+        noise: noise of one sensor, or of S; scan l of a batch is of sensor ``l % S``.
         settings: what counts as found, and what is fitted.
 
     Raises:
-        InvalidParameter: a line that is too short.
+        InvalidParameter: a scan that is too short.
     """
 
     def __init__(
@@ -110,47 +110,47 @@ class ShadowFitter:
         self.threshold_sigma = float(norm.isf(rate / self.search.count))
         """Least correlation of a shadow, in standard deviations of that of noise."""
 
-    def fit(self, lines: NDArray[np.uint16]) -> ShadowFit:
-        """Fit lines of counts, uint16, shape (L, P).
+    def fit(self, scans: NDArray[np.uint16]) -> ShadowFit:
+        """Fit scans of counts, uint16, shape (L, P).
 
         Raises:
             InvalidParameter: another type or shape.
         """
-        if lines.dtype != np.uint16 or lines.ndim != 2 or lines.shape[1] != self.pixels:
+        if scans.dtype != np.uint16 or scans.ndim != 2 or scans.shape[1] != self.pixels:
             raise InvalidParameter(
-                f"lines have the type {lines.dtype} and the shape {lines.shape}; it must be "
+                f"scans have the type {scans.dtype} and the shape {scans.shape}; it must be "
                 f"uint16 and (L, {self.pixels})",
-                type=str(lines.dtype),
-                shape=lines.shape,
+                type=str(scans.dtype),
+                shape=scans.shape,
             )
-        count = len(lines)
+        count = len(scans)
         values = {name: np.full(count, np.nan) for name in _VALUES}
         found, flags = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.int32)
         chunk = max(1, _PIXELS_AT_ONCE // self.pixels)
         for start in range(0, count, chunk):
             sensor = np.arange(start, min(start + chunk, count)) % len(self._noise)
-            self._fit_some(lines[start : start + chunk], sensor, start, values, found, flags)
+            self._fit_some(scans[start : start + chunk], sensor, start, values, found, flags)
         return ShadowFit(found=found, flags=flags, **values)
 
     def _fit_some(
         self,
-        lines: NDArray[np.uint16],
+        scans: NDArray[np.uint16],
         sensor: NDArray[np.int64],
         start: int,
         values: dict[str, Array],
         found: NDArray[np.bool_],
         flags: NDArray[np.int32],
     ) -> None:
-        """Fit a few lines and write what comes out from the place ``start`` on."""
-        counts = lines.astype(np.float64)
-        noise = ScanNoise.of(self._noise, sensor)
+        """Fit a few scans and write what comes out from the place ``start`` on."""
+        counts = scans.astype(np.float64)
+        noise = self._noise.of_scans(sensor)
         first = self.search.find(counts)
         mean_variance = noise.variance(counts.mean(axis=1, keepdims=True))[:, 0]
         kept = np.flatnonzero(first.height > self.threshold_sigma * np.sqrt(mean_variance))
         if not len(kept):
             return
         full = counts[kept] >= self._noise.full_scale_counts[sensor[kept]][:, None]
-        solution = solve(self._model, counts[kept], ~full, noise.rows(kept), first.shift_px[kept])
+        solution = solve(self._model, counts[kept], ~full, noise[kept], first.shift_px[kept])
         lead = (first.height[kept] ** 2 - first.second_height[kept] ** 2) / (
             2.0 * mean_variance[kept]
         )
@@ -172,7 +172,7 @@ class ShadowFitter:
             values[name][place] = value
 
     def _flags(
-        self, solution: Solution, saturated: NDArray[np.bool_], lead: Array
+        self, solution: ShadowSolution, saturated: NDArray[np.bool_], lead: Array
     ) -> NDArray[np.int32]:
         flags = np.zeros(len(lead), dtype=np.int32)
         flags[saturated.any(axis=1)] |= int(PeakFlag.SATURATED)

@@ -1,4 +1,4 @@
-"""ShadowSearch: where in lines a pattern is, to the pixel, by correlation with all its shifts."""
+"""Search for a known pattern in scans, to the pixel, by cross-correlation."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -13,16 +13,16 @@ from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 Array = NDArray[np.float64]
 
 MIN_CONTRAST_FRACTION: Final = 0.1
-"""Share of the pattern's contrast, of what a line can hold at best, that must be on the line."""
+"""Share of the pattern's contrast, of what a scan can hold at best, that must be on the scan."""
 
 
 @dataclass(frozen=True, eq=False)
 class CorrelationPeak:
-    """Best shifts of L lines.
+    """Shifts of the highest correlation in L scans.
 
     Args:
         shift_px: shift with the highest correlation, refined by a parabola, shape (L,) [px].
-        height: correlation there over the root of the pattern's contrast on the line, shape
+        height: correlation there over the root of the pattern's contrast on the scan, shape
             (L,): in noise of deviation s a pixel it is normal with the deviation s.
         second_height: the highest outside the main lobe, the same way, shape (L,); zero or more.
     """
@@ -33,19 +33,19 @@ class CorrelationPeak:
 
 
 class ShadowSearch:
-    """Correlation of lines with a template at all whole shifts, thesis [2.16] to [2.18].
+    """Correlation of scans with a template at all whole shifts, thesis [2.16] to [2.18].
 
     ``R(m) / sqrt(C(m))`` with ``R(m) = sum (v_n - mean v) x_(n-m)`` by the cross-power
-    spectrum and the contrast C(m) of what the line shows of the pattern at the shift m: squared,
+    spectrum and the contrast C(m) of what the scan shows of the pattern at the shift m: squared,
     it is by how much the pattern there, with the best brightness over the best even background,
-    lowers the sum of squares. A pattern half off the line is thus compared fairly.
+    lowers the sum of squares. A pattern half off the scan is thus compared fairly.
 
     Args:
         template: the pattern.
-        pixels: pixels of a line.
+        pixels: pixels of a scan.
 
     Raises:
-        InvalidParameter: a line that is too short.
+        InvalidParameter: a scan that is too short.
     """
 
     def __init__(self, template: ShadowTemplate, pixels: int) -> None:
@@ -58,7 +58,7 @@ class ShadowSearch:
             # Nothing is known of the rest: let it be as bright as the mean.
             model = model - model.mean()
         self.pixels = pixels
-        # Shifts that leave a pixel of the template on the line.
+        # Shifts that leave a pixel of the template on the scan.
         lowest = -template.first_px - len(model) + 1
         self._shifts = lowest + np.arange(pixels + len(model) - 1)
         self._size = next_fast_len(pixels + len(model) - 1, real=True)
@@ -66,7 +66,7 @@ class ShadowSearch:
         self._spectrum = rfft(model, self._size).conj()
         contrast = self._contrast(model)
         self.shares = contrast / contrast.max()
-        """Contrast on the line at each whole shift, relative to the largest, shape (M,)."""
+        """Contrast on the scan at each whole shift, relative to the largest, shape (M,)."""
         seen = self.shares >= MIN_CONTRAST_FRACTION
         self.lowest_px, self.highest_px = (int(self._shifts[seen][end]) for end in (0, -1))
         """First and last shift that are looked at."""
@@ -77,11 +77,11 @@ class ShadowSearch:
 
     @property
     def count(self) -> int:
-        """Number of shifts that are looked at."""
+        """Number of shifts that are searched."""
         return self.highest_px - self.lowest_px + 1
 
     def share(self, shift_px: Array) -> Array:
-        """Return the share of the contrast that is on the line, nearest whole shift, (L,)."""
+        """Return the share of the contrast on the scan at the nearest whole shift, shape (L,)."""
         first, last = float(self._shifts[0]), float(self._shifts[-1])
         index = np.rint(np.clip(shift_px, first, last) - first).astype(np.int64)
         return np.asarray(self.shares[index])
@@ -92,17 +92,17 @@ class ShadowSearch:
         return int(self._shifts[0])
 
     def heights(self, values: Array) -> Array:
-        """Return what ``CorrelationPeak.height`` is at every whole shift, shape (L, M); 0 beyond the seen.
+        """Return ``CorrelationPeak.height`` at every whole shift, (L, M); 0 where not searched.
 
         Args:
-            values: lines, shape (L, P) [counts].
+            values: scans, shape (L, P) [counts].
         """
         even = values - values.mean(axis=1, keepdims=True)
         correlation = irfft(rfft(even, self._size) * self._spectrum, self._size)
         return np.asarray(correlation[:, self._index] * self._per_contrast)
 
     def find(self, values: Array) -> CorrelationPeak:
-        """Search lines of shape (L, P) [counts]."""
+        """Search scans of shape (L, P) [counts]."""
         return self.highest(self.heights(values))
 
     def highest(self, heights: Array) -> CorrelationPeak:
@@ -125,7 +125,7 @@ class ShadowSearch:
         )
 
     def _contrast(self, model: Array) -> Array:
-        """Return the squares about the mean of what the line shows, at each shift."""
+        """Return the squares about the mean of what the scan shows, at each shift."""
         once, twice = (np.concatenate([[0.0], np.cumsum(v)]) for v in (model, model**2))
         first = self._index_of_first(len(model))
         start, stop = np.maximum(first, 0), np.minimum(first + self.pixels, len(model))
@@ -133,7 +133,7 @@ class ShadowSearch:
         return np.asarray(np.maximum(squares - sums**2 / self.pixels, 0.0))
 
     def _index_of_first(self, length: int) -> NDArray[np.int64]:
-        """Return which of the template's pixels lies on the line's first, at each shift."""
+        """Return which of the template's pixels lies on the scan's first, at each shift."""
         return length - 1 - np.arange(len(self._shifts))
 
     def _lobe(self, model: Array) -> int:

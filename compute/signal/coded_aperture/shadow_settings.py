@@ -1,4 +1,4 @@
-"""ShadowSettings: what counts as a shadow found, and what is fitted to it."""
+"""Settings of the search and the fit of shadows."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ class ShadowSettings:
         fit_scale: fit the shadow's magnification too. A shadow is 1 + gap / Z as wide as the
             code, so one template fits one distance; with its scale free it fits others, and the
             position costs more noise where the pattern lies to one side of the reading.
-        false_alarms_per_line: most false readings to be expected of a line without a shadow.
+        false_alarms_per_line: most false readings to be expected of a scan without a shadow.
         ambiguity_probability: a shadow is ambiguous where another place is this much as likely.
         misfit_probability: a fit is poor where chance alone makes its chi-square as rarely as this.
 

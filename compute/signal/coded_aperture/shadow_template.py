@@ -1,10 +1,11 @@
-"""ShadowTemplate: the shadow of a reference point on a grid finer than pixels."""
+"""Template of a coded shadow, on a grid finer than pixels."""
 
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
@@ -20,7 +21,7 @@ _LIT: Final = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ShadowTemplate:
-    """What a pixel gets whose centre lies anywhere in the shadow of a reference point.
+    """Light of a pixel at any position in the shadow of a reference point.
 
     Between the cells a cubic spline through them is read. A template that is known pixel by
     pixel alone (``per_px`` 1) makes that spline guess what the pixels have averaged, and the
@@ -30,7 +31,7 @@ class ShadowTemplate:
     Args:
         cells: light of the pixels centred at ``first_px + j / per_px``, float64, shape (C,).
         per_px: cells per pixel.
-        first_px: place of the first cell on the line.
+        first_px: place of the first cell on the scan.
         reading_px: the reference point's reading; ``reading = reading_px + shift``.
         dark_beyond: nothing but ambient light beyond the cells; False: the pattern goes on there,
             but is not known, and pixels there are left out.
@@ -63,14 +64,14 @@ class ShadowTemplate:
 
     @cached_property
     def spline(self) -> Array:
-        """Cubics between the cells, by powers of the place [cells] from 0 up, (C - 1, 4)."""
+        """Cubic polynomials between the cells, by powers of the position [cells], (C - 1, 4)."""
         # Natural ends: no more is made of the first and last cells than they say.
         cubic = CubicSpline(np.arange(len(self.cells)), self.cells, bc_type="natural")
         return np.ascontiguousarray(cubic.c[::-1].T)
 
     @property
     def pixels(self) -> int:
-        """Whole pixels that the cells reach over."""
+        """Whole pixels that the cells cover."""
         return -(-len(self.cells) // self.per_px)
 
     @cached_property
@@ -80,19 +81,19 @@ class ShadowTemplate:
 
     @cached_property
     def height(self) -> float:
-        """From the darkest to the brightest cell."""
+        """Difference of the darkest and the brightest cell."""
         return float(np.ptp(self.cells))
 
     @cached_property
     def lit_width_px(self) -> float:
-        """From the first to the last cell that is half lit [px]."""
+        """Distance of the first from the last cell that is half lit [px]."""
         lit = np.flatnonzero(self.cells - self.cells.min() >= _LIT * self.height)
         return float(lit[-1] - lit[0]) / self.per_px
 
     def at(self, position_px: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return value, slope [1/px] and whether they are known at places of any shape [px].
+        """Return value, derivative [1/px] and whether they are known at positions [px].
 
-        Places are on the line on which the reference point's reading is ``reading_px``. Beyond
+        Places are on the scan on which the reference point's reading is ``reading_px``. Beyond
         the cells the value is 0, and known where it is dark.
         """
         cell = (position_px - self.first_px) * self.per_px
@@ -114,21 +115,21 @@ class ShadowTemplate:
 
 
 def interleave_scans(
-    lines: ArrayLike,
+    scans: ArrayLike,
     shifts_px: ArrayLike,
     *,
     reading_px: float,
     per_px: int,
     dark_beyond: bool,
 ) -> ShadowTemplate:
-    """Make a template of shadows that lie parts of a pixel apart.
+    """Interleave shadows that lie fractions of a pixel apart to one template.
 
     A pixel i of a shadow shifted by s says what a pixel at ``i - s`` of the template gets. Where
     several say it, the shadow with the least shift is believed, so that shadows shifted by
-    hundreds of pixels carry a pattern on that is longer than the line.
+    hundreds of pixels carry a pattern on that is longer than the scan.
 
     Args:
-        lines: light of the pixels, from the optics, shape (K, P).
+        scans: light of the pixels, from the optics, shape (K, P).
         shifts_px: their readings less ``reading_px``, multiples of ``1 / per_px`` (to a fiftieth
             of it), together of every phase, shape (K,) [px].
         reading_px: the reference point's reading [px].
@@ -139,7 +140,7 @@ def interleave_scans(
         InvalidParameter: shapes that do not agree, a shift beside the grid, or cells between the
             first and last that no shadow says.
     """
-    light = np.asarray(lines, dtype=np.float64)
+    light = np.asarray(scans, dtype=np.float64)
     shift = np.asarray(shifts_px, dtype=np.float64)
     if light.ndim != 2 or shift.shape != light.shape[:1] or light.size == 0:
         raise InvalidParameter(
@@ -179,3 +180,54 @@ def interleave_scans(
 def _has_gaps(cells: Array, per_px: int) -> bool:
     """Say whether cells are missing but in the pixel at either end."""
     return bool(np.isnan(cells[per_px:-per_px]).any())
+
+
+class ShiftedTemplate:
+    """The template's polynomials, arranged by phase for whole scans.
+
+    All pixels of a scan lie at the same place in their cells, so that a shift picks one row of
+    coefficients and one start in it. The result is that of ``ShadowTemplate.at``.
+
+    Args:
+        template: the template.
+        pixels: pixels of a scan.
+    """
+
+    def __init__(self, template: ShadowTemplate, pixels: int) -> None:
+        self._template = template
+        # A scan's length on each side: any shift that leaves something on the scan.
+        self._before = pixels
+        self._last = pixels + template.pixels
+        per_px = template.per_px
+        cells = np.zeros((self._last + pixels) * per_px * 4).reshape(-1, 4)
+        known = np.full(len(cells), template.dark_beyond)
+        inside = slice(pixels * per_px, pixels * per_px + len(template.spline))
+        cells[inside], known[inside] = template.spline, True
+        rows = np.ascontiguousarray(cells.reshape(-1, per_px, 4).transpose(1, 2, 0))
+        self._cubics = sliding_window_view(rows, pixels, axis=2)
+        self._known = sliding_window_view(
+            np.ascontiguousarray(known.reshape(-1, per_px).T), pixels, axis=1
+        )
+
+    def at(self, shift_px: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return value, derivative [1/px] and where they are known, (L, P), at shifts (L,) [px]."""
+        per_px = self._template.per_px
+        cell = -(shift_px + self._template.first_px) * per_px
+        whole = np.floor(cell)
+        part = (cell - whole)[:, None]
+        start, phase = np.divmod(whole.astype(np.int64), per_px)
+        start = np.clip(start + self._before, 0, self._last)
+        cubic = self._cubics[phase, :, start]
+        zeroth, first, second, third = (cubic[:, power] for power in range(4))
+        bend = third * part
+        slope = 3.0 * bend
+        bend += second
+        slope += 2.0 * second
+        slope *= part
+        slope += first
+        slope *= per_px
+        bend *= part
+        bend += first
+        bend *= part
+        bend += zeroth
+        return bend, slope, self._known[phase, start]

@@ -1,1 +1,1 @@
-"""Detection of faint peaks at a chosen rate of false alarms: a matched filter and its threshold."""
+"""Detection of faint peaks at a chosen false-alarm rate: matched filter and threshold."""

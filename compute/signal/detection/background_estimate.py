@@ -1,6 +1,6 @@
-"""BackgroundEstimate: background and noise of a line from the line itself, by a few groups of its pixels.
+"""Background level and noise of a scan, estimated from a few groups of its pixels.
 
-A line is sampled where the centroid finder samples it: up to 32 groups of 8 pixels. Each group
+A scan is sampled where the centroid finder samples it: up to 32 groups of 8 pixels. Each group
 gives the sum of squares about its own straight line, which knows no background and no slope; the
 lower half of the groups gives the variance, so that peaks may cover half of them.
 """
@@ -24,7 +24,7 @@ MIN_VARIANCE: Final = 1.0 / 3.0
 """Least variance of a pixel [counts^2]: noise of half a count, and the rounding to counts.
 
 Fainter noise is sampled too coarsely to be measured: by where the level lies between two
-counts, a line's own figure is half or twice the truth."""
+counts, a scan's own figure is half or twice the truth."""
 
 SQUARES_UNIT: Final = 168
 """Squares are whole numbers in units of 1/168 count^2: 8 and 168 = 7^2 + 5^2 + ... divide it."""
@@ -32,7 +32,7 @@ SQUARES_UNIT: Final = 168
 
 @dataclass(frozen=True, eq=False)
 class BackgroundEstimate:
-    """Background and spread of L lines, in whole numbers.
+    """Background and noise of L scans, in whole numbers.
 
     Args:
         background: first quartile of the groups' means [1/64 count], int64, shape (L,).
@@ -54,8 +54,8 @@ class BackgroundEstimate:
         return np.maximum(self.squares.astype(np.float64) * scale, MIN_VARIANCE)
 
 
-def estimate_background(lines: NDArray[np.uint16]) -> BackgroundEstimate:
-    """Measure lines of shape (L, P), P at least 64.
+def estimate_background(scans: NDArray[np.uint16]) -> BackgroundEstimate:
+    """Estimate background and noise of scans of shape (L, P), P at least 64.
 
     With n pixels v and places k = -7, -5, ..., 7 the squares about the straight line are
     ``sum v^2 - (sum v)^2 / 8 - (sum k v)^2 / 168``, times 168 a whole number below 2^43.
@@ -66,8 +66,8 @@ def estimate_background(lines: NDArray[np.uint16]) -> BackgroundEstimate:
     tests/compute/signal/detection/test_background_estimate.py). Noise that is not independent from
     pixel to pixel is not seen as what it is.
     """
-    starts = np.array(sample_starts(lines.shape[1]))
-    groups = lines[:, starts[:, None] + np.arange(GROUP_PIXELS)].astype(np.int64)
+    starts = np.array(sample_starts(scans.shape[1]))
+    groups = scans[:, starts[:, None] + np.arange(GROUP_PIXELS)].astype(np.int64)
     ramp = 2 * np.arange(GROUP_PIXELS) - (GROUP_PIXELS - 1)
     sums, moments = groups.sum(axis=2), groups @ ramp
     squares = (

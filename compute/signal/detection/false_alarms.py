@@ -1,4 +1,4 @@
-"""FalseAlarms: how many maxima above a threshold the noise of a line makes, and the threshold."""
+"""False-alarm rate of a matched filter: expected maxima of noise above a threshold."""
 
 from dataclasses import dataclass
 
@@ -21,19 +21,19 @@ _NODES = 64
 
 @dataclass(frozen=True, eq=False)
 class FalseAlarms:
-    """Expected number of local maxima of a filter's answer to a line of noise, by their height.
+    """Expected number of local maxima of a filter's response to noise, by their height.
 
     Exact for independent Gaussian noise of even deviation: the answers at a place x and its
     neighbours are trivariate normal with the correlations of the taps. Given the answer z at x,
     both neighbours are lower with a bivariate normal probability (Owen 1956,
     doi:10.1214/aoms/1177728074), and the integral over z above the threshold, summed over the
     places, is the number of maxima. Neighbouring answers being alike, that is less than
-    ``P Q(t)`` (Q: the normal tail): at 4 deviations 0.9 times for lines of 1 px, 0.6 for 2 px
+    ``P Q(t)`` (Q: the normal tail): at 4 deviations 0.9 times for peaks of 1 px, 0.6 for 2 px
     and 0.5 for 3 px.
 
     Args:
         log_expected_above: logarithm of the expected number above a height in standard deviations.
-        pixels: of a line.
+        pixels: of a scan.
     """
 
     log_expected_above: CubicSpline
@@ -41,14 +41,18 @@ class FalseAlarms:
 
     @classmethod
     def of(cls, matched: MatchedFilter, pixels: int) -> "FalseAlarms":
-        """Work them out for lines of so many pixels.
+        """Compute the expected maxima for scans of a length.
+
+        Args:
+            matched: the filter.
+            pixels: pixels of a scan.
 
         Raises:
-            InvalidParameter: a line shorter than the filter.
+            InvalidParameter: a scan shorter than the filter.
         """
         short = min(pixels, 2 * len(matched.taps) + 3)
         rows = matched.matrix(short).astype(np.float64)
-        # All places in the middle are alike; the short line has one of each kind.
+        # All places in the middle are alike; the short scan has one of each kind.
         many = np.ones(short)
         many[short // 2] += pixels - short
         height = np.arange(0.0, _HIGHEST + _STEP / 2, _STEP)
@@ -62,7 +66,7 @@ class FalseAlarms:
         return cls(CubicSpline(height, np.log(above)), pixels)
 
     def expected(self, threshold_sigma: float, dof: float = np.inf) -> float:
-        """Return the expected number of maxima of one line above a threshold.
+        """Return the expected number of maxima of one scan above a threshold.
 
         Args:
             threshold_sigma: threshold in (estimated) standard deviations of the answer.
@@ -80,10 +84,10 @@ class FalseAlarms:
         return float((probability * numbers).sum() / probability.sum())
 
     def threshold_sigma(self, per_line: float, dof: float = np.inf) -> float:
-        """Return the threshold that so many false alarms per line are expected above.
+        """Return the threshold for an expected number of false alarms per scan.
 
         Args:
-            per_line: expected number of false alarms in an empty line.
+            per_line: expected number of false alarms in an empty scan.
             dof: as of ``expected``.
 
         Raises:

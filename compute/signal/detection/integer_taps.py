@@ -1,4 +1,4 @@
-"""Whole-number taps of a filter that a constant, or a straight line, leaves at exactly zero."""
+"""Integer filter taps with exactly zero response to a constant or linear background."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ MAX_ABSOLUTE_SUM = 32768
 
 
 def remove_background(shape: Array, *, slope: bool) -> Array:
-    """Return a shape less its own mean (and slope): what background it cannot be told from.
+    """Return a shape less its mean (and slope), the part that looks like background.
 
     The result is the matched filter of the shape in white noise over a background that is
     unknown but constant (or straight) under the filter: the projection of the shape on what is
@@ -29,7 +29,7 @@ def remove_background(shape: Array, *, slope: bool) -> Array:
 
 
 def round_taps(real: Array, *, slope: bool) -> Taps:
-    """Round taps to whole numbers whose sum (and first moment) is exactly zero, shape (T,).
+    """Round taps to integers whose sum (and first moment) is exactly zero, shape (T,).
 
     The sum that rounding leaves is taken off where it comes nearest to the taps as they were.
     Symmetric taps stay symmetric, which makes their first moment zero too.

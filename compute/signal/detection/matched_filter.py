@@ -1,4 +1,4 @@
-"""MatchedFilter: whole-number taps that answer to a peak's shape and to no even background."""
+"""Matched filter with integer taps for a peak's shape over an unknown background."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +19,7 @@ from compute.signal.detection.integer_taps import (
 Array = NDArray[np.float64]
 
 LENGTH_IN_WIDTHS: Final = 16.0
-"""Length of a filter in standard deviations of the line that it looks for.
+"""Length of a filter in standard deviations of the peak that it looks for.
 
 The background is estimated under the filter itself, which costs signal-to-noise ratio: a share
 1 - sqrt(1 - 3.54 / n) of it for n widths. That is 25 % at 8, 16 % at 12, 12 % at 16 and 9 % at
@@ -31,12 +31,12 @@ _WIDTHS_PX: Final = (0.2, 100.0)
 
 @dataclass(frozen=True, eq=False)
 class MatchedFilter:
-    """Taps for the inside of a line, and for the places near its ends; T = 2 H + 1 of them.
+    """Integer taps for the inside of a scan, and for positions near its ends; T = 2 H + 1 taps.
 
     The answer at a place is ``sum taps_k v_k`` over the pixels from H before to H behind. Near
     an end the window is cut there, and the taps are the matched filter of what is left, again
     orthogonal to a constant; they are scaled to one norm, so that one threshold serves the
-    line. All are whole numbers with sums of |taps| up to 32768: answers to uint16 pixels
+    scan. All are whole numbers with sums of |taps| up to 32768: answers to uint16 pixels
     are exact in int32, and every device takes the same decisions.
 
     Away from the shape the inner taps of a symmetric filter are all ``-level``: a running sum
@@ -56,7 +56,7 @@ class MatchedFilter:
 
     @property
     def half_px(self) -> int:
-        """H, the pixels that the filter reaches to each side."""
+        """H, the number of pixels that the filter reaches to each side."""
         return len(self.taps) // 2
 
     @property
@@ -66,12 +66,12 @@ class MatchedFilter:
 
     @cached_property
     def norm(self) -> float:
-        """Standard deviation of the answer to white noise of one count."""
+        """Standard deviation of the response to white noise of one count."""
         return float(np.sqrt((self.taps.astype(np.float64) ** 2).sum()))
 
     @cached_property
     def gain(self) -> float:
-        """Answer to the shape, one count high, in the middle of the filter."""
+        """Response to the shape, one count high, in the middle of the filter."""
         return float(self.taps @ self.shape)
 
     @cached_property
@@ -82,7 +82,7 @@ class MatchedFilter:
 
     @property
     def snr_of_pixel_snr(self) -> float:
-        """Signal-to-noise ratio of the answer, relative to that of the shape's highest pixel."""
+        """Signal-to-noise ratio of the response, relative to that of the shape's highest pixel."""
         return self.gain / self.norm
 
     @property
@@ -91,10 +91,10 @@ class MatchedFilter:
         return self.snr_of_pixel_snr / float(np.sqrt((self.shape**2).sum()))
 
     def matrix(self, pixels: int) -> NDArray[np.int64]:
-        """Return all taps of a line, shape (P, P): row x for the place x.
+        """Return all taps of a scan, shape (P, P): row x for the position x.
 
         Raises:
-            InvalidParameter: the line is shorter than the filter.
+            InvalidParameter: the scan is shorter than the filter.
         """
         self._require_room(pixels)
         half, length = self.half_px, len(self.taps)
@@ -106,7 +106,7 @@ class MatchedFilter:
         return rows
 
     def gains(self, pixels: int) -> Array:
-        """Return the answers at all places to the shape there, one count high, shape (P,)."""
+        """Return the responses at all positions to the shape there, one count high, shape (P,)."""
         self._require_room(pixels)
         half, length = self.half_px, len(self.taps)
         gains = np.full(pixels, self.gain)
@@ -119,16 +119,16 @@ class MatchedFilter:
             gains[pixels - 1 - d] = self.right[d] @ right
         return gains
 
-    def respond(self, lines: NDArray[np.uint16]) -> NDArray[np.int64]:
-        """Return the answers at all places of lines of shape (L, P), int64, same shape.
+    def respond(self, scans: NDArray[np.uint16]) -> NDArray[np.int64]:
+        """Return the responses at all positions of scans of shape (L, P), int64, same shape.
 
         Raises:
-            InvalidParameter: lines shorter than the filter.
+            InvalidParameter: scans shorter than the filter.
         """
-        self._require_room(lines.shape[1])
+        self._require_room(scans.shape[1])
         half, length = self.half_px, len(self.taps)
         # Whole numbers below 2^53 are exact in float64, in any order of summation.
-        values = lines.astype(np.float64)
+        values = scans.astype(np.float64)
         answer = correlate1d(values, self.taps.astype(np.float64), axis=1, mode="nearest")
         if half:
             answer[:, :half] = values[:, :length] @ self.left.T
@@ -144,26 +144,26 @@ class MatchedFilter:
 
 
 def gaussian_shape(width_px: float, half_px: int, phase_px: float = 0.0) -> Array:
-    """Return a Gaussian line integrated over pixels, unit area, shape (2 half_px + 1,).
+    """Return a Gaussian peak integrated over pixels, unit area, shape (2 half_px + 1,).
 
     Args:
         width_px: standard deviation [px].
         half_px: pixels to each side of the middle one.
-        phase_px: position of the line from the middle pixel's centre [px].
+        phase_px: position of the peak from the middle pixel's centre [px].
     """
     edges = np.arange(-half_px, half_px + 2) - 0.5 - phase_px
     return np.asarray(np.diff(ndtr(edges / width_px)), dtype=np.float64)
 
 
 def gaussian_filter(width_px: float, length_px: int | None = None) -> MatchedFilter:
-    """Return the matched filter of Gaussian lines that are integrated over the pixels.
+    """Return the matched filter of Gaussian peaks that are integrated over the pixels.
 
     Args:
-        width_px: standard deviation of the lines, 0.2 to 100 [px].
+        width_px: standard deviation of the peaks, 0.2 to 100 [px].
         length_px: pixels of the filter, odd; None: LENGTH_IN_WIDTHS widths and one.
 
     Raises:
-        InvalidParameter: a width out of range, a length that is even, or too short for the line.
+        InvalidParameter: a width out of range, a length that is even, or too short for the peak.
     """
     low, high = _WIDTHS_PX
     if not low <= width_px <= high:
@@ -190,7 +190,7 @@ def shape_filter(shape: ArrayLike, *, slope: bool = False) -> MatchedFilter:
     Args:
         shape: the peak pixel by pixel, nowhere negative, about the middle of an odd number T
             of pixels; the filter is as long, so its ends should be dark, shape (T,).
-        slope: make all taps orthogonal to a straight line. Inside the line those of a symmetric
+        slope: make all taps orthogonal to a straight line. Inside the scan those of a symmetric
             shape are anyhow. Near the ends taps that are not answer to a background that rises
             towards the end; those that are answer to bright peaks elsewhere in the window.
 
@@ -237,6 +237,6 @@ def shape_filter(shape: ArrayLike, *, slope: bool = False) -> MatchedFilter:
 
 
 def _cut(peak: Array, slope: bool) -> list[Array]:
-    """Return the filters of a peak on the places 0, 1, ... from a line's first pixel."""
+    """Return the filters of a peak on the places 0, 1, ... from a scan's first pixel."""
     half = peak.size // 2
     return [remove_background(peak[half - d :], slope=slope) for d in range(half)]

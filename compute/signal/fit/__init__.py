@@ -1,1 +1,1 @@
-"""Positions at the information bound: the weighted fit of pixel-integrated line shapes."""
+"""Weighted fit of pixel-integrated line shapes: positions at the Cramer-Rao bound."""

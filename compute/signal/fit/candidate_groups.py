@@ -1,4 +1,4 @@
-"""Groups: which candidates are fitted together, in which pixels, and where their fit starts."""
+"""Groups of candidates that are fitted together, with their pixels and initial parameters."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,11 +19,11 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """G groups of candidates, in the order of lines and places.
+    """G groups of candidates, ordered by scan and position.
 
     Args:
-        line: the lines they are in, shape (G,).
-        first_candidate: the lines' candidates with which they begin, shape (G,).
+        scan: the scans that they are in, shape (G,).
+        first_candidate: the scans' candidates with which they begin, shape (G,).
         count: numbers of candidates, shape (G,).
         first_px: first pixels, shape (G,).
         last_px: last pixels, shape (G,).
@@ -33,7 +33,7 @@ class Groups:
         split_after: the chain was cut after it, shape (G,).
     """
 
-    line: IntArray
+    scan: IntArray
     first_candidate: IntArray
     count: IntArray
     first_px: IntArray
@@ -45,19 +45,24 @@ class Groups:
 
     def __len__(self) -> int:
         """Return G."""
-        return len(self.line)
+        return len(self.scan)
 
     def __getitem__(self, rows: IntArray | NDArray[np.bool_]) -> "Groups":
         """Return some of the groups."""
         return Groups(*(values[rows] for values in vars(self).values()))
 
     def candidate_indices(self) -> IntArray:
-        """Return the candidates of groups that have equally many, shape (G, K)."""
+        """Return the candidates of groups of equal size, shape (G, K)."""
         return self.first_candidate[:, None] + np.arange(int(self.count.max(initial=0)))
 
 
 def initial_widths(candidates: PeakBatch, settings: FitSettings) -> Array:
-    """Return the widths to start with, shape (L, K) [px]; see ``FitSettings``."""
+    """Return the initial widths of candidates, shape (L, K) [px]; see ``FitSettings``.
+
+    Args:
+        candidates: of L scans, at most K each.
+        settings: of the fit.
+    """
     if settings.width_log_sigma == 0.0:
         return np.full(candidates.width_px.shape, settings.width_px)
     fraction = settings.search.threshold_fraction
@@ -68,13 +73,19 @@ def initial_widths(candidates: PeakBatch, settings: FitSettings) -> Array:
 
 
 def form_groups(candidates: PeakBatch, pixels: int, settings: FitSettings) -> Groups:
-    """Put candidates whose windows overlap together, for lines of so many pixels."""
+    """Group candidates whose windows overlap.
+
+    Args:
+        candidates: of L scans.
+        pixels: pixels of a scan.
+        settings: of the fit.
+    """
     widths = initial_widths(candidates, settings)
     rows: list[tuple[int, ...]] = []
-    for line in np.flatnonzero(candidates.count).tolist():
-        count = int(candidates.count[line])
-        place = candidates.position_px[line, :count]
-        half = np.ceil(settings.reach * widths[line, :count]).astype(np.int64) + 1
+    for scan in np.flatnonzero(candidates.count).tolist():
+        count = int(candidates.count[scan])
+        place = candidates.position_px[scan, :count]
+        half = np.ceil(settings.reach * widths[scan, :count]).astype(np.int64) + 1
         half = np.minimum(half, _MAX_HALF_PX)
         pixel = np.floor(place + 0.5).astype(np.int64)
         low, high = pixel - half, pixel + half
@@ -94,7 +105,7 @@ def form_groups(candidates: PeakBatch, pixels: int, settings: FitSettings) -> Gr
         first, last = np.maximum(first, 0), np.minimum(last, pixels - 1)
         grown_first, grown_last = _extend(first, last, reach, pixels)
         rows += [
-            (line, start, stop - start, *ends, start in cuts, stop in cuts)
+            (scan, start, stop - start, *ends, start in cuts, stop in cuts)
             for (start, stop), *ends in zip(
                 parts, first, last, grown_first, grown_last, strict=True
             )
@@ -106,7 +117,7 @@ def form_groups(candidates: PeakBatch, pixels: int, settings: FitSettings) -> Gr
 def _extend(
     first: IntArray, last: IntArray, reach: IntArray, pixels: int
 ) -> tuple[IntArray, IntArray]:
-    """Return the windows of a line grown by ``reach``, up to midway between them."""
+    """Return the windows of a scan grown by ``reach``, up to midway between them."""
     by = np.minimum(reach, (MAX_WINDOW_PX - (last - first + 1)) // 2)
     middle = (last[:-1] + first[1:]) // 2
     return (
@@ -145,33 +156,33 @@ def initial_parameters(
     settings: FitSettings,
     shape: LineSpreadFunction,
 ) -> tuple[Layout, Array]:
-    """Return where the fits of groups with equally many candidates start.
+    """Return the initial parameters of groups of equal size.
 
     Args:
         groups: G groups of K candidates each.
-        candidates: of all lines.
-        background: of all lines, shape (L,) [counts].
-        sensor: sensors of the groups' lines, shape (G,).
-        settings: how lines are fitted.
-        shape: the lines' shape.
+        candidates: of all scans.
+        background: of all scans, shape (L,) [counts].
+        sensor: sensors of the groups' scans, shape (G,).
+        settings: of the fit.
+        shape: the line-spread function.
     """
     first_candidate = groups.candidate_indices()
     layout = Layout(first_candidate.shape[1], settings.background == "slope")
-    line = groups.line[:, None]
-    log_width = np.log(initial_widths(candidates, settings)[line, first_candidate]).mean(axis=1)
-    place = candidates.position_px[line, first_candidate]
+    scan = groups.scan[:, None]
+    log_width = np.log(initial_widths(candidates, settings)[scan, first_candidate]).mean(axis=1)
+    place = candidates.position_px[scan, first_candidate]
     share = central_pixel_fraction(shape, np.exp(log_width)[:, None], sensor[:, None], place)
     start = np.zeros((len(groups), layout.size))
-    start[:, 0] = background[groups.line]
-    start[:, layout.light] = candidates.amplitude[line, first_candidate] / share
+    start[:, 0] = background[groups.scan]
+    start[:, layout.light] = candidates.amplitude[scan, first_candidate] / share
     start[:, layout.position] = place
     start[:, -1] = log_width
     return layout, start
 
 
-def background_levels(lines: NDArray[np.uint16]) -> Array:
-    """Return the backgrounds that ``CentroidSettings`` defines, shape (L,) [counts]."""
-    pixel = np.array(sample_starts(lines.shape[1]))[:, None] + np.arange(GROUP_PIXELS)
-    sums = np.sort(lines[:, pixel].astype(np.int64).sum(axis=2), axis=1)
+def background_levels(scans: NDArray[np.uint16]) -> Array:
+    """Return the backgrounds of scans (L, P) by ``CentroidSettings``, (L,) [counts]."""
+    pixel = np.array(sample_starts(scans.shape[1]))[:, None] + np.arange(GROUP_PIXELS)
+    sums = np.sort(scans[:, pixel].astype(np.int64).sum(axis=2), axis=1)
     quartile = sums[:, (sums.shape[1] - 1) // 4]
     return quartile * (LEVEL_UNIT // GROUP_PIXELS) / LEVEL_UNIT

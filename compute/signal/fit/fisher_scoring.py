@@ -1,4 +1,4 @@
-"""Fits of the same number of lines to many windows at once: Fisher scoring, covariances."""
+"""Fisher scoring of the same number of peaks in many windows at once, with covariances."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ _WIDTH_LIMITS = np.log(WIDTH_LIMITS_PX)
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Fits of N windows by Q parameters each; their figures are NaN where one failed.
+    """Fits of N windows by Q parameters each; results are NaN where one failed.
 
     Args:
         good: the fit converged to something possible, shape (N,).
@@ -51,7 +51,12 @@ class Solution:
 
     @classmethod
     def none(cls, start: Array, dof: NDArray[np.int64]) -> "Solution":
-        """Return N fits that failed, to be filled in."""
+        """Return N failed fits, to be filled in.
+
+        Args:
+            start: initial parameters, shape (N, Q).
+            dof: degrees of freedom, shape (N,).
+        """
         count, size = start.shape
         return cls(
             np.zeros(count, bool),
@@ -67,14 +72,14 @@ class Solution:
 def solve(
     windows: Windows, start: Array, layout: Layout, settings: FitSettings, shape: LineSpreadFunction
 ) -> Solution:
-    """Fit ``layout.peaks`` lines to each window, as ``FitSettings`` defines it.
+    """Fit ``layout.peaks`` peaks to each window, as ``FitSettings`` defines it.
 
     Args:
         windows: N windows.
         start: parameters to start with, shape (N, Q).
         layout: their order.
-        settings: how lines are fitted.
-        shape: the lines' shape.
+        settings: of the fit.
+        shape: the line-spread function.
     """
     free = layout.size - (settings.width_log_sigma == 0.0)
     counted = windows.count

@@ -1,4 +1,4 @@
-"""FitFinder: fits the peaks of batches of lines on one device, in buffers of its own."""
+"""Peak finder by weighted fit, compiled by Warp for one device."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ from compute.warp_host import warp_device
 
 
 class FitFinder(PeakFinder):
-    """Search and weighted fit of many lines at once by Warp; ``FitSettings`` defines it.
+    """Search and weighted fit of many scans at once by Warp; ``FitSettings`` defines it.
 
     Warp is not thread-safe: one thread makes the finder and calls it. Making it loads Warp and
     compiles the kernel, unless an earlier process has (seconds); ``find`` does neither.

@@ -1,4 +1,4 @@
-"""The Warp kernel that fits the peaks of line scans, on the CPU and on CUDA.
+"""Warp kernel that fits the peaks of scans, on the CPU and on CUDA.
 
 Only ``compute.signal.fit.fit_finder`` imports this module, when a finder is made: it loads Warp.
 """

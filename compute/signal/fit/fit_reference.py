@@ -1,4 +1,4 @@
-"""Fitted peaks of lines by the definition of FitSettings, in NumPy: what the kernel must match."""
+"""Weighted fit of peaks in NumPy: the definition that the kernel must match."""
 
 from dataclasses import replace
 
@@ -29,68 +29,76 @@ from compute.signal.peaks import PeakBatch, PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 
 
-def fit_lines(
-    lines: NDArray[np.uint16],
+def fit_scans(
+    scans: NDArray[np.uint16],
     settings: FitSettings,
     noise: SensorNoise,
     shape: LineSpreadFunction | None = None,
     candidates: PeakBatch | None = None,
 ) -> PeakBatch:
-    """Fit the peaks of lines, as ``FitSettings`` defines it.
+    """Fit the peaks of scans, as ``FitSettings`` defines it.
 
-    The search is written out plainly and slow; the fits of all lines go together.
+    The search is written out plainly and slow; the fits of all scans go together.
 
     Args:
-        lines: counts, shape (L, P); line l belongs to sensor ``l % len(noise)``.
-        settings: how lines are fitted.
+        scans: counts, shape (L, P); scan l belongs to sensor ``l % len(noise)``.
+        settings: of the fit.
         noise: of the sensors.
-        shape: how a line's light is spread; a Gaussian where there is none.
+        shape: the line-spread function; None: a Gaussian.
         candidates: what ``settings.search`` finds, where it is known already.
 
     Raises:
-        InvalidParameter: lines of another type or shape, or candidates of other lines.
+        InvalidParameter: scans of another type or shape, or candidates of other scans.
     """
-    check_lines(lines)
+    check_scans(scans)
     shape = LineSpreadFunction.gaussian() if shape is None else shape
     if candidates is None:
-        candidates = find_peaks_reference(lines, settings.search, noise)
-    elif len(candidates) != len(lines):
+        candidates = find_peaks_reference(scans, settings.search, noise)
+    elif len(candidates) != len(scans):
         raise InvalidParameter(
-            f"candidates are of {len(candidates)} lines; they must be of these {len(lines)}",
+            f"candidates are of {len(candidates)} scans; they must be of these {len(scans)}",
             candidates=len(candidates),
         )
-    groups = form_groups(candidates, lines.shape[1], settings)
+    groups = form_groups(candidates, scans.shape[1], settings)
     parts: list[FlatPeaks] = []
-    for number, fits in fit_groups(lines, groups, candidates, settings, noise, shape):
+    for number, fits in fit_groups(scans, groups, candidates, settings, noise, shape):
         part = groups[number]
         for selected in fits:
             parts.append(
                 collect_fitted_peaks(
-                    selected, number, part, candidates, lines.shape[1], settings, shape
+                    selected, number, part, candidates, scans.shape[1], settings, shape
                 )
             )
             parts.append(collect_unfitted_peaks(selected, number, part, candidates))
     room = settings.search.max_peaks
     if not parts:
-        return PeakBatch.empty(len(lines), room)
+        return PeakBatch.empty(len(scans), room)
     truncated = ((candidates.flags & PeakFlag.TRUNCATED) != 0).any(axis=1)
-    return to_peak_batch(FlatPeaks.concatenate(parts), len(lines), room, truncated)
+    return to_peak_batch(FlatPeaks.concatenate(parts), len(scans), room, truncated)
 
 
 def fit_groups(
-    lines: NDArray[np.uint16],
+    scans: NDArray[np.uint16],
     groups: Groups,
     candidates: PeakBatch,
     settings: FitSettings,
     noise: SensorNoise,
     shape: LineSpreadFunction,
 ) -> list[tuple[NDArray[np.int64], list[SelectedFits]]]:
-    """Fit groups, those with equally many candidates together.
+    """Fit groups, those of equal size together.
+
+    Args:
+        scans: counts of the scans, uint16, shape (L, P).
+        groups: of the candidates.
+        candidates: of all scans.
+        settings: of the fit.
+        noise: noise of the sensors.
+        shape: the line-spread function.
 
     Returns:
         The numbers of such groups, and their fits, whose rows count these.
     """
-    background = background_levels(lines)
+    background = background_levels(scans)
     found = []
     for count in np.unique(groups.count).tolist():
         number = np.flatnonzero(groups.count == count)
@@ -99,10 +107,10 @@ def fit_groups(
         def extended(rows: NDArray[np.int64], part: Groups = part) -> Windows:
             some = part[rows]
             return Windows.cut(
-                lines, some.line, some.extended_first_px, some.extended_last_px, noise
+                scans, some.scan, some.extended_first_px, some.extended_last_px, noise
             )
 
-        windows = Windows.cut(lines, part.line, part.first_px, part.last_px, noise)
+        windows = Windows.cut(scans, part.scan, part.first_px, part.last_px, noise)
         layout, start = initial_parameters(
             part, candidates, background, windows.sensor, settings, shape
         )
@@ -120,19 +128,19 @@ def _marginalise(
     return replace(selected, solution=solution)
 
 
-def check_lines(lines: NDArray[np.uint16]) -> None:
-    """See that lines are what a sensor gives.
+def check_scans(scans: NDArray[np.uint16]) -> None:
+    """Check type, shape and length of scans.
 
     Raises:
         InvalidParameter: another type or shape, or a length outside MIN_PIXELS .. MAX_PIXELS.
     """
-    if lines.ndim != 2 or lines.dtype != np.uint16:
+    if scans.ndim != 2 or scans.dtype != np.uint16:
         raise InvalidParameter(
-            f"lines are {lines.dtype} of shape {lines.shape}; they must be uint16, (L, P)",
-            shape=lines.shape,
+            f"scans are {scans.dtype} of shape {scans.shape}; they must be uint16, (L, P)",
+            shape=scans.shape,
         )
-    if not MIN_PIXELS <= lines.shape[1] <= MAX_PIXELS:
+    if not MIN_PIXELS <= scans.shape[1] <= MAX_PIXELS:
         raise InvalidParameter(
-            f"lines have {lines.shape[1]} pixels; they must have {MIN_PIXELS} to {MAX_PIXELS}",
-            pixels=lines.shape[1],
+            f"scans have {scans.shape[1]} pixels; they must have {MIN_PIXELS} to {MAX_PIXELS}",
+            pixels=scans.shape[1],
         )

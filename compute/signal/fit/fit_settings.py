@@ -1,4 +1,4 @@
-"""FitSettings: how line shapes are fitted; and the definition of a fitted peak."""
+"""Settings of the weighted fit, and the definition of a fitted peak."""
 
 from dataclasses import dataclass, field
 from math import log
@@ -57,7 +57,7 @@ MAX_WIDTH_NODES: Final = 6
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How lines are fitted: the best estimate of their positions that the pixels allow.
+    """Settings of the weighted fit: the best position estimate that the pixels allow.
 
     The definition, which the kernel and the reference both implement:
 
@@ -74,7 +74,8 @@ class FitSettings:
       left out, as they say only "at least".
     - *Model.* ``mu_i = b [+ s (i - middle)] + sum_k A_k (E((i + 1/2 - x_k)/w) - E((i - 1/2 -
       x_k)/w))`` with positions x_k, light A_k [counts], one width w for the group, and a level b
-      (and slope s about the window's middle, if ``background`` says so). E is a ``LineSpreadFunction``.
+      (and slope s about the window's middle, if ``background`` says so). E is a
+      ``LineSpreadFunction``.
     - *Weights.* The variance V of a pixel is ``read^2/gain^2 + max(mu - offset, 0)/gain + 1/12``
       plus ``(shape_error (mu - b - ...))^2``, by the model and not by the pixel's own noise.
     - *Estimate.* The root of the weighted residuals' score, with the variances of the same mu:
@@ -89,9 +90,9 @@ class FitSettings:
       whole to STEP_WIDTHS and STEP_LOG_WIDTH; a width that would leave WIDTH_LIMITS_PX is held
       there, as if known. A step that turns the width of a single line back is scaled by
       ``l / (l + c)``, c being its change of the width's logarithm and l the last one (the
-      secant's step). The end is ``g.d < CONVERGENCE_THRESHOLD_SIGMA^2 max(chi2/freedom, 1)``, by the
-      pass's own chi-square with the prior's term, and that step is taken. The covariance is H^-1,
-      and with the chi-square of the pass that gave the last step.
+      secant's step). The end is ``g.d < CONVERGENCE_THRESHOLD_SIGMA^2 max(chi2/freedom, 1)``, by
+      the pass's own chi-square with the prior's term, and that step is taken. The covariance is
+      H^-1, and with the chi-square of the pass that gave the last step.
     - *Number of peaks.* Where the misfit is more than chance (its own rate:
       ``false_split_rate``) or the fit failed, the window grows by as much as the widest
       candidate's window reaches, up to midway to the neighbours' windows and MAX_WINDOW_PX, and
@@ -103,17 +104,17 @@ class FitSettings:
       So on, while the misfit is more than chance, up to ``max_joint_peaks``. Where none stands, the
       first window's fit does, or else the grown one's. Without ``further_peaks`` none is tried,
       and only a failed fit is repeated in the grown window.
-    - *Unknown width.* Where the deviation of the width's logarithm is more than LOG_WIDTH_SIGMA_THRESHOLD, or
-      it is held at a limit, the covariance is averaged over widths: from the best one to either
-      side, by that deviation or STEP_LOG_WIDTH, whichever is less, as far as there are any in
-      WIDTH_LIMITS_PX, they weigh more than MIN_LOG_WEIGHT, and to MAX_WIDTH_NODES. Each has its own
-      best parameters and covariance, from the one before by one scoring step. Its weight is the
-      likelihood with the prior, by the trapezoidal rule from its slopes, times the (geometric
-      mean of the) positions' deviations at that width: so all shifts and scales are equally
-      probable, for which Bayes's deviations are those of repeated experiments (right Haar
-      measure; J. O. Berger, 10.1007/978-1-4757-4286-2, chapter 6). The covariance is that of
-      the average. The parameters stay the best ones: those at a mean width, or their mean, are
-      biased more within a pixel, as widths are less certain to the narrow side.
+    - *Unknown width.* Where the deviation of the width's logarithm is more than
+      LOG_WIDTH_SIGMA_THRESHOLD, or it is held at a limit, the covariance is averaged over widths:
+      from the best one to either side, by that deviation or STEP_LOG_WIDTH, whichever is less, as
+      far as there are any in WIDTH_LIMITS_PX, they weigh more than MIN_LOG_WEIGHT, and to
+      MAX_WIDTH_NODES. Each has its own best parameters and covariance, from the one before by one
+      scoring step. Its weight is the likelihood with the prior, by the trapezoidal rule from its
+      slopes, times the (geometric mean of the) positions' deviations at that width: so all shifts
+      and scales are equally probable, for which Bayes's deviations are those of repeated
+      experiments (right Haar measure; J. O. Berger, 10.1007/978-1-4757-4286-2, chapter 6). The
+      covariance is that of the average. The parameters stay the best ones: those at a mean width,
+      or their mean, are biased more within a pixel, as widths are less certain to the narrow side.
     - *Result.* Positions, standard deviations and covariances; ``amplitude`` is the fitted light
       in a pixel about the line's middle; ``width_px`` the full width at ``search``'s
       threshold of a Gaussian with the fitted width; the reduced chi-square of the group, of
@@ -129,8 +130,9 @@ class FitSettings:
     Args:
         search: how candidates are found.
         width_px: deviation of the lines (Gaussian), or the shape's own unit.
-        width_log_sigma: deviation of the logarithm of the width; 0: it is known, inf: nothing is. By
-            default next to nothing: a belief that is off makes faint lines' deviations dishonest.
+        width_log_sigma: deviation of the logarithm of the width; 0: it is known, inf: nothing is.
+            By default next to nothing: a belief that is off makes faint lines' deviations
+            dishonest.
         reach: half a window, in starting widths. A Gaussian keeps 0.9989 of its information in 4.
         background: what the background is within a window.
         shape_error: error of each pixel's light as a part of it, deviation, another in each
@@ -181,7 +183,7 @@ class FitSettings:
 
     @property
     def split_margin(self) -> float:
-        """By how much more than Schwarz's term a further peak must better the fit."""
+        """Excess over Schwarz's term by which a further peak must improve the fit."""
         return 2.0 * log(1.0 / self.false_split_rate)
 
     def chi2_limits(self) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""GroupFit: all that is known about one fitted group of a line, for people who look at it."""
+"""Details of one fitted group of peaks: pixels, model, residuals, covariance."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.fit.candidate_groups import form_groups
-from compute.signal.fit.fit_reference import check_lines, fit_groups
+from compute.signal.fit.fit_reference import check_scans, fit_groups
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.fit.model_order import SelectedFits
@@ -19,7 +19,7 @@ from compute.signal.sensor_noise import SensorNoise
 
 @dataclass(frozen=True, eq=False)
 class GroupFit:
-    """Lines that were fitted together, K of them in n pixels; NaN where no fit was possible.
+    """K peaks that were fitted together in n pixels; NaN where no fit was possible.
 
     Args:
         first_px: first pixel of the window.
@@ -30,8 +30,8 @@ class GroupFit:
         flags: PeakFlag values of the peaks, shape (K,).
         position_px: of the peaks, in ascending order [px], shape (K,).
         sigma_px: their standard deviations [px], shape (K,).
-        amplitude: light in a pixel about the line's middle [counts], shape (K,).
-        light_counts: light of each line [counts], shape (K,).
+        amplitude: light in a pixel about the peak's position [counts], shape (K,).
+        light_counts: light of each peak [counts], shape (K,).
         light_electrons: the same [electrons], shape (K,).
         width_px: the group's width: a Gaussian's deviation, or in the shape's own unit [px].
         width_sigma_px: its standard deviation [px]; zero where it is known.
@@ -69,40 +69,40 @@ class GroupFit:
         return not bool((self.flags & PeakFlag.UNFITTED).any())
 
 
-def fit_line(
+def fit_scan(
     values: NDArray[np.uint16],
     settings: FitSettings,
     noise: SensorNoise,
     shape: LineSpreadFunction | None = None,
     sensor: int = 0,
 ) -> tuple[GroupFit, ...]:
-    """Fit the peaks of one line as ``fit_lines`` does, and tell everything.
+    """Fit the peaks of one scan as ``fit_scans`` does, and return all details.
 
     Peaks beyond the room of ``settings.search`` that were found by fits are all told.
 
     Args:
         values: counts, shape (P,).
-        settings: how lines are fitted.
+        settings: of the fit.
         noise: of the sensors.
-        shape: how a line's light is spread; a Gaussian where there is none.
-        sensor: number of the line's sensor.
+        shape: the line-spread function; None: a Gaussian.
+        sensor: number of the scan's sensor.
 
     Returns:
         The groups, in the order of their places.
 
     Raises:
-        InvalidParameter: a line of another type or shape.
+        InvalidParameter: a scan of another type or shape.
     """
-    lines = values[None]
-    check_lines(lines)
+    scans = values[None]
+    check_scans(scans)
     shape = LineSpreadFunction.gaussian() if shape is None else shape
     # Line l belongs to sensor l: the wanted one stands last, after empty ones.
     own = sensor % len(noise)
-    lines = np.concatenate([np.zeros((own, len(values)), np.uint16), lines])
-    candidates = find_peaks_reference(lines, settings.search, noise)
+    scans = np.concatenate([np.zeros((own, len(values)), np.uint16), scans])
+    candidates = find_peaks_reference(scans, settings.search, noise)
     groups = form_groups(candidates, len(values), settings)
     found: list[GroupFit] = []
-    for number, fits in fit_groups(lines, groups, candidates, settings, noise, shape):
+    for number, fits in fit_groups(scans, groups, candidates, settings, noise, shape):
         part = groups[number]
         for selected in fits:
             peaks = collect_fitted_peaks(

@@ -1,4 +1,4 @@
-"""What the kernel reads of FitSettings and a LineSpreadFunction, packed into one buffer."""
+"""FitSettings and LineSpreadFunction packed into one buffer for the kernel."""
 
 from math import exp, log, sqrt
 from typing import Final
@@ -44,10 +44,14 @@ PLAN: Final = Record(
 
 
 def pack_plan(settings: FitSettings, shape: LineSpreadFunction) -> NDArray[np.uint64]:
-    """Pack a plan, the limits of chi-square, and the shape's pieces in float64 and in float32.
+    """Pack settings, chi-square limits, and the cubic pieces of the shape in float64 and float32.
 
     A piece is the cubic in the part of the way from one place to the next: four coefficients.
     One before the first and one behind the last are constant.
+
+    Args:
+        settings: of the fit.
+        shape: the line-spread function.
 
     Returns:
         64-bit words, to keep them aligned.

@@ -1,4 +1,4 @@
-"""LineSpreadFunction: how a line's light is spread about its position, by sensor and place."""
+"""Line-spread function: distribution of the light of a peak, by sensor and position."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -19,7 +19,7 @@ GAUSSIAN_STEP: Final = 1.0 / 16.0
 
 @dataclass(frozen=True, eq=False)
 class LineSpreadFunction:
-    """The share of a line's light below a place, as a table with its derivative.
+    """Cumulative share of a peak's light below a position, as a table with its derivative.
 
     A pixel i gets the share ``E((i + 1/2 - x) / w) - E((i - 1/2 - x) / w)`` of a line at x with
     the width w. Between the table's places E is the cubic through both values and both
@@ -31,8 +31,8 @@ class LineSpreadFunction:
     position is not part of the derivative.
 
     Args:
-        cumulative: share of the light below each place, S sensors (or one for all), N nodes, T places,
-            shape (S, N, T); rising from 0 to 1.
+        cumulative: share of the light below each place, S sensors (or one for all), N nodes, T
+            places, shape (S, N, T); rising from 0 to 1.
         density: its derivative by t, same shape.
         first: the first place t.
         step: distance of places.
@@ -51,7 +51,8 @@ class LineSpreadFunction:
         shape = self.cumulative.shape
         if len(shape) != 3 or shape[2] < 2 or 0 in shape or self.density.shape != shape:
             raise InvalidParameter(
-                f"edge has the shape {shape} and slope {self.density.shape}; both must be (S, N, T) "
+                f"edge has the shape {shape} and slope {self.density.shape}; both must be "
+                "(S, N, T) "
                 "with two places or more",
                 cumulative=shape,
                 density=self.density.shape,

@@ -1,4 +1,4 @@
-"""How many lines a window holds: one more is tried where chance does not explain the misfit."""
+"""Number of peaks in a window: a further one is tried where noise does not explain the misfit."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ _ADDED = 2  # parameters of a line: light and position
 
 @dataclass(frozen=True, eq=False)
 class SelectedFits:
-    """The groups that hold so many lines, with their fits.
+    """Groups that hold the same number of peaks, with their fits.
 
     Args:
         layout: the order of the parameters.
@@ -59,8 +59,8 @@ def fit_windows(
         extended: cuts the grown windows of some of them.
         start: where the fits of these start, shape (N, Q).
         layout: the order of the parameters.
-        settings: how lines are fitted.
-        shape: the lines' shape.
+        settings: of the fit.
+        shape: the line-spread function.
 
     Returns:
         By the number of lines, each window in one of them.

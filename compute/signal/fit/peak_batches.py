@@ -1,4 +1,4 @@
-"""Fitted peaks as a batch: flags, order, room, and the covariances of neighbours."""
+"""Fitted peaks as a batch: flags, order, room, and covariances of neighbours."""
 
 from dataclasses import dataclass
 
@@ -17,10 +17,10 @@ _CLIPPED_WIDTHS = 2.0
 
 @dataclass(frozen=True, eq=False)
 class FlatPeaks:
-    """Peaks of many lines in no order.
+    """Peaks of many scans in no order.
 
     Args:
-        line: shape (M,).
+        scan: shape (M,).
         group: numbers of their groups, shape (M,).
         within: their place within the group, shape (M,).
         position_px: shape (M,).
@@ -32,7 +32,7 @@ class FlatPeaks:
         covariance_px2: with all of the group, shape (M, MAX_JOINT_PEAKS).
     """
 
-    line: NDArray[np.int64]
+    scan: NDArray[np.int64]
     group: NDArray[np.int64]
     within: NDArray[np.int64]
     position_px: Array
@@ -66,13 +66,13 @@ def collect_fitted_peaks(
     """Return the peaks of the groups whose fits were good.
 
     Args:
-        selected: fits of so many lines; of its rows the good ones count.
+        selected: fits of groups of equal size; the good ones count.
         number: numbers of the groups, by which they are told apart, shape (G,).
         groups: the groups that ``chosen.rows`` counts.
-        candidates: of all lines.
-        pixels: of a line.
-        settings: how lines were fitted.
-        shape: the lines' shape.
+        candidates: of all scans.
+        pixels: pixels of a scan.
+        settings: of the fit.
+        shape: the line-spread function.
     """
     selected = selected[selected.solution.good]
     solution, windows, layout = selected.solution, selected.windows, selected.layout
@@ -101,7 +101,7 @@ def collect_fitted_peaks(
     flags[:, -1] |= PeakFlag.MERGED * groups.split_after
     if len(groups) and int(groups.count[0]) == layout.peaks:
         flags |= (
-            candidates.flags[groups.line[:, None], groups.candidate_indices()] & PeakFlag.MERGED
+            candidates.flags[groups.scan[:, None], groups.candidate_indices()] & PeakFlag.MERGED
         )
 
     count = position.shape[1]
@@ -111,7 +111,7 @@ def collect_fitted_peaks(
     full_width = np.broadcast_to(2.0 * np.sqrt(-2.0 * np.log(f)) * width, position.shape)
     reduced = (solution.chi2 / solution.dof)[:, None]
     return FlatPeaks(
-        np.repeat(groups.line, count),
+        np.repeat(groups.scan, count),
         np.repeat(number, count),
         np.tile(np.arange(count), len(groups)),
         position.ravel(),
@@ -127,12 +127,19 @@ def collect_fitted_peaks(
 def collect_unfitted_peaks(
     selected: SelectedFits, number: NDArray[np.int64], groups: Groups, candidates: PeakBatch
 ) -> FlatPeaks:
-    """Return the candidates of the groups whose fits failed; see ``fitted_peaks``."""
+    """Return the candidates of the groups whose fits failed.
+
+    Args:
+        selected: fits of groups of equal size; the failed ones count.
+        number: numbers of the groups, shape (M,).
+        groups: these groups.
+        candidates: of all scans.
+    """
     rows = selected.rows[~selected.solution.good]
     groups, number = groups[rows], number[rows]
     member = groups.candidate_indices()
     count = member.shape[1]
-    at = (np.repeat(groups.line, count), member.ravel())
+    at = (np.repeat(groups.scan, count), member.ravel())
     flags = candidates.flags[at].reshape(member.shape).astype(np.int64) | PeakFlag.UNFITTED
     flags[:, :1] |= PeakFlag.MERGED * groups.split_before[:, None]
     flags[:, -1:] |= PeakFlag.MERGED * groups.split_after[:, None]
@@ -151,40 +158,40 @@ def collect_unfitted_peaks(
 
 
 def to_peak_batch(
-    peaks: FlatPeaks, lines: int, room: int, truncated: NDArray[np.bool_]
+    peaks: FlatPeaks, scans: int, room: int, truncated: NDArray[np.bool_]
 ) -> PeakBatch:
-    """Put peaks into the order of lines and places, the brightest where there is no room for all.
+    """Order peaks by scan and position; keep the brightest where there is no room for all.
 
     Args:
-        peaks: of all lines.
-        lines: L.
+        peaks: of all scans.
+        scans: L.
         room: K.
-        truncated: lines that have lost peaks already, shape (L,).
+        truncated: scans that have lost peaks already, shape (L,).
     """
-    batch = PeakBatch.empty(lines, room)
-    by_light = np.lexsort((peaks.position_px, -peaks.amplitude, peaks.line))
-    rank = _numbered(peaks.line[by_light])
+    batch = PeakBatch.empty(scans, room)
+    by_light = np.lexsort((peaks.position_px, -peaks.amplitude, peaks.scan))
+    rank = _numbered(peaks.scan[by_light])
     truncated = truncated.copy()
-    truncated[peaks.line[by_light[rank >= room]]] = True
+    truncated[peaks.scan[by_light[rank >= room]]] = True
     peaks = peaks[by_light[rank < room]]
     # A group's peaks lie within its window, and windows do not overlap.
-    peaks = peaks[np.lexsort((peaks.within, peaks.position_px, peaks.line))]
-    slot = _numbered(peaks.line)
-    at = (peaks.line, slot)
-    batch.count[:] = np.bincount(peaks.line, minlength=lines)
+    peaks = peaks[np.lexsort((peaks.within, peaks.position_px, peaks.scan))]
+    slot = _numbered(peaks.scan)
+    at = (peaks.scan, slot)
+    batch.count[:] = np.bincount(peaks.scan, minlength=scans)
     for name in ("position_px", "sigma_px", "amplitude", "width_px", "reduced_chi2"):
         getattr(batch, name)[at] = getattr(peaks, name)
-    batch.flags[at] = peaks.flags | PeakFlag.TRUNCATED * truncated[peaks.line]
+    batch.flags[at] = peaks.flags | PeakFlag.TRUNCATED * truncated[peaks.scan]
     row = np.arange(len(slot))
     for ahead in range(1, MAX_JOINT_PEAKS):
         here = row[: max(len(row) - ahead, 0)]
         here = here[peaks.group[here] == peaks.group[here + ahead]]
         covariance = peaks.covariance_px2[here, peaks.within[here + ahead]]
-        batch.covariance_px2[peaks.line[here], slot[here], ahead - 1] = covariance
+        batch.covariance_px2[peaks.scan[here], slot[here], ahead - 1] = covariance
     return batch
 
 
-def _numbered(line: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return each peak's number within its line; lines ascend."""
-    starts = np.searchsorted(line, line)
-    return np.arange(len(line)) - starts
+def _numbered(scan: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return each peak's number within its scan; scans ascend."""
+    starts = np.searchsorted(scan, scan)
+    return np.arange(len(scan)) - starts

@@ -1,18 +1,56 @@
-"""Score and information of models over their windows, what every step of a fit is made of."""
+"""Score and Fisher information of the window models, with the prior of the width."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from compute.signal.fit.fit_settings import FitSettings
+from compute.signal.fit.fit_settings import NARROW_POWER, FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.width_prior import width_prior
 from compute.signal.fit.window_model import Array, Layout, Windows, evaluate
+
+
+class WidthPrior(NamedTuple):
+    """The prior's contributions to N fits, arrays of shape (N,).
+
+    Args:
+        score: slope of the prior's logarithm.
+        information: its curvature, negative.
+        chi2: to the misfit: the square of the distance from ``width_px`` in ``width_log_sigma``.
+        deviance: twice the prior's logarithm, negative.
+    """
+
+    score: Array
+    information: Array
+    chi2: Array
+    deviance: Array
+
+
+def width_prior(log_width: Array, settings: FitSettings) -> WidthPrior:
+    """Return the contributions of the prior of the width; see ``FitSettings``, *Prior*.
+
+    Args:
+        log_width: logarithms of the widths, shape (N,).
+        settings: of the fit.
+    """
+    nothing = np.zeros_like(log_width)
+    if settings.width_log_sigma == 0.0:
+        return WidthPrior(nothing, nothing, nothing, nothing)
+    inverse = settings.width_log_sigma**-2
+    away = np.log(settings.width_px) - log_width
+    narrow = np.exp(NARROW_POWER * (np.log(settings.narrow_width_px) - log_width))
+    chi2 = inverse * away**2
+    return WidthPrior(
+        inverse * away + NARROW_POWER * narrow,
+        inverse + NARROW_POWER**2 * narrow,
+        chi2,
+        chi2 + 2.0 * narrow,
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class ScoreInformation:
-    """ScoreInformation of N models over the pixels that count, with the width's prior.
+    """Score, information and deviance of N models, with the width's prior.
 
     Args:
         score: derivative of the likelihood's logarithm by each parameter, shape (N, Q).
@@ -35,7 +73,15 @@ class ScoreInformation:
         settings: FitSettings,
         shape: LineSpreadFunction,
     ) -> "ScoreInformation":
-        """Work out the sums of models with the given parameters, shape (N, Q)."""
+        """Compute the sums over the pixels that count.
+
+        Args:
+            windows: N windows.
+            parameters: shape (N, Q).
+            layout: their order.
+            settings: of the fit.
+            shape: the line-spread function.
+        """
         with np.errstate(over="ignore", invalid="ignore"):
             model = evaluate(windows, parameters, layout, settings, shape)
             weight = windows.used / model.variance

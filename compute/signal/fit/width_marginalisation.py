@@ -1,4 +1,4 @@
-"""Faint lines: their covariance is averaged over the widths that their pixels leave open."""
+"""Covariances of faint peaks, marginalised over the unknown width."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -31,7 +31,7 @@ def marginalise_width(
     settings: FitSettings,
     shape: LineSpreadFunction,
 ) -> Solution:
-    """Return fits whose covariances are averages over the width where it is open.
+    """Return fits whose covariances are averaged over the width where it is not determined.
 
     At a given width the other parameters' errors are all but normal, yet their deviations change
     with it: so each of a row of widths has its own best parameters, their covariance, and a
@@ -43,8 +43,8 @@ def marginalise_width(
         windows: N windows.
         solution: their fits; those that are not good stay as they are.
         layout: the order of the parameters.
-        settings: how lines were fitted.
-        shape: the lines' shape.
+        settings: of the fit.
+        shape: the line-spread function.
     """
     variance = solution.covariance[:, -1, -1]
     # Zero where the width is held at a limit.
@@ -148,8 +148,8 @@ def _average_covariance(
         windows: N windows.
         best: parameters to start from, shape (N, Q).
         layout: their order.
-        settings: how lines were fitted.
-        shape: the lines' shape.
+        settings: of the fit.
+        shape: the line-spread function.
     """
     middle = _nodes(windows, best, layout, settings, shape)
     step = np.minimum(middle.information**-0.5, STEP_LOG_WIDTH)

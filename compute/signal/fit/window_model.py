@@ -1,4 +1,4 @@
-"""The model of a window: what each pixel shows by background, lines and width; its Jacobian."""
+"""Model of a window: expected counts by background, peaks and width; its Jacobian."""
 
 from dataclasses import dataclass
 
@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.sensor_noise import SensorNoise
+from compute.signal.sensor_noise import ScanNoise, SensorNoise
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the parameters of K lines stand: level, [slope], lights, positions, ln width.
+    """Order of the parameters of K peaks: level, [slope], lights, positions, ln width.
 
     The width always has its place, known or not.
 
@@ -49,7 +49,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """N windows of W pixels at most; shorter ones are filled up with pixels that do not count.
+    """N windows of at most W pixels; shorter ones are padded with pixels that do not count.
 
     Args:
         values: counts, shape (N, W).
@@ -57,9 +57,7 @@ class Windows:
         first_px: first pixels, shape (N,).
         last_px: last pixels, shape (N,).
         sensor: numbers of the sensors, shape (N,).
-        dark: variance of a pixel without light, shape (N, 1) [counts^2].
-        photon: variance that a count of light adds, shape (N, 1) [counts].
-        offset: count without light, shape (N, 1).
+        noise: of the windows' scans.
     """
 
     values: Array
@@ -67,24 +65,30 @@ class Windows:
     first_px: NDArray[np.int64]
     last_px: NDArray[np.int64]
     sensor: NDArray[np.int64]
-    dark: Array
-    photon: Array
-    offset: Array
+    noise: ScanNoise
 
     @classmethod
     def cut(
         cls,
-        lines: NDArray[np.uint16],
-        line: NDArray[np.int64],
+        scans: NDArray[np.uint16],
+        scan: NDArray[np.int64],
         first_px: NDArray[np.int64],
         last_px: NDArray[np.int64],
         noise: SensorNoise,
     ) -> "Windows":
-        """Cut windows, pixels ``first_px`` to ``last_px``, out of lines of shape (L, P)."""
+        """Cut windows out of scans.
+
+        Args:
+            scans: counts of the scans, uint16, shape (L, P).
+            scan: scan of each window, shape (N,).
+            first_px: first pixels, shape (N,).
+            last_px: last pixels, shape (N,).
+            noise: noise of the sensors.
+        """
         width = int((last_px - first_px).max(initial=0)) + 1
         pixel = first_px[:, None] + np.arange(width)
-        values = lines[line[:, None], np.minimum(pixel, lines.shape[1] - 1)]
-        sensor = line % len(noise)
+        values = scans[scan[:, None], np.minimum(pixel, scans.shape[1] - 1)]
+        sensor = scan % len(noise)
         full = noise.full_scale_counts[sensor][:, None]
         return cls(
             values.astype(np.float64),
@@ -92,9 +96,7 @@ class Windows:
             first_px,
             last_px,
             sensor,
-            noise.dark_variance[sensor][:, None],
-            noise.photon_variance[sensor][:, None],
-            noise.offset_counts[sensor][:, None],
+            noise.of_scans(sensor),
         )
 
     def __len__(self) -> int:
@@ -120,7 +122,7 @@ class Windows:
 
 @dataclass(frozen=True, eq=False)
 class ModelPrediction:
-    """What a model says about N windows.
+    """Expected counts, variances and Jacobian of the models of N windows.
 
     Args:
         mean: expected counts, shape (N, W).
@@ -140,7 +142,15 @@ def evaluate(
     settings: FitSettings,
     shape: LineSpreadFunction,
 ) -> ModelPrediction:
-    """Work the model of ``FitSettings`` out for parameters of shape (N, Q)."""
+    """Evaluate the model of ``FitSettings``.
+
+    Args:
+        windows: N windows.
+        parameters: shape (N, Q).
+        layout: their order.
+        settings: of the fit.
+        shape: the line-spread function.
+    """
     pixels = windows.values.shape[1]
     position, light = parameters[:, layout.position], parameters[:, layout.light]
     width = np.exp(parameters[:, -1:])
@@ -159,7 +169,7 @@ def evaluate(
     mean = lit + parameters[:, :1]
     if layout.slope:
         mean += parameters[:, 1:2] * jacobian[:, 1]
-    variance = windows.dark + windows.photon * np.maximum(mean - windows.offset, 0.0)
+    variance = windows.noise.variance(mean)
     variance += (settings.shape_error * lit) ** 2
     return ModelPrediction(mean, variance, jacobian)
 
@@ -167,6 +177,13 @@ def evaluate(
 def central_pixel_fraction(
     shape: LineSpreadFunction, width_px: Array, sensor: NDArray[np.int64], position_px: Array
 ) -> Array:
-    """Return the share of a line's light in a pixel about its middle; all arguments broadcast."""
+    """Return the share of a peak's light in a pixel centred on it; all arguments broadcast.
+
+    Args:
+        shape: the line-spread function.
+        width_px: widths of the peaks [px].
+        sensor: numbers of the sensors.
+        position_px: positions of the peaks [px].
+    """
     upper, lower = (shape.at(half / width_px, sensor, position_px)[0] for half in (0.5, -0.5))
     return np.asarray(upper - lower)

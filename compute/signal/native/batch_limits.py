@@ -1,4 +1,4 @@
-"""What a batch of lines may be."""
+"""Limits of batches: number of scans, pixels, memory."""
 
 from typing import Final
 

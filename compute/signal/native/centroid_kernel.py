@@ -1,4 +1,4 @@
-"""The Warp kernels that find the peaks of line scans, on the CPU and on CUDA.
+"""Warp kernels that find the peaks of scans by centre of gravity, on the CPU and on CUDA.
 
 Only ``compute.signal.centroid_finder`` imports this module, when a finder is made: it loads Warp.
 """

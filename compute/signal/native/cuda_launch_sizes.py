@@ -1,4 +1,4 @@
-"""Sizes of the CUDA kernels: threads of a block, lines and pixels that a warp takes together."""
+"""Sizes of the CUDA kernels: threads of a block, scans and pixels that a warp takes together."""
 
 from typing import Final
 

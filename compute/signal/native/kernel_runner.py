@@ -1,4 +1,4 @@
-"""ScanKernelRunner: a kernel over lines, with its buffers and launches on one device."""
+"""Launches of a kernel over scans, with its buffers, on one device."""
 
 import gc
 from collections import OrderedDict

@@ -1,1 +1,1 @@
-"""The thesis's chain from a line to positions, every step an option; made to be looked at."""
+"""The thesis's signal chain from a scan to positions, every step optional."""

@@ -1,11 +1,11 @@
-"""WeightedAreas: areas above a low threshold, kept by maximum times sum; thesis 6.2.1."""
+"""Weighted areas above a low threshold, thesis 6.2.1."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from compute.signal.thesis_pipeline.steps import Array, as_lines, check_between
+from compute.signal.thesis_pipeline.steps import Array, as_scans, check_between
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class Area:
 
 @dataclass(frozen=True)
 class WeightedAreas:
-    """What is kept of a line: the areas whose weight [6.5] is large.
+    """Detection of peaks by areas whose weight [6.5] is large.
 
     A low threshold keeps faint targets and much noise; the weights tell them apart. How large
-    a weight is enough the text does not say: here a fraction of the largest on the line.
+    a weight is enough the text does not say: here a fraction of the largest on the scan.
 
     Args:
-        level_fraction: the low threshold, as a fraction of the line's greatest value, 0 to 0.95.
-        keep_fraction: least weight, as a fraction of the line's largest weight, 0 to 1.
+        level_fraction: the low threshold, as a fraction of the scan's greatest value, 0 to 0.95.
+        keep_fraction: least weight, as a fraction of the scan's largest weight, 0 to 1.
 
     Raises:
         InvalidParameter: a value outside its range.
@@ -51,20 +51,20 @@ class WeightedAreas:
         check_between("level_fraction", self.level_fraction, 0.0, 0.95)
         check_between("keep_fraction", self.keep_fraction, 0.0, 1.0)
 
-    def find_areas(self, line: ArrayLike) -> tuple[Area, ...]:
-        """Return all areas of one line (P,) that has no background, from left to right [6.3]."""
-        values = as_lines(line)
+    def find_areas(self, scan: ArrayLike) -> tuple[Area, ...]:
+        """Return all areas of one scan (P,) that has no background, from left to right [6.3]."""
+        values = as_scans(scan)
         return areas_above(values, self.level_fraction * max(float(values.max()), 0.0))
 
-    def select_areas(self, line: ArrayLike) -> tuple[Area, ...]:
-        """Return the areas of one line (P,) that are heavy enough."""
-        areas = self.find_areas(line)
+    def select_areas(self, scan: ArrayLike) -> tuple[Area, ...]:
+        """Return the areas of one scan (P,) that are heavy enough."""
+        areas = self.find_areas(scan)
         heaviest = max((area.weight for area in areas), default=0.0)
         return tuple(area for area in areas if area.weight >= self.keep_fraction * heaviest)
 
-    def apply(self, lines: ArrayLike) -> Array:
-        """Return lines (..., P) with zero wherever no area is kept."""
-        values = as_lines(lines)
+    def apply(self, scans: ArrayLike) -> Array:
+        """Return scans (..., P) with zero wherever no area is kept."""
+        values = as_scans(scans)
         result = np.zeros_like(values)
         rows, out = values.reshape(-1, values.shape[-1]), result.reshape(-1, values.shape[-1])
         for row, target in zip(rows, out, strict=True):
@@ -74,11 +74,16 @@ class WeightedAreas:
         return result
 
 
-def areas_above(line: Array, level: float) -> tuple[Area, ...]:
-    """Return the runs of pixels of a line (P,) that lie above a level, from left to right."""
-    above = np.concatenate([[False], line > level, [False]])
+def areas_above(scan: Array, level: float) -> tuple[Area, ...]:
+    """Return the runs of pixels above a level, from left to right.
+
+    Args:
+        scan: values, shape (P,).
+        level: the level, in their unit.
+    """
+    above = np.concatenate([[False], scan > level, [False]])
     ends = np.flatnonzero(above[1:] != above[:-1])
     return tuple(
-        Area(first, stop - 1, float(line[first:stop].max()), float(line[first:stop].sum()))
+        Area(first, stop - 1, float(scan[first:stop].max()), float(scan[first:stop].sum()))
         for first, stop in zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True)
     )

@@ -1,4 +1,4 @@
-"""PolynomialBackground and InterpolatedBackground: ambient light between the peaks, thesis 4.4."""
+"""Ambient light between the peaks: polynomial and interpolated background, thesis 4.4."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,10 +12,11 @@ from scipy.linalg import cho_solve
 from scipy.ndimage import maximum_filter1d
 from scipy.sparse import csr_array
 
+from compute.robust_statistics import MAD_TO_SIGMA
 from compute.signal.thesis_pipeline.steps import (
     Array,
     ScanFilter,
-    as_lines,
+    as_scans,
     check_between,
     check_whole,
 )
@@ -24,15 +25,14 @@ Mask = NDArray[np.bool_]
 
 MAX_DEGREE: Final = 30
 _ROUNDING: Final = 1e-10  # of the largest value: what a fit of a polynomial leaves of itself
-_NORMAL_MAD: Final = 1.4826
 _SINGULAR: Final = 1e-11  # of an information of ones: polynomials that the pixels do not see
 
 
 @dataclass(frozen=True)
 class PeakMask:
-    """Which pixels are peaks: those that stand out above a polynomial through the others.
+    """Peak pixels: those that stand out above a polynomial through the others.
 
-    A polynomial is fitted to the line; the pixels that lie higher above it than the noise
+    A polynomial is fitted to the scan; the pixels that lie higher above it than the noise
     explains are taken out with a margin, and it is fitted again to the rest, until no pixel is
     added. The noise is 1.48 times the median absolute residual of the pixels in use.
 
@@ -57,22 +57,22 @@ class PeakMask:
         check_whole("margin_px", self.margin_px, 0, 1000)
         check_whole("rounds", self.rounds, 1, 1000)
 
-    def background_mask(self, line: Array) -> Mask:
-        """Return which pixels of one line (P,) are no peak, shape (P,).
+    def background_mask(self, scan: Array) -> Mask:
+        """Return which pixels of one scan (P,) are no peak, shape (P,).
 
         At least 2 (degree + 1) pixels stay: a round that would leave fewer is the last.
         """
-        basis, across = _orthonormal(len(line), self.degree)
-        free = np.ones(len(line), dtype=np.bool_)
-        floor = _ROUNDING * float(np.abs(line).max())
+        basis, across = _orthonormal(len(scan), self.degree)
+        free = np.ones(len(scan), dtype=np.bool_)
+        floor = _ROUNDING * float(np.abs(scan).max())
         # Pixels only ever go, and each round starts from the last one's fit: a step by the
         # information that is left, instead of a fit from the start.
         information = np.eye(self.degree + 1)
-        fitted, residual = np.zeros(self.degree + 1), line
+        fitted, residual = np.zeros(self.degree + 1), scan
         for _ in range(self.rounds):
             fitted = fitted + _step(information, _product(basis, np.where(free, residual, 0.0)))
-            residual = line - _product(across, fitted)
-            noise = _NORMAL_MAD * float(np.median(np.abs(residual[free])))
+            residual = scan - _product(across, fitted)
+            noise = MAD_TO_SIGMA * float(np.median(np.abs(residual[free])))
             peak = residual > max(self.above_sigma * noise, floor)
             # A lone pixel may be noise; it goes, but does not take its neighbours with it.
             wide = peak & (np.roll(peak, 1) | np.roll(peak, -1))
@@ -90,7 +90,7 @@ class PeakMask:
 class PolynomialBackground:
     """A polynomial through the pixels between the peaks, by least squares: thesis 4.4.
 
-    In Chebyshev polynomials over the line, which keeps high degrees well conditioned.
+    In Chebyshev polynomials over the scan, which keeps high degrees well conditioned.
 
     Args:
         degree: 0 to 30; 0 is a level.
@@ -108,20 +108,24 @@ class PolynomialBackground:
     def __post_init__(self) -> None:
         self._mask()
 
-    def estimate(self, lines: ArrayLike) -> tuple[Array, Mask]:
-        """Return the background of lines (..., P), and the pixels that it was fitted to."""
+    def estimate(self, scans: ArrayLike) -> tuple[Array, Mask]:
+        """Return the background of scans (..., P), and the pixels that it was fitted to."""
         mask = self._mask()
 
-        def one(line: Array) -> tuple[Array, Mask]:
-            free = mask.background_mask(line)
-            return _fit_polynomial(line, free, self.degree), free
+        def one(scan: Array) -> tuple[Array, Mask]:
+            free = mask.background_mask(scan)
+            return _fit_polynomial(scan, free, self.degree), free
 
-        return _each(as_lines(lines), one)
+        return _each(as_scans(scans), one)
 
     def adjoint(self, weights: Array, background_mask: Mask) -> Array:
-        """Carry derivatives by a line less its background back to its pixels, shape (..., P).
+        """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
 
         Which pixels were fitted to is taken as given.
+
+        Args:
+            weights: derivatives by the scan less its background, shape (..., P).
+            background_mask: pixels that the background was fitted to, same shape.
         """
         basis = _basis(weights.shape[-1], self.degree)
         fitted = basis[background_mask]
@@ -138,12 +142,12 @@ class PolynomialBackground:
 
 @dataclass(frozen=True)
 class InterpolatedBackground:
-    """The line with its peaks cut out and the gaps bridged, filtered: Test 4.1, thesis 4.4 (1)-(2).
+    """Background by cutting out peaks and bridging the gaps, filtered; thesis 4.4 (1)-(2).
 
     "Isolating the peaks and linearizing the rest of the signal; the profile was superimposed
     over the initial signal to fill the gaps between peaks and filtered again." Read as: between
     the pixels on either side of each peak runs a straight line; elsewhere the background is the
-    line itself; both together go through a filter. How the peaks are told from an uneven
+    scan itself; both together go through a filter. How the peaks are told from an uneven
     background the text does not say: here by PeakMask.
 
     Args:
@@ -157,21 +161,26 @@ class InterpolatedBackground:
     mask: PeakMask
     smoothing: ScanFilter | None = None
 
-    def estimate(self, lines: ArrayLike) -> tuple[Array, Mask]:
-        """Return the background of lines (..., P), and the pixels that it was taken from."""
+    def estimate(self, scans: ArrayLike) -> tuple[Array, Mask]:
+        """Return the background of scans (..., P), and the pixels that it was taken from."""
 
-        def one(line: Array) -> tuple[Array, Mask]:
-            free = self.mask.background_mask(line)
-            pixels = np.arange(len(line))
-            interpolated = np.interp(pixels, pixels[free], line[free])
+        def one(scan: Array) -> tuple[Array, Mask]:
+            free = self.mask.background_mask(scan)
+            pixels = np.arange(len(scan))
+            interpolated = np.interp(pixels, pixels[free], scan[free])
             return (
                 interpolated if self.smoothing is None else self.smoothing.apply(interpolated)
             ), free
 
-        return _each(as_lines(lines), one)
+        return _each(as_scans(scans), one)
 
     def adjoint(self, weights: Array, background_mask: Mask) -> Array:
-        """Carry derivatives by a line less its background back to its pixels, shape (..., P)."""
+        """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
+
+        Args:
+            weights: derivatives by the scan less its background, shape (..., P).
+            background_mask: pixels that the background was taken from, same shape.
+        """
         spread = weights if self.smoothing is None else self.smoothing.adjoint(weights)
         count = weights.shape[-1]
         pixels = np.arange(count)
@@ -185,16 +194,16 @@ class InterpolatedBackground:
         return np.asarray(weights - interpolated.reshape(weights.shape))
 
 
-def _each(lines: Array, one: Callable[[Array], tuple[Array, Mask]]) -> tuple[Array, Mask]:
-    rows = lines.reshape(-1, lines.shape[-1])
+def _each(scans: Array, one: Callable[[Array], tuple[Array, Mask]]) -> tuple[Array, Mask]:
+    rows = scans.reshape(-1, scans.shape[-1])
     background, free = np.empty_like(rows), np.empty(rows.shape, dtype=np.bool_)
     for number, row in enumerate(rows):
         background[number], free[number] = one(row)
-    return background.reshape(lines.shape), free.reshape(lines.shape)
+    return background.reshape(scans.shape), free.reshape(scans.shape)
 
 
 def _basis(pixels: int, degree: int) -> Array:
-    """Return Chebyshev polynomials over the line, shape (P, degree + 1)."""
+    """Return Chebyshev polynomials over the scan, shape (P, degree + 1)."""
     return np.asarray(chebyshev.chebvander(np.linspace(-1.0, 1.0, pixels), degree))
 
 
@@ -229,16 +238,16 @@ def _step(information: Array, score: Array) -> Array:
     return np.asarray(vectors[:, seen] @ ((vectors[:, seen].T @ score) / values[seen]))
 
 
-def _fit_polynomial(line: Array, free: Mask, degree: int) -> Array:
-    """Return the polynomial that fits the free pixels of a line (P,) best, shape (P,)."""
-    basis, across = _orthonormal(len(line), degree)
+def _fit_polynomial(scan: Array, free: Mask, degree: int) -> Array:
+    """Return the polynomial that fits the free pixels of a scan (P,) best, shape (P,)."""
+    basis, across = _orthonormal(len(scan), degree)
     used = basis[free]
     information = np.einsum("ij,ik->jk", used, used)
-    fitted, residual = np.zeros(degree + 1), line
+    fitted, residual = np.zeros(degree + 1), scan
     # The second step takes away what rounding left of the first.
     for _ in range(2):
         fitted = fitted + _step(information, _product(basis, np.where(free, residual, 0.0)))
-        residual = line - _product(across, fitted)
+        residual = scan - _product(across, fitted)
     return _product(across, fitted)
 
 

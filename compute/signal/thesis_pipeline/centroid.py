@@ -1,4 +1,4 @@
-"""centre_of_gravity: thesis [4.1] on a filtered line, and its derivative by each pixel."""
+"""Centre of gravity [4.1] of a peak in a filtered scan, with its derivatives."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ class Centroid:
         position_px: the centre [px].
         first_px, last_px: ends of the run of pixels above the peak's threshold.
         width_px: the run's width, interpolated between pixels [px].
-        derivative: of the position by each value of the line, shape (P,) [px/count].
+        derivative: of the position by each value of the scan, shape (P,) [px/count].
     """
 
     position_px: float
@@ -26,7 +26,7 @@ class Centroid:
     derivative: Array
 
 
-def centre_of_gravity(line: Array, top_px: int, fraction: float, weighting: Weighting) -> Centroid:
+def centre_of_gravity(scan: Array, top_px: int, fraction: float, weighting: Weighting) -> Centroid:
     """Return the centre of gravity [4.1] of the run around a maximum, above its own threshold.
 
     The threshold is ``T = fraction * P_max``; the run is the pixels around the maximum with
@@ -38,32 +38,32 @@ def centre_of_gravity(line: Array, top_px: int, fraction: float, weighting: Weig
     the run is taken as given.
 
     Args:
-        line: values above the background, shape (P,).
+        scan: values above the background, shape (P,).
         top_px: the pixel of the maximum, whose value must be positive.
         fraction: 0 to below 1.
         weighting: what is weighed.
     """
-    top = float(line[top_px])
+    top = float(scan[top_px])
     threshold = fraction * top
-    low = np.flatnonzero(line[:top_px] <= threshold)
-    high = np.flatnonzero(line[top_px + 1 :] <= threshold)
+    low = np.flatnonzero(scan[:top_px] <= threshold)
+    high = np.flatnonzero(scan[top_px + 1 :] <= threshold)
     first = int(low[-1]) + 1 if low.size else 0
-    last = top_px + int(high[0]) if high.size else len(line) - 1
+    last = top_px + int(high[0]) if high.size else len(scan) - 1
     base = 0.0 if weighting == "above-background" else threshold
     # Relative to the maximum: far from the first pixel digits would be lost.
     arms = np.arange(first, last + 1, dtype=np.float64) - top_px
-    weights = line[first : last + 1] - base
+    weights = scan[first : last + 1] - base
     ends = [
-        _SegmentEnd(line, end, side, threshold, top_px)
+        _SegmentEnd(scan, end, side, threshold, top_px)
         for end, side in ((first, -1), (last, 1))
-        if 0 <= end + side < len(line)
+        if 0 <= end + side < len(scan)
     ]
     corrected = ends if weighting == "edge-corrected" else []
     total = float(weights.sum()) + sum(end.excess for end in corrected)
     moment = float(arms @ weights) + sum(end.excess * end.place for end in corrected)
     centre = moment / total
 
-    derivative = np.zeros_like(line)
+    derivative = np.zeros_like(scan)
     derivative[first : last + 1] = arms - centre
     by_threshold = 0.0 if weighting == "above-background" else -float((arms - centre).sum())
     for end in corrected:
@@ -81,16 +81,16 @@ def centre_of_gravity(line: Array, top_px: int, fraction: float, weighting: Weig
 
 
 class _SegmentEnd:
-    """An end of the run: where the line falls through the threshold, and the sum's excess there.
+    """An end of the run: where the scan falls through the threshold, and the sum's excess there.
 
     With a the last value above the threshold and s the slope beyond it, the first term of Euler
     and Maclaurin's formula is ``(a^2/s - a + s/6) / 2``.
     """
 
-    def __init__(self, line: Array, pixel: int, side: int, threshold: float, top_px: int) -> None:
-        above = float(line[pixel]) - threshold
+    def __init__(self, scan: Array, pixel: int, side: int, threshold: float, top_px: int) -> None:
+        above = float(scan[pixel]) - threshold
         self.pixel, self.side = pixel, side
-        self.slope = float(line[pixel] - line[pixel + side])
+        self.slope = float(scan[pixel] - scan[pixel + side])
         self.inside = above / self.slope
         self.place = pixel - top_px + side * self.inside
         self.excess = 0.5 * (above * self.inside - above + self.slope / 6.0)

@@ -1,4 +1,4 @@
-"""MedianFilter, ButterworthFilter and FirFilter: thesis 4.2.1 and Appendix B, delay included."""
+"""Butterworth and FIR low-pass filters with delay compensation, thesis 4.2.1 and Appendix B."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import rank_filter
 from scipy.signal import (
     butter,
     firwin,
@@ -19,102 +18,29 @@ from scipy.signal import (
     sosfilt_zi,
 )
 
-from compute.signal.thesis_pipeline.group_delay import linear_phase_slope
+from compute.signal.thesis_pipeline.phase_response import apply_magnitude, linear_phase_slope
 from compute.signal.thesis_pipeline.steps import (
+    MAX_TAPS,
     Compensation,
-    as_lines,
+    as_scans,
     check_compensation,
     check_cutoff,
     check_whole,
 )
-from compute.signal.thesis_pipeline.zero_phase import apply_magnitude
 
 Array = NDArray[np.float64]
 
 MAX_ORDER: Final = 64
-MAX_TAPS: Final = 1024
-
-
-@dataclass(frozen=True)
-class MedianFilter:
-    """The median of as many neighbouring pixels as the aperture has, thesis 4.2.1.
-
-    An even aperture has no middle pixel: pixel k becomes the mean of the two middle values of
-    the pixels ``k - n/2 .. k + n/2 - 1``, whose centre is at ``k - 1/2``. The line moves by half
-    a pixel to the right, as the columns for apertures 4 and 8 of Tables C.2 to C.4 did. Beyond
-    its ends a line goes on with its end's value.
-
-    A median has no phase response: the compensation is "none" or "delay". A flank that only
-    rises or falls stays as it is under an odd aperture; tops are flattened.
-
-    Args:
-        aperture: number of pixels, 2 to 1024; 1 changes nothing.
-        compensation: "delay" moves positions back by the half pixel of even apertures.
-
-    Raises:
-        InvalidParameter: a value outside its range, or "phase".
-    """
-
-    aperture: int
-    compensation: Compensation = "delay"
-
-    def __post_init__(self) -> None:
-        check_whole("aperture", self.aperture, 1, MAX_TAPS)
-        check_compensation(self.compensation, ("none", "delay"))
-
-    @property
-    def shift_px(self) -> float:
-        """By how much the filtered line lies to the right [px]: 1/2 for an even aperture."""
-        return 0.0 if self.aperture % 2 else 0.5
-
-    @property
-    def correction_px(self) -> float:
-        """What is subtracted from positions [px]."""
-        return self.shift_px if self.compensation == "delay" else 0.0
-
-    @property
-    def reach_px(self) -> float:
-        """How near to an end what lies beyond it weighs in [px]: half the aperture."""
-        return float(self.aperture // 2)
-
-    def apply(self, lines: ArrayLike) -> Array:
-        """Filter lines (..., P)."""
-        values = as_lines(lines)
-        # In lines one by one SciPy keeps the window sorted as it moves on.
-        rows = [self._filter_scan(line) for line in values.reshape(-1, values.shape[-1])]
-        return np.array(rows, dtype=np.float64).reshape(values.shape)
-
-    def _filter_scan(self, line: Array) -> Array:
-        size, half = self.aperture, self.aperture // 2
-        upper = np.asarray(rank_filter(line, half, size=size, mode="nearest"))
-        if size % 2:
-            return upper
-        return 0.5 * (upper + np.asarray(rank_filter(line, half - 1, size=size, mode="nearest")))
-
-    def adjoint(self, weights: Array) -> Array:
-        """Return the weights as they are, for an even aperture with the half pixel.
-
-        Assumed, as a median is not linear: it passes noise as if it left the line alone. That
-        is so on flanks steeper than the noise; on level stretches the slow part of the noise, to
-        which a centre of gravity answers, grows by up to pi/2 in variance.
-        """
-        if self.aperture % 2:
-            return weights
-        back = np.zeros_like(weights)
-        back[..., :-1] = 0.5 * (weights[..., :-1] + weights[..., 1:])
-        back[..., -1] = 0.5 * weights[..., -1]
-        back[..., 0] += 0.5 * weights[..., 0]
-        return back
 
 
 @dataclass(frozen=True)
 class ButterworthFilter:
     """A Butterworth low pass in second-order sections, thesis 4.2.1 and [B.9]-[B.13].
 
-    With "none" and "delay" the line runs through the filter from the left, as if it had always
-    had the value of its first pixel before. With "phase" the line's discrete cosine transform
+    With "none" and "delay" the scan runs through the filter from the left, as if it had always
+    had the value of its first pixel before. With "phase" the scan's discrete cosine transform
     is multiplied by the magnitude response [B.10]: the same attenuation once, not twice as when
-    a line is filtered forwards and back, and no phase at all. The line goes on beyond its ends
+    a scan is filtered forwards and back, and no phase at all. The scan goes on beyond its ends
     as its mirror image.
 
     Args:
@@ -139,7 +65,7 @@ class ButterworthFilter:
     def delay_px(self) -> float:
         """The group delay [B.12] at zero frequency [px].
 
-        It is exactly by how much the filter moves a whole line's centre of gravity:
+        It is exactly by how much the filter moves a whole scan's centre of gravity:
         ``1 / (2 sin(pi/2n) tan(pi fc/2))``, the sum over the poles through the bilinear
         transform that maps the analogue filter to samples.
         """
@@ -147,16 +73,16 @@ class ButterworthFilter:
 
     @property
     def linearised_delay_px(self) -> float:
-        """The delay as the thesis takes it [px]: slope of the phase's line over the pass band.
+        """Delay by the slope of the phase over the pass band, as the thesis takes it [px].
 
-        [B.13], section 4.2.2 and Figure 4.10; the line is fitted by least squares from zero to
-        the cut-off. It is no line's shift: the light is at low frequencies.
+        [B.13], section 4.2.2 and Figure 4.10; the scan is fitted by least squares from zero to
+        the cut-off. It is no scan's shift: the light is at low frequencies.
         """
         return linear_phase_slope(self.response, np.pi * self.cutoff)
 
     @property
     def shift_px(self) -> float:
-        """By how much the filtered line lies to the right [px]."""
+        """By how much the filtered scan lies to the right [px]."""
         return 0.0 if self.compensation == "phase" else self.delay_px
 
     @property
@@ -181,13 +107,13 @@ class ButterworthFilter:
         with np.errstate(over="ignore"):
             return np.asarray(1.0 / np.hypot(1.0, ratio**self.order))
 
-    def apply(self, lines: ArrayLike) -> Array:
-        """Filter lines (..., P)."""
-        values = as_lines(lines)
+    def apply(self, scans: ArrayLike) -> Array:
+        """Filter scans (..., P)."""
+        values = as_scans(scans)
         if self.compensation == "phase":
             return apply_magnitude(values, self.magnitude)
         start = sosfilt_zi(self._sections)
-        # One state per section and line, with the sections first.
+        # One state per section and scan, with the sections first.
         state = start.reshape(len(start), *(1,) * (values.ndim - 1), 2) * values[None, ..., :1]
         filtered, _ = sosfilt(self._sections, values, axis=-1, zi=state)
         return np.asarray(filtered)
@@ -208,10 +134,10 @@ class FirFilter:
     """A low pass of finite impulse response with linear phase, thesis 4.2.1 and [B.1]-[B.8].
 
     Designed with a Hamming window, and of unit gain at zero frequency. Its delay (N - 1)/2
-    [B.8] is the same at all frequencies. With "phase" the line's discrete cosine transform is
+    [B.8] is the same at all frequencies. With "phase" the scan's discrete cosine transform is
     multiplied by the response without its linear phase: what is moved back by the delay, half a
     pixel included, is exact. (That response is real; where it is negative, deep in the stop
-    band, it stays so: the changes of sign are no delay.) The line goes on beyond its ends with
+    band, it stays so: the changes of sign are no delay.) The scan goes on beyond its ends with
     its first value for "none" and "delay", as its mirror image for "phase".
 
     Args:
@@ -239,7 +165,13 @@ class FirFilter:
     def of_order(
         cls, order: int, cutoff: float, compensation: Compensation = "phase"
     ) -> "FirFilter":
-        """Make the filter of a polynomial of this order in 1/z, which has one tap more."""
+        """Make the filter of a polynomial of this order in 1/z, which has one tap more.
+
+        Args:
+            order: order of the polynomial.
+            cutoff: as of the class.
+            compensation: as of the class.
+        """
         return cls(order + 1, cutoff, compensation)
 
     @property
@@ -249,12 +181,12 @@ class FirFilter:
 
     @property
     def linearised_delay_px(self) -> float:
-        """The delay by the phase's line over the pass band [px]: the same, as it is a line."""
+        """Delay by the slope of the phase over the pass band [px]: the group delay."""
         return self.delay_px
 
     @property
     def shift_px(self) -> float:
-        """By how much the filtered line lies to the right [px]."""
+        """By how much the filtered scan lies to the right [px]."""
         return 0.0 if self.compensation == "phase" else self.delay_px
 
     @property
@@ -277,9 +209,9 @@ class FirFilter:
         arms = np.arange(self.taps) - self.delay_px
         return np.asarray(np.cos(np.multiply.outer(omega, arms)) @ self._kernel)
 
-    def apply(self, lines: ArrayLike) -> Array:
-        """Filter lines (..., P)."""
-        values = as_lines(lines)
+    def apply(self, scans: ArrayLike) -> Array:
+        """Filter scans (..., P)."""
+        values = as_scans(scans)
         if self.compensation == "phase":
             return apply_magnitude(values, self._response_of_mirrored)
         state = lfilter_zi(self._kernel, [1.0]) * values[..., :1]
@@ -297,7 +229,7 @@ class FirFilter:
         )
 
     def _response_of_mirrored(self, omega: Array) -> Array:
-        """Return the amplitude at the angular frequencies of a mirrored line, shape (P,)."""
+        """Return the amplitude at the angular frequencies of a mirrored scan, shape (P,)."""
         period = 2 * len(omega)
         if self.taps > period:
             return self.amplitude(omega)

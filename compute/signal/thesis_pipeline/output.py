@@ -1,4 +1,4 @@
-"""Finish: from centroids on a chain's last lines to the peaks of the raw ones."""
+"""Peaks of the raw scans from centroids on a chain's last scans."""
 
 from dataclasses import dataclass
 
@@ -13,14 +13,14 @@ from compute.signal.thesis_pipeline.steps import Array
 
 @dataclass(frozen=True, eq=False)
 class PeakOutput:
-    """What makes peaks of the centroids on one line.
+    """Conversion of the centroids of one scan to peaks.
 
     Args:
-        pixels: of the raw line.
+        pixels: of the raw scan.
         correction_px: subtracted from positions.
-        shift_px: by how much the last line lies to the right of the light.
+        shift_px: by how much the last scan lies to the right of the light.
         reach_px: how near to an end what lies beyond it weighs in.
-        variance: of the raw line's pixels, shape (P,); None: not known.
+        variance: of the raw scan's pixels, shape (P,); None: not known.
         full: which of them are saturated, shape (P,); None: not known.
     """
 
@@ -36,11 +36,11 @@ class PeakOutput:
     ) -> PipelinePeak | None:
         """Return a peak; None: it is none.
 
-        None are centres that the filters' delay puts off the line, and those that are less sure
+        None are centres that the filters' delay puts off the scan, and those that are less sure
         than they are wide: noise has such where there is no light.
 
         Args:
-            centre: on the last line.
+            centre: on the last scan.
             height: above its background.
             derivative: of the position by each raw pixel, shape (P,); None: not known.
             cut: whether it is cut at a valley.

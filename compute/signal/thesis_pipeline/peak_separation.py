@@ -1,4 +1,4 @@
-"""ValleyCut and SlopeExtension: close peaks taken apart, thesis 4.5 and Appendix D."""
+"""Separation of close peaks: valley cut and slope extension, thesis 4.5 and Appendix D."""
 
 import heapq
 from dataclasses import dataclass, replace
@@ -8,14 +8,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from compute.signal.thesis_pipeline.steps import Array, as_lines, check_between
+from compute.signal.thesis_pipeline.steps import Array, as_scans, check_between
 
 _GONE: Final = -1
 
 
 @dataclass(frozen=True, eq=False)
 class PeakSegment:
-    """One peak taken from a line, above the zero line.
+    """One peak taken from a scan, above the zero line.
 
     Args:
         values: the peak alone, zero elsewhere, shape (P,).
@@ -39,7 +39,7 @@ class ValleyCut:
 
     Steps (I) to (IV) of section 4.5:
 
-    - (I) The zero line lies at a fraction of the line's greatest value; it is subtracted, and
+    - (I) The zero line lies at a fraction of the scan's greatest value; it is subtracted, and
       what is below becomes zero. (The text says "set a threshold (zero line)", and "zero
       points" for where the curve meets it.)
     - (II) A maximum is a pixel, or a run of equal ones, higher than its neighbours; the middle
@@ -52,7 +52,7 @@ class ValleyCut:
     that are not deeper below the lower of their maxima than this fraction of it part nothing.
 
     Args:
-        level_fraction: the zero line, as a fraction of the line's greatest value, 0 to 0.95.
+        level_fraction: the zero line, as a fraction of the scan's greatest value, 0 to 0.95.
         min_depth: 0 (the text) to 1.
 
     Raises:
@@ -66,16 +66,16 @@ class ValleyCut:
         check_between("level_fraction", self.level_fraction, 0.0, 0.95)
         check_between("min_depth", self.min_depth, 0.0, 1.0)
 
-    def separate(self, line: ArrayLike) -> tuple[PeakSegment, ...]:
-        """Take the peaks of one line (P,) without background apart, from left to right."""
-        values = as_lines(line)
+    def separate(self, scan: ArrayLike) -> tuple[PeakSegment, ...]:
+        """Separate the peaks of one scan (P,) without background, from left to right."""
+        values = as_scans(scan)
         level = self.level_fraction * max(float(values.max()), 0.0)
         return _cut(np.maximum(values - level, 0.0), self.min_depth)
 
 
 @dataclass(frozen=True)
 class SlopeExtension:
-    """Peaks are cut at the valleys, and cut slopes continued to zero: c2 of Table 4.4.
+    """Peaks are cut at the valleys, and the cut slopes are continued to zero: c2 of Table 4.4.
 
     Steps (I) to (IV) are ValleyCut's; then (V) each side that ends at a valley above zero is
     continued by segments. With P the peak's values from the valley's pixel on, P_max its
@@ -94,12 +94,12 @@ class SlopeExtension:
     - "Applied until its length becomes greater than the value of the current point, otherwise
       the length is set to 1/2 of the last calculated delta", and in Appendix D "continues until
       the value reaches a level small enough": halving goes on until the value is at most
-      ``stop_fraction`` of P_max, or the line ends.
+      ``stop_fraction`` of P_max, or the scan ends.
     - The intervals' ends: a value that is exactly 1/2 or 3/4 of P_max belongs to the lower one.
     - Differences are absolute. "Opposite side" is what was measured of it, up to its own valley.
     - A segment of zero (a level valley) would never end: the greatest difference of the same
       side takes its place, then that of the opposite side.
-    - (VI) "Placed at their original locations": each peak is a line of its own; extensions
+    - (VI) "Placed at their original locations": each peak is a scan of its own; extensions
       reach under their neighbours and are not added up.
 
     Args:
@@ -118,9 +118,9 @@ class SlopeExtension:
         check_between("stop_fraction", self.stop_fraction, 1e-4, 0.5)
         self._cut()
 
-    def separate(self, line: ArrayLike) -> tuple[PeakSegment, ...]:
-        """Take the peaks of one line (P,) without background apart, from left to right."""
-        return tuple(self._extend_sides(piece) for piece in self._cut().separate(line))
+    def separate(self, scan: ArrayLike) -> tuple[PeakSegment, ...]:
+        """Separate the peaks of one scan (P,) without background, from left to right."""
+        return tuple(self._extend_sides(piece) for piece in self._cut().separate(scan))
 
     def _cut(self) -> ValleyCut:
         return ValleyCut(self.level_fraction, self.min_depth)
@@ -175,36 +175,36 @@ def _segment(side: Array, opposite: Array) -> float:
     return delta or same or other
 
 
-def _cut(line: Array, min_depth: float) -> tuple[PeakSegment, ...]:
-    tops, valleys = _split_at_valleys(line, min_depth)
+def _cut(scan: Array, min_depth: float) -> tuple[PeakSegment, ...]:
+    tops, valleys = _split_at_valleys(scan, min_depth)
     segments = []
     for number, top in enumerate(tops):
         left = valleys[number - 1] if number else None
         right = valleys[number] if number < len(valleys) else None
-        first = _foot(line, top, -1, left)
-        last = _foot(line, top, 1, right)
-        values = np.zeros_like(line)
-        values[first : last + 1] = line[first : last + 1]
+        first = _foot(scan, top, -1, left)
+        last = _foot(scan, top, 1, right)
+        values = np.zeros_like(scan)
+        values[first : last + 1] = scan[first : last + 1]
         segments.append(PeakSegment(values, top, first, last, first == left, last == right))
     return tuple(segments)
 
 
-def _split_at_valleys(line: Array, min_depth: float) -> tuple[list[int], list[int]]:
+def _split_at_valleys(scan: Array, min_depth: float) -> tuple[list[int], list[int]]:
     """Return the maxima that valleys part, and these valleys.
 
     The shallowest valley goes first, of equal ones the left one, and with it the lower of its
     maxima; the valley that takes the place of two is found again.
     """
-    tops = _maxima(line)
+    tops = _maxima(scan)
     count = len(tops)
     before, after = list(range(-1, count - 1)), list(range(1, count + 1))
     valleys = [0] * count  # to the next maximum
     queue: list[tuple[float, int, int]] = []
 
     def part(left: int, right: int) -> None:
-        valleys[left] = _lowest(line, tops[left], tops[right])
-        lower = min(line[tops[left]], line[tops[right]])
-        heapq.heappush(queue, (float((lower - line[valleys[left]]) / lower), left, right))
+        valleys[left] = _lowest(scan, tops[left], tops[right])
+        lower = min(scan[tops[left]], scan[tops[right]])
+        heapq.heappush(queue, (float((lower - scan[valleys[left]]) / lower), left, right))
 
     for left, right in pairwise(range(count)):
         part(left, right)
@@ -213,7 +213,7 @@ def _split_at_valleys(line: Array, min_depth: float) -> tuple[list[int], list[in
         if after[left] != right:
             continue  # One of the two has gone since.
         # Of two peaks that are one the higher stays.
-        gone = left if line[tops[left]] < line[tops[right]] else right
+        gone = left if scan[tops[left]] < scan[tops[right]] else right
         left, right = before[gone], after[gone]
         after[gone] = _GONE
         if right < count:
@@ -226,24 +226,24 @@ def _split_at_valleys(line: Array, min_depth: float) -> tuple[list[int], list[in
     return [tops[k] for k in stay], [valleys[k] for k in stay[:-1]]
 
 
-def _maxima(line: Array) -> list[int]:
+def _maxima(scan: Array) -> list[int]:
     """Return the pixels higher than their neighbours; the middle of a run of equal ones."""
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(line)) + 1])
-    ends = np.concatenate([starts[1:], [len(line)]])
-    level = np.concatenate([[-np.inf], line[starts], [-np.inf]])
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(scan)) + 1])
+    ends = np.concatenate([starts[1:], [len(scan)]])
+    level = np.concatenate([[-np.inf], scan[starts], [-np.inf]])
     high = (level[1:-1] > level[:-2]) & (level[1:-1] > level[2:]) & (level[1:-1] > 0.0)
     return [int(pixel) for pixel in ((starts + ends - 1) // 2)[high]]
 
 
-def _lowest(line: Array, left: int, right: int) -> int:
-    between = line[left : right + 1]
+def _lowest(scan: Array, left: int, right: int) -> int:
+    between = scan[left : right + 1]
     lowest = np.flatnonzero(between == between.min())
     return left + int(lowest[len(lowest) // 2])
 
 
-def _foot(line: Array, top: int, side: int, valley: int | None) -> int:
+def _foot(scan: Array, top: int, side: int, valley: int | None) -> int:
     """Return the last pixel of a peak to one side: before the first zero, or the valley's."""
-    run = line[top::side]
+    run = scan[top::side]
     zero = np.flatnonzero(run <= 0.0)
     reach = int(zero[0]) - 1 if zero.size else len(run) - 1
     if valley is not None:

@@ -1,4 +1,4 @@
-"""ChainResult: what a chain found, and the lines after each of its steps."""
+"""Result of the signal chain: peaks, and the scans after each step."""
 
 from dataclasses import dataclass
 
@@ -13,28 +13,28 @@ from compute.signal.thesis_pipeline.steps import Array
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Lines after one step.
+    """Scans after one step.
 
     Args:
         name: the step.
-        lines: shape (L, P), longer by the whole pixels of a delay that is compensated.
-        shift_px: by how much the lines lie to the right of the light, by the filters so far [px].
+        scans: shape (L, P), longer by the whole pixels of a delay that is compensated.
+        shift_px: by how much the scans lie to the right of the light, by the filters so far [px].
     """
 
     name: str
-    lines: Array
+    scans: Array
     shift_px: float
 
 
 @dataclass(frozen=True, eq=False)
 class ChainResult:
-    """Peaks of L lines, and how they came about.
+    """Peaks of L scans, and the intermediate results.
 
     Args:
-        stages: from the given lines to those whose peaks were measured.
+        stages: from the given scans to those whose peaks were measured.
         background_mask: the pixels that the last background was taken from, shape of that
-            stage's lines; None without background.
-        segments: of each line the separated peaks, not moved back by the delay; empty without
+            stage's scans; None without background.
+        segments: of each scan the separated peaks, not moved back by the delay; empty without
             separation.
         peaks: their positions, moved back by the delays that are compensated.
     """
@@ -59,7 +59,7 @@ class ChainResult:
 
 @dataclass(frozen=True)
 class PipelinePeak:
-    """One peak on its way into a batch: the fields of PeakBatch."""
+    """One peak of a chain: the fields of PeakBatch."""
 
     position_px: float
     sigma_px: float
@@ -69,15 +69,15 @@ class PipelinePeak:
 
 
 def to_peak_batch(found: list[list[PipelinePeak]]) -> PeakBatch:
-    """Return the peaks of L lines as arrays, ordered by position, room for the most of a line."""
+    """Return the peaks of L scans as arrays, ordered by position, room for the most of a scan."""
     room = max((len(peaks) for peaks in found), default=0)
     batch = PeakBatch.empty(len(found), room)
-    for line, peaks in enumerate(found):
-        batch.count[line] = len(peaks)
+    for scan, peaks in enumerate(found):
+        batch.count[scan] = len(peaks)
         for k, peak in enumerate(sorted(peaks, key=lambda one: one.position_px)):
-            batch.position_px[line, k] = peak.position_px
-            batch.sigma_px[line, k] = peak.sigma_px
-            batch.amplitude[line, k] = peak.amplitude
-            batch.width_px[line, k] = peak.width_px
-            batch.flags[line, k] = peak.flags
+            batch.position_px[scan, k] = peak.position_px
+            batch.sigma_px[scan, k] = peak.sigma_px
+            batch.amplitude[scan, k] = peak.amplitude
+            batch.width_px[scan, k] = peak.width_px
+            batch.flags[scan, k] = peak.flags
     return batch

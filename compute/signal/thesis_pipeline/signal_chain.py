@@ -1,4 +1,4 @@
-"""SignalChain: from raw lines to positions as chapter 4 of the thesis does it, step by step."""
+"""The signal chain of chapter 4 of the thesis: from raw scans to positions."""
 
 from dataclasses import dataclass, replace
 from typing import Final, get_args
@@ -17,13 +17,12 @@ from compute.signal.thesis_pipeline.filters import ButterworthFilter
 from compute.signal.thesis_pipeline.output import PeakOutput
 from compute.signal.thesis_pipeline.peak_separation import PeakSegment, Separation, SlopeExtension
 from compute.signal.thesis_pipeline.result import ChainResult, PipelinePeak, to_peak_batch
-from compute.signal.thesis_pipeline.scan_averaging import average_scans
-from compute.signal.thesis_pipeline.state import PipelineState, filter_adjoint
+from compute.signal.thesis_pipeline.state import PipelineState, average_scans, filter_adjoint
 from compute.signal.thesis_pipeline.steps import (
     Array,
     Background,
     ScanFilter,
-    as_lines,
+    as_scans,
     check_between,
     check_whole,
 )
@@ -40,33 +39,33 @@ _Centre = tuple[Centroid, float, bool]
 class SignalChain:
     """The steps of thesis 4.2 and 4.4 and their settings; a step that is None is left out.
 
-    In this order: lines are averaged and filtered; the background is subtracted and the rest
+    In this order: scans are averaged and filtered; the background is subtracted and the rest
     filtered again, as often as wanted; weak areas are dropped; close peaks taken apart; each
     peak's centre of gravity [4.1] is taken above its own threshold. The thesis's amplification
     by a whole number (4.4, step 3) changes no position and is not there.
 
     The sum of the filters' ``correction_px`` is subtracted from the positions. Lines are
     continued by as much with their last value, as light at their end leaves the filters so much
-    later; a chain that delays by a whole line is refused.
+    later; a chain that delays by a whole scan is refused.
 
     Without separation each area above the level has one peak, its maximum, unless a higher one
     lies in the same run above the peak's own threshold.
 
     Args:
-        average: lines that follow one another and are averaged.
+        average: scans that follow one another and are averaged.
         line_filter: before the background is taken.
         background: subtracted, as often as ``repeats`` says.
         filter_after: after each subtraction.
         repeats: 1 to 20.
         areas: the weighted area filter of section 6.2.1.
         separation: of close peaks; it has a level of its own.
-        level_fraction: least maximum of a peak as a fraction of the line's greatest value, 0 to
+        level_fraction: least maximum of a peak as a fraction of the scan's greatest value, 0 to
             0.95; thesis 4.5: 1/5.
         threshold_fraction: a peak's own threshold as a fraction of its maximum, 0 to 0.95; 1/3
             for active targets. With separation the maximum is above the zero line.
         weighting: what the centre of gravity weighs: ``centre_of_gravity``.
         min_width_px: fewest pixels above a peak's threshold.
-        max_peaks: of one line, 1 to 65536; of more the highest are kept, TRUNCATED.
+        max_peaks: of one scan, 1 to 65536; of more the highest are kept, TRUNCATED.
 
     Raises:
         InvalidParameter: a value outside its range.
@@ -109,13 +108,13 @@ class SignalChain:
         """Return the chain of section 4.4, Tests 4.1 and 4.2, with the separation of 4.5.
 
         Filtered against the noise of digitisation, the peaks cut out and bridged, the
-        background so made filtered and subtracted, a zero line at 1/5 of the line's greatest
+        background so made filtered and subtracted, a zero line at 1/5 of the scan's greatest
         value, slopes extended. The text gives no filter: here the Butterworth filter that it
         shows in Figure 4.7 (order 4, cut-off 0.4), without its phase; and no threshold for the
         centre of gravity: here all above the zero line.
 
         Args:
-            average: lines that are averaged.
+            average: scans that are averaged.
             level_fraction: the zero line. Beside an active target, several times as bright,
                 passive ones lie below 1/5: Test 4.1 needs less.
         """
@@ -140,34 +139,34 @@ class SignalChain:
         return sum(one.reach_px for one in self._filter_sequence())
 
     def _filter_sequence(self) -> list[ScanFilter]:
-        """Return the filters that lines go through, in their order."""
+        """Return the filters that scans go through, in their order."""
         after = [self.filter_after] * self.repeats if self.background is not None else []
         return [one for one in (self.line_filter, *after) if one is not None]
 
-    def run(self, lines: ArrayLike, noise: SensorNoise | None = None) -> ChainResult:
-        """Find the peaks of lines.
+    def run(self, scans: ArrayLike, noise: SensorNoise | None = None) -> ChainResult:
+        """Find the peaks of scans.
 
         Args:
-            lines: raw values, shape (P,) or (..., L, P); leading axes become one.
-            noise: of the sensors, line l being sensor ``l % S``'s before lines are averaged;
+            scans: raw values, shape (P,) or (..., L, P); leading axes become one.
+            noise: of the sensors, scan l being sensor ``l % S``'s before scans are averaged;
                 None: standard deviations are NaN, and no peak is flagged as saturated.
 
         Returns:
-            The peaks of each line, averaged ones counting as one, and all lines in between.
+            The peaks of each scan, averaged ones counting as one, and all scans in between.
             Standard deviations are those of the pixels' noise through averaging, filters,
             background and centre of gravity, thresholds included. For a median filter it is
             assumed that noise passes unchanged; pixels that an extended slope made count as
             exact; which pixels are background, peak or zero is taken as given. With noise, what
             is less sure than it is wide is no peak. Flags: clipped (the run meets an end of the
-            line, or comes as near to one as ``reach_px``), merged (cut at a valley), saturated,
+            scan, or comes as near to one as ``reach_px``), merged (cut at a valley), saturated,
             truncated.
 
         Raises:
-            InvalidParameter: lines that cannot be averaged, lengths out of range, or filters that
-                delay by a whole line or more.
+            InvalidParameter: scans that cannot be averaged, lengths out of range, or filters that
+                delay by a whole scan or more.
             NonFiniteValue: a value is NaN or infinite.
         """
-        raw = as_lines(lines)
+        raw = as_scans(scans)
         raw = raw.reshape(-1, raw.shape[-1])
         pixels = raw.shape[-1]
         if self.correction_px >= pixels:
@@ -184,12 +183,12 @@ class SignalChain:
         for _ in range(self.repeats if self.background is not None else 0):
             self._subtract(state)
         if self.areas is not None:
-            state.add("weighted", self.areas.apply(state.lines))
+            state.add("weighted", self.areas.apply(state.scans))
 
         variance, full = self._pixel_noise(raw, noise)
         segments, found = [], []
-        for number, line in enumerate(state.lines):
-            parts, peaks = self._peaks_of(line)
+        for number, scan in enumerate(state.scans):
+            parts, peaks = self._peaks_of(scan)
             segments.append(parts)
             output = PeakOutput(
                 pixels,
@@ -206,8 +205,8 @@ class SignalChain:
 
     def _subtract(self, state: PipelineState) -> None:
         assert self.background is not None
-        background, free = self.background.estimate(state.lines)
-        before = state.lines
+        background, free = self.background.estimate(state.scans)
+        before = state.scans
         state.add("background", background)
         state.add("subtracted", before - background)
         state.background_masks.append(free)
@@ -217,7 +216,7 @@ class SignalChain:
     def _pixel_noise(
         self, raw: Array, noise: SensorNoise | None
     ) -> tuple[Array | None, NDArray[np.bool_] | None]:
-        """Return the variances of the pixels of averaged lines, and which are saturated."""
+        """Return the variances of the pixels of averaged scans, and which are saturated."""
         if noise is None:
             return None, None
         sensor = np.arange(len(raw)) % len(noise)
@@ -231,17 +230,17 @@ class SignalChain:
             average_scans(full, self.average) > 0.0,
         )
 
-    def _peaks_of(self, line: Array) -> tuple[tuple[PeakSegment, ...], list[_Centre]]:
-        """Return a line's pieces and its highest peaks, one more of them than are kept."""
+    def _peaks_of(self, scan: Array) -> tuple[tuple[PeakSegment, ...], list[_Centre]]:
+        """Return a scan's pieces and its highest peaks, one more of them than are kept."""
         segments: tuple[PeakSegment, ...] = ()
         tops: list[tuple[Array, int, bool]] = []
         if self.separation is not None:
-            segments = self.separation.separate(line)
+            segments = self.separation.separate(scan)
             tops = [(p.values, p.top_px, p.cut_left or p.cut_right) for p in segments]
         else:
-            for area in areas_above(line, self.level_fraction * max(float(line.max()), 0.0)):
-                run = line[area.first_px : area.last_px + 1]
-                tops.append((line, area.first_px + int(run.argmax()), False))
+            for area in areas_above(scan, self.level_fraction * max(float(scan.max()), 0.0)):
+                run = scan[area.first_px : area.last_px + 1]
+                tops.append((scan, area.first_px + int(run.argmax()), False))
         tops.sort(key=lambda one: -float(one[0][one[1]]))
         peaks: list[_Centre] = []
         for values, top, cut in tops:
@@ -250,7 +249,7 @@ class SignalChain:
             found = centre_of_gravity(values, top, self.threshold_fraction, self.weighting)
             run = values[found.first_px : found.last_px + 1]
             if len(run) >= self.min_width_px and run.max() <= values[top]:
-                peaks.append((found, float(line[top]), cut))
+                peaks.append((found, float(scan[top]), cut))
         return segments, peaks
 
     def _to_peaks(
@@ -267,7 +266,7 @@ class SignalChain:
         return found
 
     def _to_pixels(self, peaks: list[_Centre], state: PipelineState, number: int) -> Array:
-        """Return the derivatives of K centres by the (averaged) raw line's pixels, (K, P)."""
+        """Return the derivatives of K centres by the (averaged) raw scan's pixels, (K, P)."""
         if not peaks:
             return np.zeros((0, state.raw.shape[-1]))
         weights = np.array([centre.derivative for centre, _, _ in peaks])

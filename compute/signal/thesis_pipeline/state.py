@@ -1,18 +1,19 @@
-"""Work: lines on their way through a chain, longer by what its filters delay them by."""
+"""State of a signal chain: scans after each step, and the delay so far."""
 
 from dataclasses import dataclass, field
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from compute.errors import InvalidParameter
 from compute.signal.thesis_pipeline.result import Stage
-from compute.signal.thesis_pipeline.steps import Array, ScanFilter
+from compute.signal.thesis_pipeline.steps import Array, ScanFilter, as_scans, check_whole
 
 
 @dataclass
 class PipelineState:
-    """Lines on their way.
+    """Scans on their way through the chain.
 
     Args:
         raw: as given, shape (L, P).
@@ -27,24 +28,35 @@ class PipelineState:
         self.add("raw", self.raw)
 
     @property
-    def lines(self) -> Array:
-        """The lines after the last step."""
-        return self.stages[-1].lines
+    def scans(self) -> Array:
+        """The scans after the last step."""
+        return self.stages[-1].scans
 
-    def add(self, name: str, lines: Array, shift_px: float = 0.0) -> None:
-        """Add what a step made of the lines, and by how much it moved them."""
+    def add(self, name: str, scans: Array, shift_px: float = 0.0) -> None:
+        """Add the scans that a step gives.
+
+        Args:
+            name: of the step.
+            scans: shape (L, P).
+            shift_px: shift to the right by the step [px].
+        """
         self.shift_px += shift_px
-        self.stages.append(Stage(name, lines, self.shift_px))
+        self.stages.append(Stage(name, scans, self.shift_px))
 
     def filter(self, through: ScanFilter) -> None:
-        """Filter the lines, which get longer by the delay that is to be compensated."""
+        """Filter the scans, which grow by the delay that is compensated."""
         padding_px = _padding_px(through)
-        longer = np.pad(self.lines, ((0, 0), (0, padding_px)), mode="edge")
+        longer = np.pad(self.scans, ((0, 0), (0, padding_px)), mode="edge")
         self.add("filtered", through.apply(longer), through.shift_px)
 
 
 def filter_adjoint(through: ScanFilter, weights: Array) -> Array:
-    """Carry derivatives by K filtered lines' pixels back to those before ``PipelineState.filter``."""
+    """Carry derivatives by filtered pixels back to the pixels before ``PipelineState.filter``.
+
+    Args:
+        through: the filter.
+        weights: shape (K, P).
+    """
     back = through.adjoint(weights)
     pixels = back.shape[-1] - _padding_px(through)
     result = back[:, :pixels].copy()
@@ -53,8 +65,37 @@ def filter_adjoint(through: ScanFilter, weights: Array) -> Array:
 
 
 def _padding_px(through: ScanFilter) -> int:
-    """Return how much later light at the line's end comes out, in whole pixels.
+    """Return how much later light at the scan's end comes out, in whole pixels.
 
     Lines are continued by it with their last value.
     """
     return ceil(through.correction_px)
+
+
+def average_scans(scans: ArrayLike, count: int) -> Array:
+    """Average every ``count`` consecutive scans.
+
+    Args:
+        scans: shape (..., L, P).
+        count: 1 to 1,000,000; it must divide L.
+
+    Returns:
+        The means, shape (..., L / count, P).
+
+    Raises:
+        InvalidParameter: L is no multiple of count, or there is but one scan without an axis.
+    """
+    values = as_scans(scans)
+    check_whole("count", count, 1, 1_000_000)
+    number = values.shape[-2] if values.ndim > 1 else 1
+    if number % count:
+        raise InvalidParameter(
+            f"{number} lines cannot be averaged {count} at a time; their number must be a "
+            f"multiple of {count}",
+            lines=number,
+            count=count,
+        )
+    if values.ndim == 1:
+        return values
+    shape = (*values.shape[:-2], number // count, count, values.shape[-1])
+    return np.asarray(values.reshape(shape).mean(axis=-2))

@@ -1,4 +1,4 @@
-"""ScanFilter and Background: what a step of the chain must do, and checks of lines and settings."""
+"""Interfaces of the steps of a chain (filter, background), and checks of their settings."""
 
 from math import isfinite
 from typing import Final, Literal, Protocol, get_args
@@ -15,15 +15,17 @@ Compensation = Literal["none", "delay", "phase"]
 """What is done about a filter's delay: nothing; positions are moved back by the delay at zero
 frequency; or the filter's phase is removed, so that there is no delay."""
 
+MAX_TAPS: Final = 1024
+"""Longest aperture or impulse response of a filter [px]."""
 _LEAST_PIXELS: Final = 8
 
 
 class ScanFilter(Protocol):
-    """A filter along lines."""
+    """A filter along scans."""
 
     @property
     def shift_px(self) -> float:
-        """By how much the filtered line lies to the right of the light [px]."""
+        """Shift of the filtered scan to the right of the light [px]."""
         ...
 
     @property
@@ -33,11 +35,11 @@ class ScanFilter(Protocol):
 
     @property
     def reach_px(self) -> float:
-        """How near to an end the light must be for what lies beyond the line to weigh in [px]."""
+        """Distance from an end within which pixels beyond it matter [px]."""
         ...
 
-    def apply(self, lines: ArrayLike) -> Array:
-        """Filter lines (..., P)."""
+    def apply(self, scans: ArrayLike) -> Array:
+        """Filter scans (..., P)."""
         ...
 
     def adjoint(self, weights: Array) -> Array:
@@ -48,23 +50,28 @@ class ScanFilter(Protocol):
 class Background(Protocol):
     """An estimate of the light that does not come from markers."""
 
-    def estimate(self, lines: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the background of lines (..., P), and which pixels it was taken from."""
+    def estimate(self, scans: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the background of scans (..., P), and which pixels it was taken from."""
         ...
 
     def adjoint(self, weights: Array, background_mask: NDArray[np.bool_]) -> Array:
-        """Carry derivatives by a line less its background back to its pixels, shape (..., P)."""
+        """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
+
+        Args:
+            weights: derivatives by the scan less its background, shape (..., P).
+            background_mask: pixels that the background was taken from, same shape.
+        """
         ...
 
 
-def as_lines(lines: ArrayLike) -> Array:
-    """Return lines as float64, shape (..., P).
+def as_scans(scans: ArrayLike) -> Array:
+    """Return scans as float64, shape (..., P).
 
     Raises:
-        InvalidParameter: lines of fewer than 8 or more than 65536 pixels.
+        InvalidParameter: scans of fewer than 8 or more than 65536 pixels.
         NonFiniteValue: a value is NaN or infinite.
     """
-    values = np.asarray(lines, dtype=np.float64)
+    values = np.asarray(scans, dtype=np.float64)
     pixels = values.shape[-1] if values.ndim else 0
     if not _LEAST_PIXELS <= pixels <= MAX_PIXELS:
         raise InvalidParameter(
@@ -80,6 +87,12 @@ def as_lines(lines: ArrayLike) -> Array:
 def check_whole(name: str, value: int, minimum: int, maximum: int) -> None:
     """Refuse a number that is not whole or lies outside its range.
 
+    Args:
+        name: name of the value, for the message.
+        value: the number.
+        minimum: least value that is allowed.
+        maximum: greatest value that is allowed.
+
     Raises:
         InvalidParameter: with the value and the range.
     """
@@ -92,6 +105,12 @@ def check_whole(name: str, value: int, minimum: int, maximum: int) -> None:
 
 def check_between(name: str, value: float, minimum: float, maximum: float) -> None:
     """Refuse a number outside its range; the ends belong to it.
+
+    Args:
+        name: name of the value, for the message.
+        value: the number.
+        minimum: least value that is allowed.
+        maximum: greatest value that is allowed.
 
     Raises:
         InvalidParameter: with the value and the range.
@@ -119,7 +138,11 @@ def check_cutoff(cutoff: float) -> None:
 def check_compensation(
     value: Compensation, allowed: tuple[Compensation, ...] | None = None
 ) -> None:
-    """Refuse a compensation that there is not.
+    """Refuse an unknown compensation.
+
+    Args:
+        value: the compensation.
+        allowed: the known ones; None: all.
 
     Raises:
         InvalidParameter: with the value and those that there are.

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from compute.calibration.assessment.cross_validation import control_errors
-from compute.calibration.calibrate import Progress
-from compute.calibration.calibrate_and_assess import calibrate_and_assess
-from compute.calibration.effective_readings import count_readings, effective_readings
-from compute.calibration.result import AxisErrors, Calibration
-from compute.calibration.settings import CalibrationSettings
+from compute.calibration.calibrate import calibrate_and_assess
+from compute.calibration.result import AxisErrors, Calibration, count_readings, effective_readings
+from compute.calibration.settings import DEFAULTS, CalibrationSettings
 from compute.camera.model import SensorGeometry
 from compute.errors import DuplicatePoint, InvalidParameter, ReadingOutsideSensor, UnknownSensor
+from compute.progress import Progress
 from hardware.driver import SensorDescription
 from service.api.calibrations.schema import (
     LEAVE_ONE_OUT_POINTS,
@@ -58,11 +57,10 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
 
     Raises:
         InvalidParameter: what is asked for takes longer than a request should.
-        LumilineError: what was wrong with the points; see ``calibrate_and_assess``.
+        LumilineError: the points cannot calibrate; see ``calibrate_and_assess``.
     """
     settings = request.settings()
-    few = len(request.points) <= LEAVE_ONE_OUT_POINTS
-    if not few and settings != CalibrationSettings(settings.method):
+    if len(request.points) > LEAVE_ONE_OUT_POINTS and settings != DEFAULTS:
         raise InvalidParameter(
             f"{len(request.points)} points are calibrated with distortion, uncertain points, a "
             f"robust loss or labels in a run only: POST it to /api/v1/calibration-runs, or give at "
@@ -89,7 +87,7 @@ def calibration_outcome(
         settings: what is asked for.
 
     Raises:
-        LumilineError: what was wrong with the points; see ``calibrate_and_assess``.
+        LumilineError: the points cannot calibrate; see ``calibrate_and_assess``.
     """
     points, observed, sigma = control_arrays(given, sensors)
     result = calibrate_and_assess(points, observed, geometry(sensors), sigma, settings, progress)

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from compute.calibration.assessment.cross_validation import fitted_errors
-from compute.calibration.effective_readings import effective_readings
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, effective_readings
 from compute.camera.model import PARAMETER_COUNT, PARAMETERS, SensorModel, Vector3, vector3
 from compute.camera.stack import CameraStack
 from compute.reconstruction.triangulation import reconstruct

@@ -42,13 +42,4 @@ NEW_CALIBRATIONS: Final[dict[str, Any]] = {
             "note": "Readings rounded to 0.01 px, without standard deviations",
         },
     },
-    "published-method": {
-        "summary": "The same markers by the published iterative DLT",
-        "value": {
-            "id": "sim-frame-dlt",
-            "device": "sim",
-            "method": "dlt-iterative",
-            "points": _FRAME,
-        },
-    },
 }

@@ -4,12 +4,11 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Discriminator, Field, StringConstraints, Tag
 
-from compute.calibration.result import AxisErrors, Calibration, MethodWithoutControl
+from compute.calibration.result import AxisErrors, Calibration, Method
 from compute.calibration.settings import (
     CalibrationSettings,
     LabelPolicy,
     Loss,
-    Method,
 )
 from compute.calibration.single_sensor.distortion_terms import Preset
 from compute.camera.field_distortion import Term
@@ -86,12 +85,6 @@ class ControlPoint(RequestModel):
 class CalibrationOptions(RequestModel):
     """How a device is calibrated; the members of CalibrationSettings as clients give them."""
 
-    method: Method = Field(
-        default="metric",
-        description="`metric`: the seven-parameter camera, refined geometrically, with the "
-        "distortion asked for. `dlt-iterative`: the published direct linear transformation with a "
-        "cubic term, for comparison.",
-    )
     distortion: GivenDistortion = Field(
         default="none",
         description="Terms of the lens's distortion: `none`, `auto` (chosen by cross-validation "
@@ -115,9 +108,7 @@ class CalibrationOptions(RequestModel):
         Raises:
             InvalidParameter: one means nothing, or contradicts another.
         """
-        return CalibrationSettings(
-            self.method, self.distortion, self.control_sigma_mm, self.loss, self.labels
-        )
+        return CalibrationSettings(self.distortion, self.control_sigma_mm, self.loss, self.labels)
 
 
 class NewCalibration(CalibrationOptions):
@@ -177,7 +168,7 @@ class CalibrationSummary(ResponseModel):
         "places. `updated`: from its `parent` and still markers. `nominal`: a design's values, "
         "not measured."
     )
-    method: Method | MethodWithoutControl
+    method: Method
     note: str
     point_count: int
     content_hash: str = Field(

@@ -7,8 +7,6 @@ from pydantic import TypeAdapter
 from sqlalchemy import Select, delete, func, select
 from sqlalchemy.orm import Session
 
-from compute.errors import InvalidParameter
-from compute.tracking.thesis.settings import MIN_SENSORS
 from service.api.devices.activation import active
 from service.api.devices.schema import Device, DeviceChange, NewDevice, Source
 from service.api.devices.sensor import Sensor, sensors_match
@@ -68,7 +66,7 @@ def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> D
         source=_SOURCE.dump_python(request.source, mode="json"),
         sensors=_SENSORS.dump_python(sensors, mode="json"),
         autostart=request.autostart,
-        tracking=_stored(request.tracking, len(sensors)),
+        tracking=_stored(request.tracking),
         created_at=now,
         updated_at=now,
     )
@@ -105,8 +103,7 @@ def change_device(
     if "autostart" in given:
         row.autostart = change.autostart
     if "tracking" in given:
-        count = len(row.sensors if sensors is None else sensors)
-        row.tracking = _stored(_merged(tracking_of(row), change.tracking), count)
+        row.tracking = _stored(_merged(tracking_of(row), change.tracking))
     if "source" in given and sensors is not None:
         described = _SENSORS.dump_python(sensors, mode="json")
         if described != row.sensors:
@@ -217,20 +214,14 @@ def _merged(tracking: Tracking, change: Tracking) -> Tracking:
     return tracking.model_copy(update=given)
 
 
-def _stored(tracking: Tracking, sensors: int) -> dict[str, Any] | None:
+def _stored(tracking: Tracking) -> dict[str, Any] | None:
     """Return the settings that differ from the defaults, as they are stored.
 
     Raises:
-        InvalidParameter: the settings contradict one another, or cannot be of so many sensors.
+        InvalidParameter: the settings contradict one another.
     """
     tracking.tool_tracker()
     tracking.tracker()
-    if tracking.method != "readings" and sensors < MIN_SENSORS:
-        raise InvalidParameter(
-            f"tracking.method is {tracking.method!r}, and the device has {sensors} sensors; this "
-            f"method makes points of {MIN_SENSORS} or more: take readings",
-            method=tracking.method,
-        )
     return tracking.model_dump(mode="json", exclude_defaults=True) or None
 
 

@@ -7,18 +7,11 @@ from pydantic import Field, model_validator
 from compute.pose.settings import MotionSettings, ToolTrackerSettings
 from compute.tracking.blink_codes import MAX_CODE_LENGTH, BlinkCodes
 from compute.tracking.blink_decoding import BlinkModel
-from compute.tracking.factory import TrackingSettings
 from compute.tracking.settings import MotionModel, TrackerSettings
-from compute.tracking.thesis.intervals import Velocity
-from compute.tracking.thesis.pair_tracker import Decision
-from compute.tracking.thesis.settings import MAX_TARGETS, ThesisMethod, ThesisSettings
 from service.api.base_models import Position, RequestModel
 
 _TRACKER = TrackerSettings()
 _TOOLS = ToolTrackerSettings()
-_THESIS = ThesisSettings()
-
-Velocity1D = Annotated[float, Field(ge=1e-3, le=1e9)]
 
 
 MAX_CODE_WORDS = 64
@@ -73,57 +66,13 @@ class Tracking(RequestModel):
 
     tracks: Literal["never", "with-tools", "always"] = Field(
         default="never",
-        description="Whether markers are followed as tracks: never, as soon as the device has "
+        description="Whether markers are tracked: never, as soon as the device has "
         "tools, or always. Tools are tracked in any case; tracks beside them cost time.",
-    )
-    method: Literal["readings"] | ThesisMethod = Field(
-        default="readings",
-        description="How markers are followed: by filtering on the sensors' readings, which is "
-        "the best; or, for comparison, by a method of Georgiev's thesis: the dynamic model with "
-        "a quadratic window and the velocity-change test (section 6.1.3), probabilistic "
-        "association ([6.6] to [6.10]), or the 8-state model in space ([6.11]). Tools are not "
-        "concerned.",
     )
     motion: MotionModel = Field(
         default=_TRACKER.motion,
         description="How markers move: at constant velocity, at constant acceleration, or "
-        "whichever of the two fits. Of `readings`.",
-    )
-    window_markers: Annotated[int, Field(ge=1, le=MAX_TARGETS)] = Field(
-        default=_THESIS.markers,
-        description="Markers that are lit together, 1 or 2: more the method does not tell apart. "
-        "Any number of them may be strobed. Of `window`.",
-    )
-    window_points: Annotated[int, Field(ge=3, le=50)] = Field(
-        default=_THESIS.window_points, description="Points of the quadratic window. Of `window`."
-    )
-    window_decision: Decision = Field(
-        default=_THESIS.window_decision,
-        description="How a track is taken through a crossing: by the change of velocity, as "
-        "the thesis has it, or to the point nearer to the window's prediction. Of `window`.",
-    )
-    velocity_limit_px_s: Velocity1D | None = Field(
-        default=_THESIS.velocity_limit_px_s,
-        description="Change of velocity along a sensor above which two markers have crossed "
-        "[px/s]; null: half of `max_velocity_px_s`. Of `window`.",
-    )
-    max_velocity_px_s: Velocity1D = Field(
-        default=_THESIS.max_velocity_px_s,
-        description="Greatest velocity of a marker along a sensor [px/s]. Of `window` and "
-        "`probabilistic`.",
-    )
-    interval_velocity: Velocity = Field(
-        default=_THESIS.interval_velocity,
-        description="Velocity with which the interval of [6.7] moves on: the mean of the last "
-        "ones, as the thesis has it, or that of a curve through them. Of `probabilistic`.",
-    )
-    min_interval_px: Annotated[float, Field(ge=1e-3, le=1e4)] = Field(
-        default=_THESIS.min_interval_px,
-        description="Least half width of that interval [px]. Of `probabilistic`.",
-    )
-    swap_threshold: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
-        default=_THESIS.swap_threshold,
-        description="Probability [6.9] at which two markers are on one track. Of `probabilistic`.",
+        "whichever of the two fits.",
     )
     acceleration_psd: Annotated[float, Field(ge=1e-3, le=1e12)] = Field(
         default=_TRACKER.acceleration_psd,
@@ -163,23 +112,8 @@ class Tracking(RequestModel):
         "pose outside is OUT_OF_VOLUME. null: only a correction table says.",
     )
 
-    def tracker(self) -> TrackingSettings:
-        """Return how markers are followed."""
-        if self.method != "readings":
-            return ThesisSettings(
-                method=self.method,
-                markers=self.window_markers,
-                window_points=self.window_points,
-                window_decision=self.window_decision,
-                velocity_limit_px_s=self.velocity_limit_px_s,
-                max_velocity_px_s=self.max_velocity_px_s,
-                interval_velocity=self.interval_velocity,
-                min_interval_px=self.min_interval_px,
-                swap_threshold=self.swap_threshold,
-                acceleration_psd=self.acceleration_psd,
-                jerk_psd=self.jerk_psd,
-                coast_s=self.coast_s,
-            )
+    def tracker(self) -> TrackerSettings:
+        """Return the settings of the tracker of markers."""
         return TrackerSettings(
             motion=self.motion,
             acceleration_psd=self.acceleration_psd,
@@ -188,7 +122,7 @@ class Tracking(RequestModel):
         )
 
     def tool_tracker(self) -> ToolTrackerSettings:
-        """Return how tools are followed.
+        """Return the settings of the tracker of tools.
 
         Raises:
             InvalidParameter: the volume's corners are not in order.

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from sqlalchemy.orm import Session
 
-from compute.calibration.effective_readings import effective_readings
+from compute.calibration.result import effective_readings
 from compute.errors import InvalidParameter
 from service.api.calibrations.calibration_content import observations
 from service.api.calibrations.schema import ControlPoint, Reading

@@ -14,15 +14,11 @@ from compute.signal.thesis_pipeline.background_subtraction import (
     PeakMask,
     PolynomialBackground,
 )
-from compute.signal.thesis_pipeline.filters import (
-    MAX_TAPS,
-    ButterworthFilter,
-    FirFilter,
-    MedianFilter,
-)
+from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter
+from compute.signal.thesis_pipeline.median_filter import MedianFilter
 from compute.signal.thesis_pipeline.peak_separation import SlopeExtension, ValleyCut
 from compute.signal.thesis_pipeline.signal_chain import SignalChain
-from compute.signal.thesis_pipeline.steps import Compensation
+from compute.signal.thesis_pipeline.steps import MAX_TAPS, Compensation
 
 STRICT: Final = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAX_AVERAGED: Final = 256

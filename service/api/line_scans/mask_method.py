@@ -9,7 +9,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from compute.errors import InvalidParameter
 from compute.optics.profiles.device_profile import DeviceProfile
-from compute.optics.profiles.shadow_templates import window_shadows
+from compute.optics.profiles.profile_optics import window_shadows
 from compute.signal.centroid_settings import MAX_PIXELS
 from compute.signal.coded_aperture.shadow_settings import ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate

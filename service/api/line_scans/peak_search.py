@@ -14,11 +14,10 @@ from compute.flags import flag_names
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import LEVEL_UNIT, CentroidSettings
 from compute.signal.detection.background_estimate import estimate_background
-from compute.signal.detection.detection_batch import DetectionBatch
 from compute.signal.detection.matched_filter import MatchedFilter, gaussian_filter
-from compute.signal.detection.peak_detector import PeakDetector
-from compute.signal.fit.fit_reference import fit_lines
-from compute.signal.fit.group_fit import GroupFit, fit_line
+from compute.signal.detection.peak_detector import DetectionBatch, PeakDetector
+from compute.signal.fit.fit_reference import fit_scans
+from compute.signal.fit.group_fit import GroupFit, fit_scan
 from compute.signal.peaks import PeakBatch, PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 from compute.signal.thesis_pipeline.result import ChainResult
@@ -103,7 +102,7 @@ def _by_search(
     seen = batch = find_peaks_reference(lines, search, model)
     further = None
     if isinstance(method, FitMethod):
-        batch = fit_lines(lines, method.settings, model, method.line_shape, candidates=seen)
+        batch = fit_scans(lines, method.settings, model, method.line_shape, candidates=seen)
         if method.further_peaks:
             further = np.maximum(batch.count - seen.count, 0).tolist()
     limits = search_limits(lines, search, noise)
@@ -275,7 +274,7 @@ def _windows(
 ) -> list[FitWindow] | None:
     if not isinstance(method, FitMethod):
         return None
-    return [_window(group) for group in fit_line(line, method.settings, noise, method.line_shape)]
+    return [_window(group) for group in fit_scan(line, method.settings, noise, method.line_shape)]
 
 
 def _window(group: GroupFit) -> FitWindow:
@@ -286,7 +285,7 @@ def _window(group: GroupFit) -> FitWindow:
 def _stages(result: ChainResult) -> list[Stage]:
     return [
         Stage(
-            name=stage.name, unit="counts", shift_px=stage.shift_px, values=stage.lines[0].tolist()
+            name=stage.name, unit="counts", shift_px=stage.shift_px, values=stage.scans[0].tolist()
         )
         for stage in result.stages
     ]

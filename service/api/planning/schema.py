@@ -87,7 +87,7 @@ def document_of(profile: DeviceProfile, toml: str) -> DeviceProfileDocument:
         rates=profile.rates,
         volume=profile.volume,
         published=profile.published,
-        notes=profile.notes,
+        notes=profile.notes + profile.limitations,
         assumed=dict(profile.assumed),
         toml=toml,
     )

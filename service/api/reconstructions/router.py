@@ -7,8 +7,7 @@ import numpy as np
 from fastapi import APIRouter, Body, Path, Response
 from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
-from compute.calibration.measurement_noise import measurement_sigma
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, measurement_sigma
 from compute.errors import DuplicatePoint, ReadingOutsideSensor, UnknownSensor
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.triangulation import reconstruct

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.assessment.cross_validation import control_errors
-from compute.calibration.effective_readings import (
+from compute.calibration.result import (
+    Calibration,
+    CrossValidation,
     count_readings,
     effective_readings,
+    measurement_sigma,
     repaired_readings,
 )
-from compute.calibration.measurement_noise import measurement_sigma
-from compute.calibration.result import Calibration, CrossValidation
 from compute.camera.stack import CameraStack
 from service.api.calibrations.comparison import Comparison, box_grid, predicted_readings
 

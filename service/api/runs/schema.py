@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from compute.calibration.settings import CalibrationSettings, LabelPolicy
+from compute.calibration.settings import LabelPolicy
 from compute.mapping.settings import MappingMethod, MappingSettings
 from service.api.base_models import Moment, Note, RequestModel, ResponseModel, Slug
 from service.api.calibrations.schema import (
@@ -59,8 +59,7 @@ class NewCalibrationRun(CalibrationOptions):
 
     distortion: GivenDistortion = Field(
         default="auto",
-        description="As of a calibration; a run chooses the terms by cross-validation by default, "
-        "but with a published method, which has none.",
+        description="As of a calibration; a run chooses the terms by cross-validation by default.",
     )
     labels: LabelPolicy = Field(
         default="report", description="As of a calibration; a run reports them by default."
@@ -78,20 +77,6 @@ class NewCalibrationRun(CalibrationOptions):
         default=False, description="Take a capture session of which targets are missing."
     )
     note: Note = ""
-
-    def settings(self) -> CalibrationSettings:
-        """Return them for the computation; raises InvalidParameter as of a calibration.
-
-        The published methods have no distortion to choose: there "auto" holds only if it is given.
-        """
-        default = self.method != "metric" and "distortion" not in self.model_fields_set
-        return CalibrationSettings(
-            self.method,
-            "none" if default else self.distortion,
-            self.control_sigma_mm,
-            self.loss,
-            self.labels,
-        )
 
 
 class NewMappingRun(RequestModel):

@@ -1,4 +1,4 @@
-"""Calibration: exact on exact data, honest on noisy data, and clear about what it refuses."""
+"""calibrate: exact data, covariance with noise, errors."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import f as f_distribution
 
-from compute.calibration.assessment.cross_validation import fitted_errors, leave_one_out
+from compute.calibration.assessment.cross_validation import cross_validate, fitted_errors
 from compute.calibration.calibrate import calibrate
 from compute.camera.model import SensorModel
 from compute.camera.rotation import rotation_matrix
@@ -248,21 +248,26 @@ def test_left_out_points_have_larger_errors_than_fitted_ones() -> None:
     readings = project(models, points) + rng.standard_normal((15, 4))
     calibration = calibrate(points, readings, geometry(models))
     fitted = np.abs(fitted_errors(calibration, points, readings)).mean()
-    left_out = np.abs(leave_one_out(points, readings, geometry(models))).mean()
-    assert left_out > fitted
+    left_out = cross_validate(calibration, points, readings, geometry(models), scheme="points")
+    assert np.abs(np.array(left_out.differences_mm)).mean() > fitted
 
 
 def test_leaving_one_of_seven_out_gives_no_figure() -> None:
     models, points = rig(), control_points(7)
-    errors = leave_one_out(points, project(models, points), geometry(models))
-    assert np.isnan(errors).all()
+    readings = project(models, points)
+    calibration = calibrate(points, readings, geometry(models))
+    found = cross_validate(calibration, points, readings, geometry(models), scheme="points")
+    assert found.errors is None
+    assert found.differences_mm == (None,) * 7
 
 
 def test_leaving_out_from_the_start_nearby_is_leaving_out() -> None:
     models, points = rig(), control_points(12)
     rng = np.random.default_rng(4)
     readings = project(models, points) + rng.standard_normal((12, 4))
-    errors = leave_one_out(points, readings, geometry(models))
+    calibration = calibrate(points, readings, geometry(models))
+    found = cross_validate(calibration, points, readings, geometry(models), scheme="points")
+    errors = np.array(found.differences_mm)
     rest = np.arange(12) != 5
     without = calibrate(points[rest], readings[rest], geometry(models))
     assert np.allclose(

@@ -1,4 +1,4 @@
-"""Distortion by both field angles: recovered, honest, and chosen only where it is there."""
+"""Distortion terms: recovery, covariance, automatic selection."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def test_exact_readings_give_the_lenses_back(terms: tuple[tuple[int, int], ...])
     models, points = distorted_rig(terms), field_points(150)
     readings = seen_readings(models, points)
     found = calibrate(
-        points, readings, geometry_with_pitch(models), settings=CalibrationSettings("metric", terms)
+        points, readings, geometry_with_pitch(models), settings=CalibrationSettings(terms)
     )
     unseen = field_points(200, seed=7)
     error = CameraStack.of(found.models).project(unseen) - seen_readings(models, unseen)
@@ -106,7 +106,7 @@ def test_auto_takes_no_terms_where_there_is_no_distortion() -> None:
             points,
             noisy,
             geometry_with_pitch(models),
-            settings=CalibrationSettings("metric", "auto"),
+            settings=CalibrationSettings("auto"),
         )
         assert found.distortion is not None
         taken.append(found.distortion.chosen)
@@ -130,7 +130,7 @@ def test_auto_takes_what_the_lenses_have() -> None:
         points,
         readings,
         geometry_with_pitch(models),
-        settings=CalibrationSettings("metric", "auto"),
+        settings=CalibrationSettings("auto"),
     )
     assert found.distortion is not None
     assert found.distortion.chosen == "symmetric-5"
@@ -154,7 +154,7 @@ def test_auto_falls_back_where_points_are_few_and_says_so() -> None:
         points,
         readings,
         geometry_with_pitch(models),
-        settings=CalibrationSettings("metric", "auto"),
+        settings=CalibrationSettings("auto"),
     )
     assert found.distortion is not None
     assert found.distortion.chosen != "none"
@@ -163,7 +163,7 @@ def test_auto_falls_back_where_points_are_few_and_says_so() -> None:
         points[:11],
         readings[:11],
         geometry_with_pitch(models),
-        settings=CalibrationSettings("metric", "auto"),
+        settings=CalibrationSettings("auto"),
     )
     assert few.distortion is not None
     assert few.distortion.chosen == "none"
@@ -198,9 +198,9 @@ def test_a_start_nearby_changes_nothing() -> None:
         readings,
         geometry_with_pitch(models),
         None,
-        CalibrationSettings("metric", terms),
+        CalibrationSettings(terms),
     )
-    here, moved = calibrate(*given), calibrate(*given, near=far)
+    here, moved = calibrate(*given), calibrate(*given, initial_models=far)
     for one, other in zip(here.models, moved.models, strict=True):
         assert one.principal_distance_px == pytest.approx(other.principal_distance_px, rel=1e-9)
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from compute.calibration.assessment.cross_validation import control_errors, fitted_errors
-from compute.calibration.calibrate import calibrate
-from compute.calibration.calibrate_and_assess import calibrate_and_assess
-from compute.calibration.effective_readings import count_readings, effective_readings
+from compute.calibration.calibrate import calibrate, calibrate_and_assess
+from compute.calibration.result import count_readings, effective_readings
 from compute.calibration.settings import CalibrationSettings, LabelPolicy
 from compute.camera.stack import CameraStack
 from tests.compute.rig import control_points, geometry, project, rig

@@ -1,4 +1,4 @@
-"""How far a reading is trusted: never further than the calibration reproduced its points."""
+"""Standard deviations of readings: at least the calibration's model error."""
 
 from dataclasses import replace
 from typing import Literal
@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from compute.calibration.calibrate import calibrate
-from compute.calibration.measurement_noise import measurement_sigma
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, measurement_sigma
 from tests.compute.rig import control_points, geometry, project, rig
 
 Source = Literal["given", "residuals", "assumed"]

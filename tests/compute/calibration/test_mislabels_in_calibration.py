@@ -1,4 +1,4 @@
-"""Label errors within a calibration: reported, left out or mended, as the caller decides."""
+"""Label errors in a calibration: reported, excluded or repaired."""
 
 import numpy as np
 import pytest

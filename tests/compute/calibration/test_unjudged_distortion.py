@@ -1,10 +1,10 @@
-"""Distortion "auto" where no candidate can be cross-validated: none is taken, with the reasons."""
+"""Distortion "auto" without any candidate that can be cross-validated: no terms, with reasons."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from compute.calibration.calibrate_and_assess import calibrate_and_assess
+from compute.calibration.calibrate import calibrate_and_assess
 from compute.calibration.distortion_selection import refusals
 from compute.calibration.settings import CalibrationSettings
 from compute.calibration.single_sensor.distortion_terms import AUTO_CANDIDATES
@@ -58,7 +58,7 @@ def read_with_noise(points: Array, sigma_px: float, rng: np.random.Generator) ->
 @pytest.mark.parametrize("data", [measured_frame, cube_corners, slab, nine_of_sixteen])
 def test_auto_takes_none_and_says_why_where_no_candidate_is_judged(data) -> None:
     given = data()
-    found = calibrate_and_assess(*given, settings=CalibrationSettings("metric", "auto"))
+    found = calibrate_and_assess(*given, settings=CalibrationSettings("auto"))
     chosen = found.distortion
     assert chosen is not None
     assert chosen.chosen == "none"
@@ -71,6 +71,6 @@ def test_auto_takes_none_and_says_why_where_no_candidate_is_judged(data) -> None
     named = [name for names in refusals(chosen.candidates).values() for name in names]
     assert sorted(named) == sorted(["none", *AUTO_CANDIDATES])
     # As if no distortion had been asked for.
-    plain = calibrate_and_assess(*given, settings=CalibrationSettings("metric", "none"))
+    plain = calibrate_and_assess(*given, settings=CalibrationSettings("none"))
     assert found.models == plain.models
     assert found.covariance == plain.covariance

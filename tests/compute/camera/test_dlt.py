@@ -1,4 +1,4 @@
-"""The metric camera and its other forms are the same camera."""
+"""Conversions between the metric camera and its other forms."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Cameras with distortion: projection, slopes by finite differences, the layout of covariances."""
+"""Cameras with distortion: projection, Jacobians by finite differences, covariance layout."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Cameras with a distortion that their calibration does not know, and what they read."""
+"""Cameras with a distortion unknown to their calibration, and their readings."""
 
 from dataclasses import replace
 

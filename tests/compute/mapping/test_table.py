@@ -1,4 +1,4 @@
-"""Tables: splines beside SciPy's, slopes by differences, what lies beyond the box, bad content."""
+"""Correction tables: splines against SciPy, derivatives, points beyond the box, bad content."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import NdBSpline, RegularGridInterpolator
 
 from compute.errors import InvalidParameter, NonFiniteValue
-from compute.mapping.b_spline_basis import b_spline_basis
+from compute.mapping.b_splines import b_spline_basis
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable, Degree
 

@@ -12,7 +12,6 @@ from compute.optics.background import (
     ConstantBackground,
     PolynomialBackground,
     SumBackground,
-    TabulatedBackground,
     background_scans,
 )
 
@@ -26,9 +25,6 @@ def test_shapes_by_hand() -> None:
     bump = BumpBackground(5.0, 2.0, 100.0).electrons(10)
     assert bump[5] == 100.0
     np.testing.assert_allclose(bump[[3, 7]], 100.0 * np.exp(-0.5))
-    np.testing.assert_allclose(
-        TabulatedBackground((1.0, 3.0), (10.0, 30.0)).electrons(6), [10, 10, 20, 30, 30, 30]
-    )
 
 
 @given(st.lists(st.floats(-100.0, 100.0), min_size=1, max_size=5), st.floats(0.0, 500.0))
@@ -54,7 +50,7 @@ def test_each_sensor_has_its_own_line() -> None:
 
 
 def test_a_line_that_is_negative_somewhere_is_refused_with_the_place() -> None:
-    falling = TabulatedBackground((0.0, 9.0), (8.0, -1.0))
+    falling = PolynomialBackground((3.5, -4.5))
     with pytest.raises(InvalidParameter, match="-1 electrons in pixel 9 of sensor 1"):
         background_scans([ConstantBackground(0.0), falling], 10)
 
@@ -67,9 +63,6 @@ def test_a_line_that_is_negative_somewhere_is_refused_with_the_place() -> None:
         (lambda: PolynomialBackground((1.0, np.inf)), "coefficients_electrons"),
         (lambda: BumpBackground(0.0, 0.0, 1.0), "sigma_px"),
         (lambda: BumpBackground(0.0, -1.0, 1.0), "sigma_px"),
-        (lambda: TabulatedBackground((), ()), "positions_px"),
-        (lambda: TabulatedBackground((1.0, 1.0), (2.0, 3.0)), "positions_px"),
-        (lambda: TabulatedBackground((1.0, 2.0), (2.0,)), "levels_electrons"),
     ],
 )
 def test_values_without_meaning_are_refused(make: object, field: str) -> None:

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from compute.optics.dark_counts import CountDistribution, count_distribution
+from compute.optics.dark_counts import CountDistribution, count_distribution, random_indices
 from compute.optics.detector import Detector
 from compute.optics.pixel_noise import PixelNoise
-from compute.optics.random_indices import random_indices
 from tests.compute.optics.chi_square import chi2_excess
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Coverage: shares of a volume, by hand and by geometry."""
+"""Coverage: shares of a volume by hand and by geometry."""
 
 import numpy as np
 import pytest

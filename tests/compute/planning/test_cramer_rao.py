@@ -1,4 +1,4 @@
-"""The bound of a line's position: by calculus, by fitting noisy lines, beside the finder's."""
+"""Cramer-Rao bound of a stripe's position: by calculus, by fits, against the centroid finder."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ from scipy.integrate import quad
 from scipy.special import ndtr
 
 from compute.errors import InvalidParameter
-from compute.optics.coded_aperture.cramer_rao import shift_bound_px
 from compute.optics.detector import Detector
 from compute.optics.stripe_optics.stripe_profile import CELLS, StripeProfiles
 from compute.planning.cramer_rao import (
@@ -18,10 +17,10 @@ from compute.planning.cramer_rao import (
     centre_of_gravity_sigma,
     centroids,
     displaced_stripes,
-    position_bound,
     shifted_stripes,
 )
 from compute.signal.centroid_settings import CentroidSettings
+from compute.signal.cramer_rao import position_bound
 from tests.compute.planning.gaussian_optics import GaussianOptics
 from tests.compute.rig import PIXELS, control_points, rig
 
@@ -39,8 +38,7 @@ def gaussian_slope(position: float, sigma: float) -> np.ndarray:
 
 
 def known_brightness(mean: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    rest = NOISE.variance_electrons2 - NOISE.background_electrons
-    return shift_bound_px(mean + NOISE.background_electrons, slope, np.sqrt(rest))
+    return position_bound(mean, slope, NOISE.variance_electrons2, known_brightness=True)
 
 
 def displaced(sigma: float, points: np.ndarray) -> tuple[GaussianOptics, Stripes]:
@@ -53,7 +51,9 @@ def test_much_light_and_a_wide_line() -> None:
     electrons, sigma = 1e8, 3.0
     quiet = PixelNoise(0.1, 1e-3)
     bound = position_bound(
-        electrons * gaussian(0.3, sigma), electrons * gaussian_slope(0.3, sigma), quiet
+        electrons * gaussian(0.3, sigma),
+        electrons * gaussian_slope(0.3, sigma),
+        quiet.variance_electrons2,
     )
     # Pixels of width 1 widen the line by 1/12 px^2.
     assert bound == pytest.approx(np.sqrt((sigma**2 + 1.0 / 12.0) / electrons), rel=2e-3)
@@ -69,7 +69,9 @@ def test_little_light_and_a_wide_line() -> None:
         electrons**2 / (4 * np.sqrt(np.pi) * sigma**3 * read**2), rel=1e-6
     )
     bound = position_bound(
-        electrons * gaussian(0.0, sigma), electrons * gaussian_slope(0.0, sigma), dark
+        electrons * gaussian(0.0, sigma),
+        electrons * gaussian_slope(0.0, sigma),
+        dark.variance_electrons2,
     )
     assert bound == pytest.approx(information**-0.5, rel=0.02)
 
@@ -127,7 +129,7 @@ def test_a_fit_of_the_line_reaches_it(sigma: float, electrons: float) -> None:
     weight = 1.0 / (mean + NOISE.variance_electrons2)
     design = np.column_stack([slope, mean])
     solved = np.linalg.solve((design.T * weight) @ design, (design.T * weight) @ (lines - mean).T)
-    bound = float(position_bound(mean, slope, NOISE))
+    bound = float(position_bound(mean, slope, NOISE.variance_electrons2))
     assert solved[0].std() == pytest.approx(bound, rel=5.0 / np.sqrt(2.0 * trials))
 
 
@@ -138,7 +140,7 @@ def test_an_unknown_brightness_costs_little_and_never_helps(
 ) -> None:
     mean, slope = electrons * gaussian(position, sigma), electrons * gaussian_slope(position, sigma)
     known = float(known_brightness(mean, slope))
-    bound = float(position_bound(mean, slope, NOISE))
+    bound = float(position_bound(mean, slope, NOISE.variance_electrons2))
     assert known * (1 - 1e-12) <= bound
     # A Gaussian is symmetric: what is mixed comes from the sampling alone.
     assert bound <= 1.2 * known
@@ -149,7 +151,7 @@ def test_a_lopsided_line_pays_for_its_brightness() -> None:
     mean, slope = 1e4 * gaussian(0.0, 2.0), 1e4 * gaussian_slope(0.0, 2.0)
     half = np.arange(41) >= 20
     known = float(known_brightness(mean[half], slope[half]))
-    assert position_bound(mean[half], slope[half], NOISE) > 1.2 * known
+    assert position_bound(mean[half], slope[half], NOISE.variance_electrons2) > 1.2 * known
 
 
 def test_the_finder_comes_close_but_not_below() -> None:
@@ -157,7 +159,9 @@ def test_the_finder_comes_close_but_not_below() -> None:
     sigma = 1.2
     for electrons in (3e3, 3e4, 3e5):
         mean = electrons * gaussian(0.27, sigma)
-        bound = float(position_bound(mean, electrons * gaussian_slope(0.27, sigma), NOISE))
+        bound = float(
+            position_bound(mean, electrons * gaussian_slope(0.27, sigma), NOISE.variance_electrons2)
+        )
         [found] = centre_of_gravity_sigma(mean[None], NOISE, CentroidSettings())
         assert bound < found < np.hypot(2.0 * bound, 0.012)
 
@@ -173,7 +177,7 @@ def test_more_light_does_not_help_the_published_method() -> None:
 
 def test_no_light_says_nothing() -> None:
     dark = np.zeros((2, 41))
-    assert np.isinf(position_bound(dark, dark, NOISE)).all()
+    assert np.isinf(position_bound(dark, dark, NOISE.variance_electrons2)).all()
     assert np.isnan(centre_of_gravity_sigma(dark, NOISE, CentroidSettings())).all()
     points = np.vstack([control_points(4), [[0.0, 0.0, -1000.0]]])
     optics, found = displaced(1.0, points)

@@ -1,4 +1,4 @@
-"""Rates: the thesis's formulas and figures."""
+"""Rates: the thesis's formulas and values."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""Fixed pattern: by fitting lines of simulated pixels that differ, up to the points."""
+"""Fixed-pattern noise: by fits of simulated nonuniform pixels, up to the points."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
-from compute.optics.fixed_pattern import fixed_pattern
+from compute.optics.detector_array import fixed_pattern
 from compute.optics.profiles.profile_loader import load_profile
 from compute.planning.cramer_rao import PixelNoise
 from compute.planning.fixed_pattern_noise import PixelNonuniformity, fixed_pattern_sigma

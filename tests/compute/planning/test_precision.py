@@ -1,4 +1,4 @@
-"""Precision: equal to what the reconstruction says, to noisy readings, and the laws it follows."""
+"""Precision: against reconstruction, noisy readings and scaling laws."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Noiseless lines of a profile's volume, and the errors of what reads them."""
+"""Noiseless scans of a profile's volume, and the errors of peak estimators."""
 
 from dataclasses import replace
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
+from compute.measurement.measurements import Measurements
 from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import ToolPose
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
@@ -169,9 +170,9 @@ class Scene:
         found = self.tracker.step(
             self.time_ns,
             self.sequence,
-            peaks,
-            np.full(peaks.shape, SIGMA_PX),
-            np.zeros(peaks.shape, dtype=np.int32),
+            Measurements.of(
+                peaks, np.full(peaks.shape, SIGMA_PX), np.zeros(peaks.shape, dtype=np.int32)
+            ),
             marker,
             points,
         )

@@ -1,4 +1,4 @@
-"""Single point and point to point: what they report is what was put in."""
+"""Single-point and point-to-point tests recover what was simulated."""
 
 import numpy as np
 import pytest
@@ -122,5 +122,5 @@ def test_a_distance_that_is_none_is_refused(reference: float) -> None:
 
 def test_a_marker_that_was_not_seen_is_told() -> None:
     nothing = track(np.zeros(0), np.zeros((0, 3)))
-    with pytest.raises(TooFewPoints, match="0 places"):
+    with pytest.raises(TooFewPoints, match="0 positions"):
         point_to_point(nothing, waved(5, 1)[1], 200.0)

@@ -1,4 +1,4 @@
-"""Control charts: silent while nothing changes, and not when something does."""
+"""Control charts: no alarm without a change, an alarm with one."""
 
 import numpy as np
 import pytest

@@ -11,16 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence import (
     Correspondence,
     MatchSettings,
     PredictedPoints,
     group_peaks,
-    match_peaks,
 )
 from compute.reconstruction.correspondence.covering_design import covering_triples
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import reconstruct
+from tests.compute.reconstruction.matching import match_peaks
 from tests.compute.reconstruction.peak_scene import random_scene
 from tests.compute.rig import control_points, project, rig
 
@@ -152,11 +153,11 @@ def test_without_the_sensors_forward_too_many_combinations_are_not_tried() -> No
         return reconstruct(CameraStack.of(rig(4)), readings, sigma)
 
     position, sigma = peaks(project(rig(4), control_points(12)))
-    found = group_peaks(solve, position, sigma)
+    found = group_peaks(solve, Measurements.of(position, sigma))
     assert len(found) == 0
     assert found.cut == 12**4
     position, sigma = peaks(project(rig(4), control_points(5)))
-    assert len(group_peaks(solve, position, sigma)) == 5
+    assert len(group_peaks(solve, Measurements.of(position, sigma))) == 5
 
 
 def test_twenty_markers_on_eight_sensors() -> None:
@@ -336,18 +337,16 @@ def test_what_is_refused() -> None:
         return reconstruct(CameraStack.of(rig(3)), readings, sigma)
 
     one = PredictedPoints(np.zeros((1, 3)), np.eye(3)[None])
-    with pytest.raises(InvalidParameter, match="predict"):
-        group_peaks(solve, position, sigma, predicted=one)
+    with pytest.raises(InvalidParameter, match="need a model"):
+        group_peaks(solve, Measurements.of(position, sigma), predicted=one)
     with pytest.raises(InvalidParameter, match="three or more"):
-        group_peaks(solve, position, sigma, bodies_mm=[np.zeros((3, 3))])
+        group_peaks(solve, Measurements.of(position, sigma), bodies_mm=[np.zeros((3, 3))])
     with pytest.raises(InvalidParameter, match="finite"):
         PredictedPoints(np.full((1, 3), np.nan), np.eye(3)[None])
     with pytest.raises(InvalidParameter, match="shapes"):
         PredictedPoints(np.zeros((1, 3)), np.eye(3))
     with pytest.raises(InvalidParameter, match="max_error_rate is 0"):
         MatchSettings(max_error_rate=0.0)
-    with pytest.raises(InvalidParameter, match="merged_sigma_px is -1"):
-        MatchSettings(merged_sigma_px=-1.0)
 
 
 @pytest.mark.parametrize(("sensors", "seen"), [(4, 4), (5, 4), (6, 4), (8, 4), (8, 6)])

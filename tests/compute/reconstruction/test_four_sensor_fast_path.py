@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.reconstruction.correspondence import grouping as module
-from compute.reconstruction.correspondence import match_peaks
+from tests.compute.reconstruction.matching import match_peaks
 from tests.compute.reconstruction.peak_scene import random_scene
 from tests.compute.rig import rig
 

@@ -7,9 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence import (
     MatchSettings,
-    Predictor,
     SearchPart,
     intersection_points,
     intersections,
@@ -37,10 +38,10 @@ def met(
     def solve(readings: Array, deviations: Array) -> PointBatch:
         return reconstruct(cameras, readings, deviations)
 
-    predict = Predictor(cameras, pixels=(PIXELS,) * len(cameras))
-    found, following = intersection_points(
-        solve, predict, position, sigma, None, part, MatchSettings(detection_probability=0.9)
-    )
+    model = MeasurementModel(cameras, pixels=(PIXELS,) * len(cameras))
+    peaks = Measurements.of(position, sigma)
+    settings = MatchSettings(detection_probability=0.9)
+    found, following = intersection_points(solve, model, peaks, part, settings)
     there = found.choice >= 0
     sensor = np.broadcast_to(np.arange(len(cameras)), found.choice.shape)
     assert (position[sensor[there], found.choice[there]] == found.position_px[there]).all()

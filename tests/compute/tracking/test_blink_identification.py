@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
+from compute.measurement.measurements import Measurements
 from compute.tracking.blink_decoding import BlinkCodes, BlinkModel, blink_codes
 from compute.tracking.blink_identification import BlinkIdentifier
 from compute.tracking.settings import TrackerSettings
@@ -185,7 +186,9 @@ def test_markers_that_cross_are_named_as_they_are(seed: int) -> None:
         bright = light(np.maximum(who, 0), sequence, phase) * 1000.0 * (1.0 + who)
         stray = np.exp(rng.uniform(4.0, 8.0, who.shape))
         bright = np.where(who >= 0, bright * np.exp(0.1 * rng.standard_normal(who.shape)), stray)
-        batch = tracker.step(round(1e9 * (1.0 + sequence / rate)), position, sigma, flags, None)
+        batch = tracker.step(
+            round(1e9 * (1.0 + sequence / rate)), Measurements.of(position, sigma, flags), None
+        )
         batch = naming.name(sequence, batch, bright)
         for place, marker in zip(batch.position_mm, batch.marker, strict=True):
             if marker >= 0:

@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
+from compute.measurement.measurements import Measurements
 from compute.tracking.multi_scan_initiation import MAX_FRUITLESS_EXPOSURES, MultiScanInitiator
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
@@ -27,7 +28,11 @@ def followed(
     places = swinging(MARKERS, np.arange(frames) / hz, speed_mm_s, rng)
     sensing = Sensing(missed=0.05, false_peaks=expected, resolution_px=4.0)
     return [
-        one.step(1 + round(frame / hz * 1e9), *peaks_of(cameras, now, sensing, rng)[:3], None)
+        one.step(
+            1 + round(frame / hz * 1e9),
+            Measurements.of(*peaks_of(cameras, now, sensing, rng)[:3]),
+            None,
+        )
         for frame, now in enumerate(places)
     ], places
 
@@ -88,7 +93,7 @@ def test_the_search_pauses_where_nothing_comes_of_it() -> None:
     for frame in range(150):
         position = np.sort(rng.uniform(0.0, PIXELS - 1.0, (4, 9)), axis=1)
         sigma, flags = np.full(position.shape, 0.05), np.zeros(position.shape, np.int32)
-        batch = one.step(1 + frame * 10**7, position, sigma, flags, None)
+        batch = one.step(1 + frame * 10**7, Measurements.of(position, sigma, flags), None)
         assert (batch.state == TrackState.TENTATIVE).all()
     steps = np.diff(looked)
     pauses = steps[steps > 1].tolist()

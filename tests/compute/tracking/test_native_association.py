@@ -7,17 +7,17 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.tracking.association import AssociationResult, associate
 from compute.tracking.imm_states import mix_and_predict
-from compute.tracking.measurement_model import MeasurementModel
-from compute.tracking.measurements import Measurements
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.native.associator import Associator
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import states_from_points
 from tests.compute.distorted_rig import distorted_rig
+from tests.compute.measurement.test_measurement_model import table
 from tests.compute.tracking.moving_markers import MIDDLE_MM, PIXELS, Sensing, peaks_of, ring
-from tests.compute.tracking.test_measurement_model import table
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def compare(
         if model.corrections is not None:
             # As the sensors give them: what the table adds is not there yet.
             position = position - model.corrections.at(MIDDLE_MM[None]).value_px[0][:, None]
-        peaks = Measurements.of(position, deviation, flags, len(model), settings)
+        peaks = Measurements.of(position, deviation, flags)
         definition = associate(model, motion, settings, states, bias, peaks)
         same(definition, native.associate(states, bias, peaks))
         merged += int(definition.merged.sum())
@@ -101,9 +101,7 @@ def test_what_there_is_no_room_for_is_done_by_the_definition() -> None:
     states = mix_and_predict(motion, states, np.full(2, 0.1))
     reading = model.predict(MIDDLE_MM[None]).reading_px[0]
     position = reading[:, None] + np.linspace(-3.0, 3.0, 70)
-    peaks = Measurements.of(
-        position, np.full_like(position, 0.05), np.zeros(position.shape, np.int32), 4, settings
-    )
+    peaks = Measurements.of(position, np.full_like(position, 0.05))
     same(
         associate(model, motion, settings, states, bias, peaks),
         native.associate(states, bias, peaks),

@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
+from compute.measurement.measurements import Measurements
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.track_batch import TrackBatch, TrackState
 from compute.tracking.tracker import Tracker
@@ -36,7 +37,7 @@ def step(one: Tracker, cameras: CameraStack, frame: int, places: Array, seed: in
     rng = np.random.default_rng([seed, frame])
     sensing = Sensing(missed=0.05, false_peaks=0.5, resolution_px=4.0)
     position, sigma, flags, _ = peaks_of(cameras, places, sensing, rng)
-    return one.step(1 + round(frame / HZ * 1e9), position, sigma, flags, None)
+    return one.step(1 + round(frame / HZ * 1e9), Measurements.of(position, sigma, flags), None)
 
 
 @pytest.mark.parametrize("sensors", [4, 6])

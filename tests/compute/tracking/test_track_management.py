@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
+from compute.measurement.measurement_model import MeasurementModel
 from compute.tracking.imm_states import ImmStates
-from compute.tracking.measurement_model import MeasurementModel
 from compute.tracking.motion_model import MotionModels
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import states_from_points
@@ -169,7 +169,7 @@ def test_a_new_track_knows_what_the_calibration_does_to_it() -> None:
     errors = rng.multivariate_normal(np.zeros(SENSORS), bias[0], 40_000)
     readings = errors + 0.1 * rng.standard_normal(errors.shape)
     weight = np.linalg.inv(bias[0] + 0.01 * np.eye(SENSORS))
-    jacobian = model.predict(place).jacobian[0]
+    jacobian = model.predict(place).jacobian_px_per_mm[0]
     found = readings @ (np.linalg.inv(jacobian.T @ weight @ jacobian) @ jacobian.T @ weight).T
     whole = np.cov(np.concatenate([-found, errors], axis=1).T)
     scale = np.sqrt(np.diag(whole))

@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
+from compute.measurement.measurements import Measurements
 from compute.signal.peaks import PeakFlag
 from compute.tracking.motion_model import ca_transition
 from compute.tracking.settings import TrackerSettings
@@ -50,7 +51,9 @@ def follow(
     """The reports over exposures of places (F, N, 3)."""
     return [
         one.step(
-            1 + round(frame * STEP_S * 1e9), *peaks_of(cameras, place, sensing, rng)[:3], marker
+            1 + round(frame * STEP_S * 1e9),
+            Measurements.of(*peaks_of(cameras, place, sensing, rng)[:3]),
+            marker,
         )
         for frame, place in enumerate(places)
     ]
@@ -181,7 +184,9 @@ def test_a_track_lives_on_two_sensors() -> None:
         position, sigma, flags, _ = peaks_of(cameras, state[None, 0], Sensing(), rng)
         if frame >= 30:
             position[:2] = np.nan
-        batch = one.step(1 + round(frame * STEP_S * 1e9), position, sigma, flags, None)
+        batch = one.step(
+            1 + round(frame * STEP_S * 1e9), Measurements.of(position, sigma, flags), None
+        )
     assert batch.state.tolist() == [TrackState.CONFIRMED]
     assert batch.flags[0] & TrackFlag.FEW_SENSORS
     assert batch.peaks[0].tolist() == [-1, -1, 0, 0]
@@ -199,7 +204,9 @@ def test_false_peaks_are_never_confirmed() -> None:
     sensing = Sensing(false_peaks=2.0)
     tentative = 0
     for frame in range(1000):
-        batch = one.step(1 + frame * 10**7, *peaks_of(cameras, nobody, sensing, rng)[:3], None)
+        batch = one.step(
+            1 + frame * 10**7, Measurements.of(*peaks_of(cameras, nobody, sensing, rng)[:3]), None
+        )
         tentative += len(batch)
         assert (batch.state == TrackState.TENTATIVE).all()
     assert tentative > 0
@@ -230,7 +237,9 @@ def test_the_order_of_sensors_does_not_matter() -> None:
         one = Tracker(cameras, EQUAL, pixels=(PIXELS,) * 4)
         for frame, (position, sigma, flags, _) in enumerate(peaks):
             batch = one.step(
-                1 + round(frame * STEP_S * 1e9), position[order], sigma[order], flags[order], None
+                1 + round(frame * STEP_S * 1e9),
+                Measurements.of(position[order], sigma[order], flags[order]),
+                None,
             )
         last.append(batch)
     rows = [np.argsort(batch.position_mm[:, 0]) for batch in last]
@@ -252,7 +261,7 @@ def test_strobed_markers_are_known_by_their_number() -> None:
         if not (lit == 1 and (frame == 1 or 70 <= frame < 90)):
             shown[lit] = place[lit]
         peaks = peaks_of(cameras, shown, Sensing(false_peaks=0.2), rng)
-        batch = one.step(1 + round(frame * STEP_S * 1e9), *peaks[:3], lit)
+        batch = one.step(1 + round(frame * STEP_S * 1e9), Measurements.of(*peaks[:3]), lit)
         # Each is sought in every exposure of its own, until it is there.
         assert frame in (1, *range(4, 150)) or lit in batch.marker
         for track in np.flatnonzero(batch.state != TrackState.TENTATIVE):
@@ -291,7 +300,7 @@ def test_another_calibration_keeps_the_tracks() -> None:
         if frame == 30:
             one.set_cameras(cameras)
         peaks = peaks_of(cameras, MIDDLE_MM[None], Sensing(), rng)
-        batches.append(one.step(1 + frame * 10**7, *peaks[:3], None))
+        batches.append(one.step(1 + frame * 10**7, Measurements.of(*peaks[:3]), None))
     before, batch = batches[29], batches[-1]
     assert before.identity.tolist() == batch.identity.tolist() == [1]
     assert np.linalg.norm(before.position_mm[0] - MIDDLE_MM) > 0.2
@@ -312,7 +321,7 @@ def test_clipped_peaks_are_not_used_and_saturated_ones_count_less() -> None:
             position, sigma, flags, _ = peaks_of(cameras, MIDDLE_MM[None], Sensing(), rng)
             if frame >= 20:
                 flags[0] = flag
-            batch = one.step(1 + frame * 10**7, position, sigma, flags, None)
+            batch = one.step(1 + frame * 10**7, Measurements.of(position, sigma, flags), None)
         batches.append(batch)
     plain, saturated, clipped = batches
     assert saturated.flags[0] & TrackFlag.SUSPECT_PEAK
@@ -327,19 +336,17 @@ def test_clipped_peaks_are_not_used_and_saturated_ones_count_less() -> None:
     [
         ({"time_ns": 5}, "time_ns is 5, the exposure before was at 100"),
         ({"marker": -1}, "marker is -1"),
-        ({"position_px": np.zeros((3, 2))}, r"\(3, 2\); it must be \(4, K\)"),
-        ({"sigma_px": np.ones((4, 3))}, r"sigma_px has the shape \(4, 3\)"),
-        ({"peak_flags": np.zeros((4, 1), np.int32)}, r"peak_flags has the shape \(4, 1\)"),
-        ({"sigma_px": np.zeros((4, 2))}, r"sigma_px\[0, 0\] is 0.0"),
+        (
+            {"peaks": Measurements.of(np.zeros((3, 2)), np.ones((3, 2)))},
+            r"\(3, 2\); it must be \(4, K\)",
+        ),
     ],
 )
 def test_bad_input_is_refused_with_its_value(change: dict[str, Any], message: str) -> None:
     one = tracker()
     given: dict[str, Any] = {
         "time_ns": 100,
-        "position_px": np.full((4, 2), 7.0),
-        "sigma_px": np.ones((4, 2)),
-        "peak_flags": np.zeros((4, 2), np.int32),
+        "peaks": Measurements.of(np.full((4, 2), 7.0), np.ones((4, 2))),
         "marker": None,
     }
     one.step(**given)
@@ -378,7 +385,7 @@ def test_a_track_that_is_not_finite_ends_and_the_others_go_on(marker: int | None
     found = []
     for frame in range(40, 80):
         peaks = peaks_of(cameras, places[frame], Sensing(), rng)[:3]
-        found.append(one.step(1 + round(frame * STEP_S * 1e9), *peaks, marker))
+        found.append(one.step(1 + round(frame * STEP_S * 1e9), Measurements.of(*peaks), marker))
     assert all(np.isfinite(batch.position_mm).all() for batch in found)
     after = owners(found[-1], places[0])
     assert lost not in found[0].identity

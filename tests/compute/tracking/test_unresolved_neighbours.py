@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.measurements import Measurements
+from compute.measurement.measurements import Measurements
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.unresolved_neighbours import (
     NEIGHBOUR_FIELDS,
@@ -23,8 +23,7 @@ OWN = np.zeros((1, 1), dtype=np.int32)
 def frame(*places_px: float) -> Measurements:
     """One sensor's peaks; the first is the track's own."""
     position = np.array([places_px])
-    shape = position.shape
-    return Measurements.of(position, np.full(shape, 0.1), np.zeros(shape, np.int32), 1, SETTINGS)
+    return Measurements.of(position, np.full(position.shape, 0.1))
 
 
 def after(neighbours: Array, peaks: Measurements) -> Array:

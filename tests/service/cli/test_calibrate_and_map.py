@@ -129,7 +129,6 @@ def test_calibrate_refuses_with_a_reason(frame_csv: Path, tmp_path: Path) -> Non
     few.write_text("\n".join(rows[:6]), encoding="utf-8")
     assert "at least 7" in here("calibrate", few, "--pixels", "640", code=2).stderr
     for option, value, reason in (
-        ("--method", "best", "one of metric, dlt-iterative"),
         ("--distortion", "barrel", "symmetric-3"),
         ("--distortion", "3,0 0,1", "roll"),
         ("--distortion", "3;0", '"i,j"'),

@@ -71,7 +71,7 @@ def test_a_knocked_sensor_is_told_and_mended(folder: Path, tmp_path: Path, earli
     bad = drift(folder / "knocked.csv", *given)
     assert bad.exit_code == 1
     assert "Sensor s3 is off by" in bad.output
-    assert "rolled about its view, by" in bad.output
+    assert "rolled about its optical axis, by" in bad.output
     told = json.loads(drift(folder / "knocked.csv", *given, "--json").stdout)
     assert told["verdict"] == "sensors-moved"
     assert [one["moved"] for one in told["sensors"]] == [False, False, True, False]

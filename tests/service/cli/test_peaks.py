@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from compute.errors import InvalidParameter
 from compute.optics.profiles.profile_loader import load_profile
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from hardware.recording.reader import RecordingReader
 from hardware.recording.writer import RecordingWriter
@@ -69,7 +69,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_numpy_array_s_peaks_are_compute_s(array: Path) -> None:
     found = machine(array, "--width", WIDTH, *GIVEN)
-    batch = fit_lines(scenes(), FitSettings(width_px=WIDTH), line_noise(NOISE))
+    batch = fit_scans(scenes(), FitSettings(width_px=WIDTH), line_noise(NOISE))
     for line, ours in enumerate(positions(found)):
         assert ours == batch.position_px[line, : batch.count[line]].tolist()
     assert found["assumed"] == []

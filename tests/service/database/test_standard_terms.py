@@ -4,14 +4,15 @@ import json
 
 import numpy as np
 from alembic import command
-from service.database.consistency import find_inconsistencies
 from sqlalchemy import text
 from sqlalchemy.orm import Session
 
-from compute.calibration.calibrate_and_assess import calibrate_and_assess
+from compute.calibration.calibrate import calibrate_and_assess
 from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack
+from compute.tracking.settings import TrackerSettings
+from migrations.versions import v0010_standard_terms
 from service.api.calibrations.calibration_content import (
     Outcome,
     calibration_content,
@@ -23,17 +24,18 @@ from service.api.correction_tables.hdf5_file import read_table
 from service.api.correction_tables.store import add_table
 from service.api.devices.tracking_settings import Tracking
 from service.application.initial_content import nominal_calibration
+from service.backup.consistency import find_inconsistencies
 from service.database.engine import Database
 from service.database.migration import alembic_config
 from service.database.models import CalibrationRow, CorrectionTableRow, DeviceRow, HoldRow
 from tests.service.api.correction_tables.tables import SENSORS, content
 
 OLD = (
-    '"smaller"', '"weakest_in_words"', '"off_px"', '"off_sigma"', '"exchange_threshold"', '"low"',
+    '"smaller"', '"weakest_in_words"', '"off_px"', '"off_sigma"', '"white_jerk"', '"low"',
 )  # fmt: skip
 NEW = (
     '"reduced_terms"', '"weakest_description"', '"residual_px"', '"normalised_residual"',
-    '"swap_threshold"', '"off_level"',
+    '"jerk_psd"', '"off_level"',
 )  # fmt: skip
 
 
@@ -63,7 +65,7 @@ def tree(database: Database) -> str:
 
 def test_documents_of_before_are_read_after_it_with_their_hashes(database: Database) -> None:
     tracking = Tracking.model_validate(
-        {"swap_threshold": 0.25, "blinking": {"words": ["000000010111"], "off_level": 0.3}}
+        {"jerk_psd": 1e7, "blinking": {"words": ["000000010111"], "off_level": 0.3}}
     ).model_dump(mode="json")
     made = outcome()
     with Session(database.engine) as session:
@@ -90,6 +92,54 @@ def test_documents_of_before_are_read_after_it_with_their_hashes(database: Datab
         assert session.get_one(DeviceRow, "sim").tracking == tracking
     with database.engine.connect() as connection:
         assert find_inconsistencies(connection) == []
+
+
+def test_a_device_of_a_tracker_of_the_thesis_is_tracked_on_readings(database: Database) -> None:
+    stored = {
+        "tracks": "always",
+        "method": "window",
+        "most_velocity_px_s": 600.0,
+        "white_jerk": 1e7,
+    }
+    with database.engine.begin() as connection:
+        command.downgrade(alembic_config(connection), "0009")
+        connection.execute(
+            text("UPDATE devices SET tracking = :tracking WHERE id = 'sim'"),
+            {"tracking": json.dumps(stored)},
+        )
+        command.upgrade(alembic_config(connection), "head")
+    with Session(database.engine) as session:
+        tracking = session.get_one(DeviceRow, "sim").tracking
+        assert tracking == {"tracks": "always", "jerk_psd": 1e7}
+        assert Tracking.model_validate(tracking).tracker() == TrackerSettings(jerk_psd=1e7)
+
+
+def test_members_that_calibrations_had_before_are_removed(database: Database) -> None:
+    made = outcome()
+    with Session(database.engine) as session:
+        add_calibration(session, "sim", made, "", "older")
+        session.commit()
+    with database.engine.begin() as connection:
+        command.downgrade(alembic_config(connection), "0009")
+        (stored,) = connection.execute(
+            text("SELECT content FROM calibrations WHERE id = 'older'")
+        ).one()
+        older = json.loads(stored) if isinstance(stored, str) else stored
+        older["result"]["settings"]["method"] = "metric"
+        for fit in older["result"]["sensors"]:
+            fit["iteration_change_px"] = None
+            if fit["model"]["distortion"] is not None:
+                fit["model"]["distortion"]["derived"] = False
+        with v0010_standard_terms._unguarded(connection):
+            connection.execute(
+                text("UPDATE calibrations SET content = :content WHERE id = 'older'"),
+                {"content": json.dumps(older)},
+            )
+        command.upgrade(alembic_config(connection), "head")
+    with Session(database.engine) as session:
+        row = session.get_one(CalibrationRow, "older")
+        assert row.content == made.content
+        assert row.content_hash == content_hash(row.content) == made.content_hash
 
 
 def test_a_beam_hold_of_before_is_read_after_it(database: Database) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import DegenerateTool
+from compute.measurement.measurements import Measurements
 from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.reconstruction.point_batch import PointBatch
@@ -51,15 +52,13 @@ class Markers:
     def step(
         self,
         time_ns: int,
-        position_px: Array,
-        sigma_px: Array,
-        peak_flags: NDArray[np.int32],
+        measurements: Measurements,
         marker: int | None,
     ) -> TrackBatch:
         self.steps.append((time_ns, marker))
         if self.fails_at is not None and len(self.steps) > self.fails_at:
             raise ZeroDivisionError("of the markers")
-        return some_tracks(int(np.isfinite(position_px[0]).sum()), len(position_px))
+        return some_tracks(int(measurements.count[0]), len(measurements))
 
     def reset(self) -> None:
         self.resets += 1
@@ -77,9 +76,7 @@ class Tools:
         self,
         time_ns: int,
         sequence: int,
-        position_px: Array,
-        sigma_px: Array,
-        peak_flags: NDArray[np.int32],
+        measurements: Measurements,
         marker: int | None,
         points: PointBatch | None,
     ) -> tuple[ToolPose, ...]:

@@ -127,7 +127,7 @@ def test_who_did_not_ask_for_holds_hears_nothing_of_them(client: Client, hold: s
 def test_another_calibration_holds_until_it_is_back(client: Client, hold: str) -> None:
     wait_for(client, held=False)
     active = client.device("sim").active_calibration_id
-    body = {"id": "again", "device": "sim", "method": "metric", "points": _points()}
+    body = {"id": "again", "device": "sim", "points": _points()}
     client.request("POST", "/api/v1/calibrations", body=body)
     try:
         client.activate("again")

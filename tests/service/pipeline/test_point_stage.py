@@ -9,15 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.calibration.calibrate import calibrate
-from compute.calibration.measurement_noise import measurement_sigma
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, measurement_sigma
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable
+from compute.measurement.flag_policy import STANDARD_POLICY
 from compute.reconstruction.native.kernel import point_kernel
-from compute.reconstruction.point_batch import PointFlag
+from compute.reconstruction.point_batch import PointBatch, PointFlag
 from compute.reconstruction.solver import PointSolver
 from compute.reconstruction.triangulation import reconstruct
 from compute.signal.peaks import PeakBatch, PeakFlag
@@ -27,18 +27,17 @@ from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
 from service.application.initial_content import nominal_calibration
+from service.pipeline.active_calibration import PreparedCalibration
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.measurements import PeakFlagPolicy
 from service.pipeline.point_stage import (
     MAX_SIMULTANEOUS_MARKERS,
-    PreparedCalibration,
-    reconstruct_points,
+    solve_points,
+    weigh_peaks,
 )
 from tests.compute.rig import control_points, geometry, project, rig
 
 Array = NDArray[np.float64]
 
-USE = PeakFlagPolicy(PeakFlag.CLIPPED, PeakFlag.SATURATED)
 SIGMA_PX = 0.02
 ROOM = 6
 
@@ -109,6 +108,12 @@ def peaks_of(
     return peaks
 
 
+def points_of(
+    active: PreparedCalibration, frames: list[LineFrame], peaks: PeakBatch
+) -> tuple[PointBatch, NDArray[np.intp]]:
+    return solve_points(active, frames, weigh_peaks(active, frames, peaks, STANDARD_POLICY))
+
+
 @pytest.mark.parametrize("mapped", [False, True])
 @pytest.mark.parametrize(("markers", "strobed"), [(1, True), (1, False), (4, False)])
 def test_points_are_those_of_the_reference(markers: int, strobed: bool, mapped: bool) -> None:
@@ -117,8 +122,8 @@ def test_points_are_those_of_the_reference(markers: int, strobed: bool, mapped: 
     points = [control_points(markers, seed=seed) for seed in range(30)]
     peaks = peaks_of(active.calibration.models, points, shift_px=3.0 if mapped else 0.0)
     frames = frames_of(30, strobed)
-    found, owner = reconstruct_points(active, frames, peaks, USE)
-    expected, their_owner = reconstruct_points(by_reference(active, table), frames, peaks, USE)
+    found, owner = points_of(active, frames, peaks)
+    expected, their_owner = points_of(by_reference(active, table), frames, peaks)
     np.testing.assert_array_equal(owner, their_owner)
     np.testing.assert_array_equal(found.flags, expected.flags)
     np.testing.assert_array_equal(found.used, expected.used)
@@ -141,7 +146,7 @@ def test_readings_through_a_table_have_their_own_noise() -> None:
     active = replace(active, calibration=replace(active.calibration, sensors=tuple(fits)))
     models = active.calibration.models
     peaks = peaks_of(models, [control_points(1, seed=2)], shift_px=3.0)
-    found, _ = reconstruct_points(active, frames_of(1, True), peaks, USE)
+    found, _ = points_of(active, frames_of(1, True), peaks)
     position = peaks.position_px[:, :1].T
     expected = reconstruct(models, position, np.full(4, SIGMA_PX), corrections=table)
     np.testing.assert_allclose(found.covariance_mm2, expected.covariance_mm2, rtol=1e-6)
@@ -153,7 +158,7 @@ def test_points_outside_the_table_are_flagged() -> None:
     active = active_of(flat_table(0.0))
     points = [np.array([[0.0, 0.0, 1500.0]]), np.array([[0.0, 0.0, 1800.0]])]
     peaks = peaks_of(active.calibration.models, points, seed=5)
-    found, _ = reconstruct_points(active, frames_of(2, True), peaks, USE)
+    found, _ = points_of(active, frames_of(2, True), peaks)
     assert (found.flags & PointFlag.OUTSIDE_MAP > 0).tolist() == [False, True]
 
 
@@ -231,7 +236,7 @@ def test_a_doubtful_peak_concerns_the_points_of_its_own_frame() -> None:
     peaks.sigma_px[:, 0], peaks.amplitude[:, 0] = SIGMA_PX, 100.0
     peaks.flags[6, 0] = PeakFlag.SATURATED
     for strobed in (True, False):
-        found, owner = reconstruct_points(active, frames_of(2, strobed), peaks, USE)
+        found, owner = points_of(active, frames_of(2, strobed), peaks)
         assert owner.tolist() == [0, 1]
         assert (found.flags & PointFlag.SUSPECT_PEAK > 0).tolist() == [False, True]
 

@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
+from compute.measurement.flag_policy import STANDARD_POLICY
+from compute.measurement.measurements import Measurements
 from compute.pose.rigid_body import RigidBody
 from compute.pose.tool_pose import PoseStatus
+from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.solver import PointSolver
 from hardware.line_frame import LineFrame
 from service.application.initial_content import nominal_calibration
 from service.pipeline.active_calibration import PreparedCalibration
 from service.pipeline.frame_batch import TrackingResult
-from service.pipeline.measurements import PipelineMeasurements
-from service.pipeline.point_stage import no_points
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
 from service.pipeline.tracking_stage import FRAME_SKIPPED, TrackingStage
 from tests.service.pipeline.fake_trackers import Making, some_tracks
@@ -40,18 +41,16 @@ def frames(
     )
 
 
-def peaks(count: int, visible: int = 2) -> PipelineMeasurements:
+def peaks(count: int, visible: int = 2) -> Measurements:
     position = np.full((count, SENSORS, 3), np.nan)
     position[:, :, :visible] = 500.0
-    return PipelineMeasurements(
-        position, np.full_like(position, 0.1), np.zeros(position.shape, np.int32),
-        np.ones_like(position), np.full_like(position, np.nan),
-    )  # fmt: skip
+    sigma, flags = np.full_like(position, 0.1), np.zeros(position.shape, np.int32)
+    return Measurements.weigh(position, sigma, flags, np.ones_like(position), STANDARD_POLICY)
 
 
 def found(finding: TrackingStage, given: tuple[LineFrame, ...], visible: int = 2) -> TrackingResult:
     nothing = np.empty(0, np.intp)
-    return finding.find(given, peaks(len(given), visible), no_points(SENSORS), nothing)
+    return finding.find(given, peaks(len(given), visible), PointBatch.empty(SENSORS), nothing)
 
 
 def following(making: Making, active: PreparedCalibration | None, *names: str) -> TrackingStage:
@@ -88,7 +87,7 @@ def test_frames_that_are_not_followed_show_nothing_and_reach_no_tracker(
     making = Making()
     finding = following(making, active, "a", "b")
     nothing = np.empty(0, np.intp)
-    given = peaks(4), no_points(SENSORS), nothing
+    given = peaks(4), PointBatch.empty(SENSORS), nothing
     motion = finding.find(frames(4), *given, track=(True, False, False, True))
     assert [step[0] for step in making.made_markers[0].steps] == [0, 3000]
     assert [step[1] for step in making.made_tools[0].steps] == [0, 3]
@@ -105,7 +104,7 @@ def test_a_clock_that_goes_back_in_a_frame_that_is_not_followed_is_noticed(
 ):
     making = Making()
     finding = following(making, active, "a")
-    given = peaks(2), no_points(SENSORS), np.empty(0, np.intp)
+    given = peaks(2), PointBatch.empty(SENSORS), np.empty(0, np.intp)
     finding.find(frames(2, start_ns=10**6), *given)
     finding.find(frames(2), *given, track=(False, False))
     finding.find(frames(2, start_ns=10**6), *given)
@@ -126,7 +125,7 @@ def test_a_frame_without_tracks_is_none_of_another(active: PreparedCalibration):
 def test_without_a_calibration_poses_say_so(active: PreparedCalibration):
     making = Making()
     finding = following(making, None, "a")
-    nothing = no_points(SENSORS), np.empty(0, np.intp)
+    nothing = PointBatch.empty(SENSORS), np.empty(0, np.intp)
     motion = finding.find(frames(2), None, *nothing)
     assert statuses(motion, 1) == {
         "a": (PoseStatus.UNKNOWN, "the device has no active calibration")

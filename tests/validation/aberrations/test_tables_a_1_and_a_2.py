@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from validation.aberrations import tables_a_1_and_a_2
-from validation.aberrations.tables_a_1_and_a_2 import (
-    TABLE_A1,
+from validation.aberrations import lens_set_up
+from validation.aberrations.lens_set_up import (
     TILT_BOUND_RAD,
     SetUp,
     fit_set_up,
     table_a2,
     traced_px,
 )
+from validation.aberrations.tables_a_1_and_a_2 import TABLE_A1
 
 # As `lumiline reproduce table-A.2` finds it for the whole line; rounded.
 FOUND = SetUp(24.49, -0.035, 0.0168, -0.0465)
@@ -38,7 +38,7 @@ def test_the_fit_finds_the_set_up_that_readings_came_from(monkeypatch: pytest.Mo
     seen = traced_px(truth, table.lateral_mm, 300.0, "chief ray")
     # The table as it would have been measured: both sides counted downwards from 1024.
     made = replace(table, measured_px=1024.0 - np.where(table.left, 1.0, -1.0) * seen)
-    monkeypatch.setattr(tables_a_1_and_a_2, "table_a2", lambda: made)
+    monkeypatch.setattr(lens_set_up, "table_a2", lambda: made)
     found, left_over = fit_set_up("chief ray")
     assert np.abs(left_over).max() < 0.5
     assert found.sensor_mm == pytest.approx(truth.sensor_mm, abs=0.5)

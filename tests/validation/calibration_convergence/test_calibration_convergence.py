@@ -6,10 +6,10 @@ from validation.calibration_convergence.case import (
     convergence,
     distorted_tally,
     lowest,
-    random_device,
     squares,
     tally,
 )
+from validation.calibration_convergence.random_devices import random_device
 
 
 def test_all_of_a_part_reach_the_global_minimum() -> None:

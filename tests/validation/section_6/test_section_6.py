@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 import validation.section_6_1.two_active_markers as section_6_1
 import validation.section_6_2.three_passive_markers as section_6_2
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.thesis.sensor_track import SensorTrack, TrackEnd
 from validation.all_cases import ALL_CASES
 from validation.result_tables import TablesCase
 from validation.section_6.rotating_bar import (
@@ -39,6 +38,7 @@ from validation.section_6_1.two_active_markers import (
 )
 from validation.section_6_2.scene import BACKGROUND_ELECTRONS, SEED, scans
 from validation.section_6_2.track_quality import sensor_track_quality, spatial_track_quality
+from validation.thesis_tracking.sensor_track import SensorTrack, TrackEnd
 
 Array = NDArray[np.float64]
 

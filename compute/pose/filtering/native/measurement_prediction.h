@@ -1,6 +1,6 @@
 // What the sensors are expected to read of the marker that is lit: values, Jacobians by rotation
 // and position, derivatives by the common errors, of all sensors; nan behind a lens. As
-// compute.pose.measurement_model and compute.pose.filtering.pose_filter.
+// compute.measurement.measurement_model and compute.pose.filtering.pose_filter.
 #pragma once
 
 #include "compute/native/platform.h"

@@ -1,4 +1,4 @@
-"""StrobedStepKernel: a strobed tool's exposure in one launch: predicted, its readings found and taken."""
+"""StrobedStepKernel: prediction, gating and update of a strobed tool in one launch."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.imm_model import ImmModel
 from compute.pose.filtering.imm_state import ImmState
@@ -23,7 +24,6 @@ from compute.pose.filtering.native.kernel_arguments import (
 )
 from compute.pose.filtering.native.packed_states import PackedImmState, PackedPose
 from compute.pose.filtering.pose_filter import STATES, PoseState
-from compute.pose.measurement_model import MeasurementModel
 from compute.reconstruction.native.camera_arguments import fill_cameras
 from compute.reconstruction.native.kernel_arguments import MAX_POWER, row_length
 from compute.reconstruction.native.launch import address
@@ -31,7 +31,7 @@ from compute.reconstruction.solver import MAX_SENSORS, MIN_CAPACITY, term_capaci
 from compute.reconstruction.triangulation import chi2_limit
 
 if TYPE_CHECKING:
-    from compute.pose.filtering.association import Measurements
+    from compute.measurement.measurements import Measurements
 
 Array = NDArray[np.float64]
 
@@ -93,13 +93,13 @@ class StrobedStepKernel:
 
         self._model, self._centred = imm, centred
         self._common_errors = common_errors
-        self._sensors = sensors = model.sensors
+        self._sensors = sensors = len(model)
         self._size = imm_state_size(len(imm), common_errors)
         self._room = 2 * self._size + result_size(sensors, common_errors)
         self._inputs: dict[int, _Given] = {}
         self._steps: tuple[int, float] = (0, 0.0)
         step = np.zeros(1, dtype=STEP)
-        columns = model.common * model.cameras.parameter_mask[..., None]
+        columns = model.covariance_factor * model.cameras.parameter_mask[..., None]
         limits = [chi2_limit(count, gate_probability) for count in range(sensors + 1)]
         # Kept: the records have their addresses.
         self._kept: list[Any] = [step]

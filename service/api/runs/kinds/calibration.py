@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from compute.calibration.calibrate import Progress
-from compute.calibration.control_data_checks import check_observations
 from compute.calibration.settings import CalibrationSettings
+from compute.camera.observation_checks import check_control_points
+from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import (
     Outcome,
@@ -40,7 +40,7 @@ def request_of(request: Request) -> dict[str, Any]:
         LumilineError: what is wrong with the points or the settings.
     """
     arrays = control_arrays(request.points, request.sensors)
-    check_observations(arrays[0], arrays[1], geometry(request.sensors), arrays[2])
+    check_control_points(arrays[0], arrays[1], geometry(request.sensors), arrays[2])
     return request.model_dump(mode="json")
 
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from pydantic import TypeAdapter
 
-from compute.calibration.calibrate import Progress
 from compute.calibration.result import Calibration
 from compute.mapping.measurements import MappingMeasurements
 from compute.mapping.settings import MappingSettings
+from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import control_arrays, result_of
 from service.api.calibrations.schema import ControlPoint

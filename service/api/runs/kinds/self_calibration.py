@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
-from compute.calibration.calibrate import Progress
 from compute.calibration.result import Calibration
 from compute.camera.model import SensorModel
+from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import Outcome, calibration_content, result_of
 from service.api.calibrations.schema import ControlPointErrors

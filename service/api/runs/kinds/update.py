@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from compute.calibration.assessment.cross_validation import fitted_errors
-from compute.calibration.calibrate import Progress
 from compute.calibration.drift.calibration_update import check_update
 from compute.calibration.drift.stability_check import prediction_residuals
-from compute.calibration.effective_readings import count_readings
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, count_readings
+from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import (
     Outcome,

@@ -1,14 +1,16 @@
-"""What is said of a calibration: weak parameters, coverage, and the point that helps most."""
+"""Diagnosis: weak parameters, coverage, suggestions; cross-validation by points and blocks."""
 
 import numpy as np
 import pytest
 
-from compute.calibration.assessment.cross_validation import cross_validate, leave_one_out
+from compute.calibration.assessment.cross_validation import (
+    block_count,
+    cross_validate,
+    spatial_block_index,
+)
 from compute.calibration.assessment.diagnosis import diagnose
-from compute.calibration.calibrate import calibrate
-from compute.calibration.calibrate_and_assess import calibrate_and_assess
+from compute.calibration.calibrate import calibrate, calibrate_and_assess
 from compute.calibration.settings import CalibrationSettings
-from compute.calibration.spatial_blocks import block_count, spatial_block_index
 from compute.errors import InvalidParameter
 from tests.compute.rig import control_points, geometry, project, rig
 
@@ -91,8 +93,9 @@ def test_blocks_are_harder_than_points_and_both_are_in_the_whole() -> None:
     by_points, by_blocks = found.cross_validation
     assert (by_points.scheme, by_points.groups) == ("points", 19)
     assert (by_blocks.scheme, by_blocks.groups) == ("blocks", 6)
-    left_out = leave_one_out(points, readings, geometry(models))
-    assert np.allclose(np.array(by_points.differences_mm), left_out)
+    calibration = calibrate(points, readings, geometry(models))
+    by_point = cross_validate(calibration, points, readings, geometry(models), scheme="points")
+    assert np.allclose(by_points.differences_mm, by_point.differences_mm)
     for fit, rms in zip(found.sensors, by_points.reading_rms_px, strict=True):
         assert rms is not None
         assert rms > fit.rms_px

@@ -1,4 +1,4 @@
-"""Poses of points, bars and bodies before the rig, with readings."""
+"""Poses of points, bars and bodies in front of the rig, with readings."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""adjust: solutions, covariances, frames, wrong readings, refusals."""
+"""adjust: solutions, covariances, frames, outliers, errors."""
 
 from dataclasses import replace
 
@@ -357,7 +357,7 @@ def test_bad_input_is_named() -> None:
         replace(points, sigma_px=-points.sigma_px)
     with pytest.raises(InvalidParameter, match="lie on a line"):
         body_shape(np.outer(np.arange(3.0), [1.0, 2.0, 3.0]))
-    with pytest.raises(InvalidParameter, match="no two may be at one place"):
+    with pytest.raises(InvalidParameter, match="no two may coincide"):
         line_shape((0.0, 0.0))
 
 

@@ -1,4 +1,4 @@
-"""Control points with an uncertainty of their own: adjusted with all sensors together."""
+"""Joint adjustment of sensors and uncertain control points."""
 
 import numpy as np
 import pytest

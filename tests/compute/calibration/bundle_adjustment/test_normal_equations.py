@@ -1,4 +1,4 @@
-"""The normal equations against finite differences and against dense algebra."""
+"""Normal equations against finite differences and dense algebra."""
 
 from dataclasses import replace
 
@@ -12,7 +12,6 @@ from compute.calibration.bundle_adjustment.normal_equations import (
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.robust_loss import total_loss
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior, step_between
-from compute.calibration.bundle_adjustment.solver import retract
 from compute.calibration.bundle_adjustment.target_shape import (
     KnownDistance,
     TargetShape,
@@ -72,7 +71,7 @@ def test_gradient_is_that_of_the_loss(name: str) -> None:
         first += model.parameter_count
 
     def loss(step: np.ndarray, local: np.ndarray) -> float:
-        trial = retract(state, step, [local])
+        trial = state.retract(step, [local])
         return 0.5 * total_loss(trial, trial.residuals(), prior, np.inf)
 
     still = np.zeros((5, state.pose_sets[0].unknowns))

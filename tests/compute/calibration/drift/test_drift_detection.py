@@ -1,4 +1,4 @@
-"""Drift of a calibration: seen by a still set, told by sensor, and mended."""
+"""Drift from stationary markers: detection, the sensor at fault, update of the calibration."""
 
 from dataclasses import replace
 
@@ -195,20 +195,20 @@ def test_bad_still_sets_are_refused() -> None:
         check_drift(calibration, replace(still, earlier_px=still.readings_px))
     with pytest.raises(InvalidParameter, match=r"\(N, 4\)"):
         check_drift(calibration, replace(still, readings_px=still.readings_px[:, :3]))
-    with pytest.raises(InvalidParameter, match="places have shape"):
+    with pytest.raises(InvalidParameter, match="positions have shape"):
         check_drift(calibration, replace(still, positions_mm=still.positions_mm[:3]))
     with pytest.raises(InvalidParameter, match="position_sigma_mm is -1"):
         check_drift(calibration, replace(still, position_sigma_mm=-1.0))
     assert still.positions_mm is not None
     places = still.positions_mm.copy()
     places[1, 0] = np.nan
-    with pytest.raises(NonFiniteValue, match="place 2"):
+    with pytest.raises(NonFiniteValue, match="position 2"):
         check_drift(calibration, replace(still, positions_mm=places))
-    with pytest.raises(TooFewPoints, match="no marker"):
+    with pytest.raises(TooFewPoints, match="no stationary marker"):
         check_drift(calibration, replace(still, readings_px=np.full((8, 4), np.nan)))
     with pytest.raises(UnknownSensor, match="no sensor s9"):
         update_calibration(calibration, still, sensors=["s9"])
     with pytest.raises(InvalidParameter, match="allowance has nonsense"):
         update_calibration(calibration, still, allowance={"nonsense": 1.0})
-    with pytest.raises(InvalidParameter, match="positive deviation"):
+    with pytest.raises(InvalidParameter, match="positive standard deviation"):
         update_calibration(calibration, still, allowance={"rotation_x_rad": 0.0})

@@ -1,4 +1,4 @@
-"""The closed forms of the search are what each explanation's own equations say."""
+"""Closed forms of the beam search against each hypothesis's own equations."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Label errors are found, named, and mended; clean data stay clean."""
+"""Label errors are found and repaired; clean data have none."""
 
 from dataclasses import replace
 

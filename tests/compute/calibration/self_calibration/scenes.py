@@ -1,4 +1,4 @@
-"""Wands and bodies in a volume of 400 mm before the rig."""
+"""Wands and bodies in a volume of 400 mm in front of the rig."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The world's frame of a result without known coordinates."""
+"""World frame of a self-calibration."""
 
 import numpy as np
 import pytest

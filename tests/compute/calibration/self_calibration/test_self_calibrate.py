@@ -1,4 +1,4 @@
-"""self_calibrate: wands, bodies, frames; wrong starts, wrong readings, what is refused."""
+"""self_calibrate: wands, bodies, frames; bad starts, outliers, errors."""
 
 from dataclasses import replace
 
@@ -327,9 +327,9 @@ def test_too_few_poses_are_refused_with_how_many_would_do() -> None:
 
 
 def test_wands_and_bodies_that_tell_no_length_are_refused() -> None:
-    with pytest.raises(InvalidParameter, match="1 marker tells no length"):
+    with pytest.raises(InvalidParameter, match="1 marker has no length"):
         Wand((0.0,))
-    with pytest.raises(InvalidParameter, match="no two may be at one place"):
+    with pytest.raises(InvalidParameter, match="no two may coincide"):
         Wand((0.0, 0.0))
     with pytest.raises(InvalidParameter, match="between two of the 3"):
         UnknownRigidBody(3, KnownDistance(0, 3, 100.0, 0.1))

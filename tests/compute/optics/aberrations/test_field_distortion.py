@@ -59,7 +59,7 @@ def test_degenerate_terms_are_refused(term: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("term", [(-1, 2), (3, 0)])
 def test_wrong_terms_are_refused(term: tuple[int, int]) -> None:
-    with pytest.raises(InvalidParameter, match="at place 1"):
+    with pytest.raises(InvalidParameter, match="at index 1"):
         check_terms([(3, 0), term])
 
 

@@ -86,7 +86,7 @@ def test_a_dark_line_has_no_peak() -> None:
     [
         (np.zeros(9), np.zeros(2), "template has the shape"),
         (np.zeros(9), np.eye(4), "template has the shape"),
-        (np.zeros(2), np.arange(4.0), "lines have the shape"),
+        (np.zeros(2), np.arange(4.0), "scans have the shape"),
         (np.zeros(9), np.ones(4), "it must have contrast"),
         (np.full(9, np.nan), np.arange(4.0), "not finite"),
         (np.zeros(9), np.array([0.0, np.inf, 1.0]), "not finite"),

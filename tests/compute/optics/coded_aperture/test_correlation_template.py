@@ -6,13 +6,14 @@ import pytest
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow, maximal_length_code
 from compute.optics.coded_aperture.correlation_decoding import (
-    MaskTemplate,
     decode_mask,
     mask_template,
+    read_by_correlation,
 )
 from compute.optics.coded_aperture.mask_optics import MaskOptics
 from compute.optics.profiles.profile_loader import load_profile
 from compute.optics.profiles.profile_optics import light_source, mask_optics
+from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from tests.compute.optics.coded_aperture.mask_sensors import sensor_behind
 
 CODA = load_profile("coda-mpx30")
@@ -24,7 +25,7 @@ def windows() -> MaskOptics:
     return optics
 
 
-def template(optics: MaskOptics, sensor: int, distance_mm: float) -> MaskTemplate:
+def template(optics: MaskOptics, sensor: int, distance_mm: float) -> ShadowTemplate:
     """Of a point on the sensor's axis, as far along Z."""
     placed = CODA.sensors[sensor]
     start, aim = np.array(placed.position_mm), np.array(placed.aim_mm)
@@ -45,7 +46,11 @@ def test_one_template_fits_one_distance() -> None:
         lines, exact = optics.solid_angles(points).solid_angle_sr, optics.readings(points)
         fixed, own = (
             np.stack(
-                [template(optics, s, at).read(lines[:, s]) - exact[:, s] for s in range(3)], axis=1
+                [
+                    read_by_correlation(lines[:, s], template(optics, s, at)) - exact[:, s]
+                    for s in range(3)
+                ],
+                axis=1,
             )
             for at in (3000.0, distance)
         )
@@ -83,9 +88,11 @@ def test_it_reads_its_own_point() -> None:
         found = template(optics, sensor, 2700.0)
         assert found.reading_px == pytest.approx(1023.5, abs=1.0)
         # Not to the last digit: the line's ends cut the shadow.
-        assert float(found.read(found.shadow_sr)) == pytest.approx(found.reading_px, abs=0.01)
-        lines = np.stack([found.shadow_sr, 3.0 * found.shadow_sr + 7.0])
-        np.testing.assert_allclose(found.read(lines), found.reading_px, atol=0.01)
+        assert float(read_by_correlation(found.cells, found)) == pytest.approx(
+            found.reading_px, abs=0.01
+        )
+        lines = np.stack([found.cells, 3.0 * found.cells + 7.0])
+        np.testing.assert_allclose(read_by_correlation(lines, found), found.reading_px, atol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow, maximal_length_code
 from compute.optics.coded_aperture.fresnel_shadow import DiffractedShadow
 from compute.optics.coded_aperture.geometric_shadow import GeometricShadow
-from compute.optics.coded_aperture.slit_diffraction import slit_field, slit_intensity
+from tests.compute.optics.coded_aperture.slit_diffraction import slit_field, slit_intensity
 
 Array = NDArray[np.float64]
 

@@ -38,7 +38,7 @@ def test_an_led_sends_its_energy_over_that_of_a_photon() -> None:
 
 
 def test_all_directions_together_have_the_radiant_power() -> None:
-    led = Led.of_power(0.010, wavelength_nm=950.0, emission=CosinePower(1.0))
+    led = Led(0.010 / CosinePower(1.0).solid_angle_sr, 950.0, CosinePower(1.0))
     node, weight = np.polynomial.legendre.leggauss(200)
     cosine = 0.5 * (node + 1.0)
     facing = np.stack([np.sqrt(1.0 - cosine**2), 0.0 * cosine, -cosine], axis=1)

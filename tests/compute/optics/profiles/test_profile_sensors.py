@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter
-from compute.optics.coded_aperture.gray_plate_optics import TrackOptics
+from compute.optics.coded_aperture.gray_plate import TrackOptics
 from compute.optics.coded_aperture.mask_optics import MaskOptics
 from compute.optics.light.led import Led
 from compute.optics.profiles.profile_loader import load_profile, profile_names
@@ -77,3 +77,10 @@ def test_light_is_that_of_the_markers(name):
 def test_unknown_mode_is_refused():
     with pytest.raises(InvalidParameter, match='optics mode is "quick"'):
         profile_optics(load_profile("bar"), "quick")
+
+
+def test_only_profiles_with_gray_plates_have_limitations() -> None:
+    for name in profile_names():
+        limits = load_profile(name).limitations
+        assert bool(limits) == (name == "mitchelson-1971")
+        assert all("Gray tracks" in limit for limit in limits)

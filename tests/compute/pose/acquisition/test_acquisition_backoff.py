@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.pose.acquisition.acquisition_backoff import (
     MAX_DELAY_FRACTION,
     MAX_PAUSE_NS,
@@ -19,7 +21,6 @@ from compute.pose.acquisition.acquisition_strobed import (
     acquire_strobed,
 )
 from compute.pose.centred_markers import CentredMarkers
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.tool_tracking import tool_tracker
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
@@ -209,9 +210,9 @@ def found_at(seed: int) -> int:
         (pose,) = tracker.step(
             centred * 5_000_000,
             centred,
-            reading[:, None],
-            np.full((4, 1), SIGMA_PX),
-            np.zeros((4, 1), np.int32),
+            Measurements.of(
+                reading[:, None], np.full((4, 1), SIGMA_PX), np.zeros((4, 1), np.int32)
+            ),
             marker,
         )
         if pose.valid:

@@ -13,9 +13,9 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.estimation.pose_fit import fit_pose
 from compute.pose.estimation.pose_initialisation import initial_pose_from_points
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import Transform
 from tests.compute.distorted_rig import distorted_rig
@@ -169,12 +169,12 @@ def test_the_cubic_term_is_in_the_model() -> None:
     cameras = CameraStack.of([replace(one, cubic_per_px2=2e-9) for one in rig()])
     true = somewhere(rng)
     model = MeasurementModel.of(cameras)
-    readings, slope = model.expected(true.markers_mm)
+    readings, slope = model.linearise(true.markers_mm)
     assert cameras.add_cubic_term(readings) == pytest.approx(
         cameras.project(true.markers_mm), abs=1e-9
     )
     step = np.array([0.01, -0.02, 0.03])
-    moved, _ = model.expected(true.markers_mm + step)
+    moved, _ = model.linearise(true.markers_mm + step)
     assert moved - readings == pytest.approx(slope @ step, abs=1e-5)
     found = fit_pose(cameras, true.tool, readings, SIGMA)
     assert found.translation_mm == pytest.approx(true.translation_mm, abs=1e-6)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter
+from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.association import common_jacobian
 from compute.pose.filtering.imm_model import IMM_STATES, ImmModel
@@ -18,7 +19,6 @@ from compute.pose.filtering.pose_filter import (
     predict_measurement,
     update,
 )
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.settings import ImmSettings, MotionMode, MotionSettings, ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
@@ -55,7 +55,7 @@ def expectations(of: PoseState) -> tuple[MeasurementPrediction, Array]:
     model = MeasurementModel.of(CAMERAS, CALIBRATION)
     lit = np.array([1])
     arms = CentredMarkers.of(pointer()).markers_mm[lit] @ of.rotation.T
-    expected = model.full(arms + of.centroid_mm)
+    expected = model.predict(arms + of.centroid_mm, with_common_errors=True)
     prediction = predict_measurement(of, arms, expected, common_jacobian(expected, lit, 28))
     return prediction, np.array([0.2, -0.1, 0.05, 0.3])
 

@@ -9,16 +9,17 @@ from hypothesis import strategies as st
 
 from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable, Degree
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
 from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering import association
-from compute.pose.filtering.association import Measurements, ToolObservation, associate
+from compute.pose.filtering.association import ToolObservation, associate
 from compute.pose.filtering.imm_model import ImmModel
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.native.kernel import step_kernel
 from compute.pose.filtering.native.strobed_step import Step, StrobedStepKernel, load_kernels
 from compute.pose.filtering.pose_filter import STATES, PoseState, predict_measurement
 from compute.pose.filtering.second_order import second_order_prediction
-from compute.pose.measurement_model import MeasurementModel
 from compute.pose.rigid_body import RigidBody
 from compute.pose.settings import ImmSettings, MotionMode, MotionSettings
 from compute.pose.tool_pose import ToolPose
@@ -66,9 +67,9 @@ class Case:
         self.model = MeasurementModel.of(cameras, covariance, corrections)
         markers = 60.0 * rng.standard_normal((int(rng.integers(3, 6)), 3))
         self.centred = CentredMarkers.of(RigidBody("tool", markers, tuple(range(len(markers)))))
-        self.common_errors = self.model.common.shape[2] + (degree is not None) * sensors * len(
-            markers
-        )
+        self.common_errors = self.model.covariance_factor.shape[2] + (
+            degree is not None
+        ) * sensors * len(markers)
         self.imm = ImmModel.of(MotionSettings(), kind)
         self.step = StrobedStepKernel(self.model, self.imm, self.centred, self.common_errors, GATE)
         self.before = ImmState.of(self._state(), self.imm)
@@ -89,13 +90,13 @@ class Case:
 
     def measurements(self, lit: int, peaks: int = 1, missing: float = 0.0) -> Measurements:
         """What a frame shows of a marker: near where it must be, some missing, some in doubt."""
-        rng, sensors = self.rng, self.model.sensors
+        rng, sensors = self.rng, len(self.model)
         place = self.before.widest_state.marker_positions(self.centred)[lit][None]
-        where = self.model.expected(place)[0][0] + 0.1 * rng.standard_normal(sensors)
+        where = self.model.linearise(place)[0][0] + 0.1 * rng.standard_normal(sensors)
         position = np.full((sensors, peaks), np.nan)
         position[:, 0] = np.where(rng.random(sensors) < missing, np.nan, where)
         position[:, 1:] = rng.uniform(0.0, PIXELS, (sensors, peaks - 1))
-        flags = np.where(rng.random(position.shape) < 0.1, int(PeakFlag.JOINT), 0)
+        flags = np.where(rng.random(position.shape) < 0.1, int(PeakFlag.POOR_FIT), 0)
         position = rng.permuted(position, axis=1)
         return Measurements.of(position, rng.uniform(0.03, 0.1, position.shape), flags)
 
@@ -202,7 +203,7 @@ def test_most_steps_are_plain() -> None:
 
 def test_two_peaks_within_the_gate_are_left_to_numpy() -> None:
     case = plain()
-    told = case.model.expected(case.before.widest_state.marker_positions(case.centred)[0][None])[
+    told = case.model.linearise(case.before.widest_state.marker_positions(case.centred)[0][None])[
         0
     ].T
     position = np.hstack([told, np.full((4, 1), np.nan)])
@@ -222,14 +223,16 @@ def test_readings_that_do_not_fit_one_another_are_left_to_numpy() -> None:
     case = plain(4)  # of exactly known cameras
     lit, widest_state = 1, case.before.widest_state
     arms = (case.centred.markers_mm @ widest_state.rotation.T)[[lit]]
-    expected = case.model.full(arms + widest_state.centroid_mm)
+    expected = case.model.predict(arms + widest_state.centroid_mm, with_common_errors=True)
     deviation = np.sqrt(
-        predict_measurement(widest_state, arms, expected, expected.common_px).covariance.diagonal()
+        predict_measurement(
+            widest_state, arms, expected, expected.common_jacobian_px
+        ).covariance.diagonal()
     )
     sigma, flags = np.full((4, 1), 0.05), np.zeros((4, 1), np.int32)
     # Each by itself is within its gate, as the tool is uncertain; together they contradict.
     apart = 3.0 * deviation * [1.0, -1.0, 1.0, -1.0]
-    told = expected.value_px.T
+    told = expected.reading_px.T
     wrong = Measurements.of(told + apart[:, None], sigma, flags)
     observation = case.by_hand(case.before, 0, lit, wrong)
     assert observation.misfit or 0 < observation.readings < 4
@@ -282,7 +285,7 @@ def test_the_curvature_widens_the_gates() -> None:
         covariances=wide,
         widest_state=replace(case.before.widest_state, covariance=wide[-1, :STATES, :STATES]),
     )
-    told = case.model.expected(case.before.widest_state.marker_positions(case.centred)[0][None])[
+    told = case.model.linearise(case.before.widest_state.marker_positions(case.centred)[0][None])[
         0
     ].T
     sigma, flags = np.full((4, 1), 0.05), np.zeros((4, 1), np.int32)

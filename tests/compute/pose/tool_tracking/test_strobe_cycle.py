@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from compute.measurement.measurements import Measurements
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.tool_tracking.strobe_cycle import StrobeCycle
@@ -55,7 +56,7 @@ def seen_seldom(hidden_from: int, turns: int) -> list[tuple[int, ToolPose]]:
         if slot < 4 and frame < hidden_from:
             peaks[:, 0] = exact[slot] + SIGMA_PX * rng.standard_normal(4)
         (pose,) = tracker.step(
-            frame * MS, frame, peaks, np.full((4, 1), SIGMA_PX), np.zeros((4, 1), np.int32), slot
+            frame * MS, frame, Measurements.of(peaks, np.full((4, 1), SIGMA_PX)), slot
         )
         if pose.rotation is not None:
             assert pose.tip_mm is not None

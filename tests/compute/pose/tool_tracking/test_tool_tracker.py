@@ -10,6 +10,7 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable
+from compute.measurement.measurements import Measurements
 from compute.pose.estimation.pose_fit import fit_pose
 from compute.pose.filtering.pose_filter import predict
 from compute.pose.rigid_body import RigidBody
@@ -106,7 +107,10 @@ def see(
     reading = CAMERAS.project(true.markers_mm)[marker] + SIGMA_PX * rng.standard_normal(4)
     flags = np.zeros((4, 1), dtype=np.int32)
     (pose,) = tracker.step(
-        1_000_000 * time_ms, time_ms, reading[:, None], np.full((4, 1), SIGMA_PX), flags, marker
+        1_000_000 * time_ms,
+        time_ms,
+        Measurements.of(reading[:, None], np.full((4, 1), SIGMA_PX), flags),
+        marker,
     )
     return pose
 
@@ -217,9 +221,9 @@ def test_not_looked_for_is_unknown_then_missing_says_how_many_were_seen() -> Non
     tracker = ToolTracker(CAMERAS, [pointer(strobed=True)])
     nothing = np.full((4, 1), np.nan)
     flags = np.zeros((4, 1), dtype=np.int32)
-    (pose,) = tracker.step(0, 0, nothing, nothing, flags, 17)
+    (pose,) = tracker.step(0, 0, Measurements.of(nothing, nothing, flags), 17)
     assert pose.status is PoseStatus.UNKNOWN
-    (pose,) = tracker.step(1, 1, nothing, nothing, flags, 2)
+    (pose,) = tracker.step(1, 1, Measurements.of(nothing, nothing, flags), 2)
     assert pose.status is PoseStatus.MISSING
     assert "0 of 4 markers were seen in the last 250 ms" in str(pose.reason)
     one = scene([pointer(strobed=True)])
@@ -301,7 +305,7 @@ def test_a_found_tool_knows_its_share_of_the_calibrations_errors() -> None:
     assert found.valid
     state = tracker._tools[0].state
     assert state is not None
-    columns = tracker.model.common.reshape(28, -1)
+    columns = tracker.model.covariance_factor.reshape(28, -1)
     assert columns @ columns.T == pytest.approx(CALIBRATION, abs=1e-12)
     for error in range(0, 28, 5):
         # Cameras that are off by one deviation of this error, and no noise.
@@ -507,9 +511,9 @@ def test_strobed_through_false_peaks_and_lost_frames_no_wrong_pose_is_ok(seed: i
         (pose,) = tracker.step(
             1_000_000 * time_ms,
             time_ms,
-            peaks,
-            np.full(peaks.shape, SIGMA_PX),
-            np.zeros(peaks.shape, dtype=np.int32),
+            Measurements.of(
+                peaks, np.full(peaks.shape, SIGMA_PX), np.zeros(peaks.shape, dtype=np.int32)
+            ),
             marker,
         )
         if pose.valid:
@@ -656,19 +660,19 @@ def test_a_sudden_start_is_followed() -> None:
             assert pose.tip_mm == pytest.approx(before.tip_world_mm, abs=1.0)
 
 
-def test_peaks_in_doubt_count_for_little_or_nothing() -> None:
+def test_suspect_peaks_count_for_little_and_refused_ones_for_nothing() -> None:
     one = scene([pointer(strobed=True)])
     for _ in range(40):
         (pose,) = one.strobed()
     peaks = CAMERAS.project(one.bodies[0].markers_mm)[0][:, None]
     sigma = np.full((4, 1), SIGMA_PX)
     certain = []
-    for flag in (PeakFlag.NONE, PeakFlag.JOINT, PeakFlag.CLIPPED):
+    for flag in (PeakFlag.NONE, PeakFlag.POOR_FIT, PeakFlag.CLIPPED):
         tracker = ToolTracker(CAMERAS, [pointer(strobed=True)])
         tracker.adopt_state(one.tracker)
         state = one.tracker._tools[0].state
         flags = np.full((4, 1), int(flag), dtype=np.int32)
-        (pose,) = tracker.step(one.time_ns, one.sequence, peaks, sigma, flags, 0)
+        (pose,) = tracker.step(one.time_ns, one.sequence, Measurements.of(peaks, sigma, flags), 0)
         assert one.tracker._tools[0].state is state
         certain.append(np.trace(pose.tip_covariance_mm2))
     # In full, for a little, and not at all.
@@ -724,7 +728,7 @@ def test_what_is_known_can_be_kept_or_forgotten() -> None:
     kept = one.strobed()
     assert [pose.status for pose in kept] == [PoseStatus.UNKNOWN, PoseStatus.OK]
     with pytest.raises(InvalidParameter, match="time goes back"):
-        fresh.step(0, 0, np.full((4, 1), np.nan), np.ones((4, 1)), np.zeros((4, 1), np.int32), 0)
+        fresh.step(0, 0, Measurements.of(np.full((4, 1), np.nan), np.ones((4, 1))), 0)
     fresh.reset()
     assert one.strobed()[1].status is PoseStatus.MISSING
 
@@ -736,7 +740,10 @@ def test_names_and_shapes_are_checked() -> None:
         ToolTracker(CameraStack.of(rig()), [pointer()], pixels=(1, 2, 3))
     with pytest.raises(InvalidParameter, match="position_px has the shape"):
         ToolTracker(rig(), [pointer()]).step(
-            0, 0, np.zeros((3, 1)), np.zeros((3, 1)), np.zeros((3, 1), np.int32), None
+            0,
+            0,
+            Measurements.of(np.zeros((3, 1)), np.ones((3, 1))),
+            None,
         )
 
 

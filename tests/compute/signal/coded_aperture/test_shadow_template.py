@@ -8,8 +8,11 @@ from hypothesis import strategies as st
 from compute.errors import InvalidParameter
 from compute.signal.coded_aperture.shadow_fit import ShadowFitter
 from compute.signal.coded_aperture.shadow_settings import ShadowSettings
-from compute.signal.coded_aperture.shadow_template import ShadowTemplate, interleave_scans
-from compute.signal.coded_aperture.shifted_template import ShiftedTemplate
+from compute.signal.coded_aperture.shadow_template import (
+    ShadowTemplate,
+    ShiftedTemplate,
+    interleave_scans,
+)
 from compute.signal.sensor_noise import SensorNoise
 from tests.compute.signal.coded_aperture.coded_aperture_scenes import (
     PIXELS,

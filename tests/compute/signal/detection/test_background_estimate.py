@@ -1,4 +1,4 @@
-"""BackgroundEstimate: background and noise by few pixels, whatever peaks and slopes the line has."""
+"""Background and noise of scans from a few pixels, whatever peaks and slopes they have."""
 
 import numpy as np
 import pytest

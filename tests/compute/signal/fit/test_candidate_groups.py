@@ -34,7 +34,7 @@ def windows(groups):
 
 def test_neighbours_whose_windows_overlap_are_together():
     groups = form_groups(candidates([50.0, 68.0, 87.0], [], [3.0, 509.4]), PIXELS, KNOWN)
-    assert groups.line.tolist() == [0, 0, 2, 2]
+    assert groups.scan.tolist() == [0, 0, 2, 2]
     assert parts(groups) == [(0, 2), (2, 1), (0, 1), (1, 1)]
     assert windows(groups) == [(41, 77), (78, 96), (0, 12), (500, 511)]
     assert not (groups.split_before | groups.split_after).any()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from compute.signal.fit.fit_finder import FitFinder
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.peaks import PeakFlag
 from tests.compute.signal.fit.kernel_agreement import (
@@ -38,7 +38,7 @@ def device():
 def test_matches_the_reference(device, pixels, options):
     lines = varied_lines(48, pixels, np.random.default_rng(pixels))
     found = FitFinder(48, pixels, options, NOISE, device=device).find(lines)
-    assert not lines_that_differ(found, fit_lines(lines, options, NOISE)).any()
+    assert not lines_that_differ(found, fit_scans(lines, options, NOISE)).any()
 
 
 @pytest.mark.parametrize("seed", range(24))

@@ -11,9 +11,9 @@ from hypothesis.extra.numpy import arrays
 from compute.errors import InvalidParameter
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.fit.cramer_rao import position_bounds
+from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_finder import FitFinder
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import MAX_JOINT_PEAKS, PeakFlag
@@ -46,7 +46,7 @@ def fitted(lines, options, noise=NOISE, shape=None, threads=None):
 @pytest.mark.parametrize("options", SETTINGS.values(), ids=SETTINGS.keys())
 def test_kernel_matches_the_reference(pixels, options):
     lines = varied_lines(48 if pixels < 4096 else 24, pixels, np.random.default_rng(pixels))
-    expected = fit_lines(lines, options, NOISE)
+    expected = fit_scans(lines, options, NOISE)
     assert not lines_that_differ(fitted(lines, options), expected).any()
     fits = expected.flags[np.isfinite(expected.position_px)]
     assert np.any(fits & PeakFlag.UNFITTED)
@@ -72,7 +72,7 @@ def test_kernel_matches_the_reference_with_any_settings_noise_and_shape():
         options, noise = any_settings(rng), any_noise(rng)
         options = replace(options, further_peaks=seed % 3 > 0)
         shape = any_shape(rng) if seed % 2 else None
-        expected = fit_lines(lines, options, noise, shape)
+        expected = fit_scans(lines, options, noise, shape)
         differ.append(lines_that_differ(fitted(lines, options, noise, shape), expected))
     assert np.sum(differ) <= 10
 
@@ -91,7 +91,7 @@ def bright_lines(count, width_px, electrons, gain, rng):
 def test_single_peaks_in_float32_are_as_good_as_in_float64(width_px, electrons):
     lines, _, noise = bright_lines(400, width_px, electrons, 25.0, np.random.default_rng(9))
     options = FitSettings(width_px=width_px)
-    expected = fit_lines(lines, options, noise)
+    expected = fit_scans(lines, options, noise)
     assert not lines_that_differ(fitted(lines, options, noise), expected).any()
 
 
@@ -113,7 +113,7 @@ def test_single_peaks_are_at_the_bound_and_honest(width_px, electrons, read):
     light = rng.poisson(electrons_at) + rng.normal(0.0, read, electrons_at.shape)
     lines = np.clip(np.rint(light / 4.0 + 100.0), 0, 65535).astype(np.uint16)
     options = FitSettings(width_px=width_px, width_log_sigma=0.0)
-    bounds = position_bounds(
+    bounds = joint_position_bounds(
         position[:2000, None], [electrons], 80.0, pixels, options, noise, only_positions=True
     )
     bound = np.sqrt(bounds.mean())
@@ -143,9 +143,9 @@ def test_pairs_are_at_their_joint_bound_and_honest(options):
     height = electrons / GAIN / (width_px * np.sqrt(2.0 * np.pi))
     counts = sum(gaussian_counts(pixels, place[:, k], width_px, height) for k in range(2))
     lines = measured(counts, rng)
-    bound = position_bounds(place[:500], [electrons] * 2, 20.0 * GAIN, pixels, options, noise).mean(
-        axis=0
-    )
+    bound = joint_position_bounds(
+        place[:500], [electrons] * 2, 20.0 * GAIN, pixels, options, noise
+    ).mean(axis=0)
 
     found = fitted(lines, options, noise)
     two = found.count == 2
@@ -290,7 +290,7 @@ def test_the_brightest_stay_where_splits_leave_no_room():
     lines = measured(counts, np.random.default_rng(3), full=65535)
     options = without_room(FitSettings(width_px=width, width_log_sigma=0.0), 5)
     found = fitted(lines, options)
-    expected = fit_lines(lines, options, NOISE)
+    expected = fit_scans(lines, options, NOISE)
     assert found.count.tolist() == [5]
     assert np.all(found.flags[0] & PeakFlag.TRUNCATED)
     assert not lines_that_differ(found, expected).any()

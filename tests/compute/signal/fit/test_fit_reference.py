@@ -11,10 +11,10 @@ from scipy.special import ndtr
 from compute.errors import InvalidParameter
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.fit.cramer_rao import position_bounds
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.cramer_rao import joint_position_bounds
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
-from compute.signal.fit.group_fit import fit_line
+from compute.signal.fit.group_fit import fit_scan
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
@@ -65,7 +65,7 @@ def test_it_is_the_root_of_the_score(options):
     """Beside SciPy's least squares with the variances of the last model, again and again."""
     rng = np.random.default_rng(2)
     line = measured(scene([[40.3, 46.9]], [300.0, 900.0]), rng, AMBIENT)[0]
-    (group,) = fit_line(line, options, NOISE)
+    (group,) = fit_scan(line, options, NOISE)
     pixel = group.first_px + np.arange(len(group.values))
     middle = pixel.mean()
 
@@ -108,10 +108,12 @@ def test_one_peak_is_at_the_bound_and_says_so(height, options):
     lines = 3000
     rng = np.random.default_rng(3)
     place = 47.5 + rng.uniform(0.0, 1.0, (lines, 1))
-    found = fit_lines(measured(scene(place, [height]), rng, AMBIENT), options, NOISE)
+    found = fit_scans(measured(scene(place, [height]), rng, AMBIENT), options, NOISE)
     assert (found.count == 1).all()
     error = found.position_px[:, 0] - place[:, 0]
-    bounds = position_bounds(place[:50], [light(height)], AMBIENT * GAIN, PIXELS, KNOWN, NOISE)
+    bounds = joint_position_bounds(
+        place[:50], [light(height)], AMBIENT * GAIN, PIXELS, KNOWN, NOISE
+    )
     bound = np.sqrt(bounds.mean())
     # The standard error of an RMS of 3000 is 1.3 %, of the mean square 2.6 %.
     assert np.sqrt(np.mean(error**2)) < 1.03 * bound * (1 + 4 / np.sqrt(2 * lines))
@@ -128,12 +130,12 @@ def test_pairs_have_their_joint_covariance(apart):
     lines, height = 1500, 2000.0
     rng = np.random.default_rng(4)
     place = 40.0 + rng.uniform(0.0, 1.0, (lines, 1)) + [0.0, 2.0 * apart]
-    found = fit_lines(measured(scene(place, [height, height]), rng, AMBIENT), KNOWN, NOISE)
+    found = fit_scans(measured(scene(place, [height, height]), rng, AMBIENT), KNOWN, NOISE)
     assert (found.count == 2).all()
     assert (found.flags[:, :2] == PeakFlag.JOINT).mean() > 0.998
     error = found.position_px[:, :2] - place
     covariance = np.stack([found.covariance(line) for line in range(lines)])
-    bounds = position_bounds(
+    bounds = joint_position_bounds(
         place[:50], [light(height)] * 2, AMBIENT * GAIN, PIXELS, KNOWN, NOISE
     ).mean(axis=0)
     np.testing.assert_allclose(covariance.mean(axis=0), bounds, rtol=0.05, atol=0.02 * bounds.max())
@@ -152,13 +154,13 @@ def test_pairs_are_told_apart_as_soon_as_the_light_allows(apart, height):
     mean = scene(place, [height, height])
     one = FitSettings(width_px=2.0, width_log_sigma=0.0, max_joint_peaks=1)
     exact = np.rint(mean[:1] + AMBIENT + OFFSET).astype(np.uint16)
-    (alone,) = fit_line(exact[0], one, NOISE)
+    (alone,) = fit_scan(exact[0], one, NOISE)
     needed = 2.0 * np.log(len(alone.values)) + KNOWN.split_margin
     misfit = alone.chi2
     assert misfit - 4.0 * 2.0 * np.sqrt(misfit) > needed
     chance = alone.dof + misfit - 4.0 * np.sqrt(2 * alone.dof + 4 * misfit)
     assert chance > KNOWN.chi2_limits()[alone.dof]
-    found = fit_lines(measured(mean, rng, AMBIENT), KNOWN, NOISE)
+    found = fit_scans(measured(mean, rng, AMBIENT), KNOWN, NOISE)
     assert np.mean(found.count == 2) > 0.98
 
 
@@ -169,7 +171,7 @@ def test_single_peaks_are_split_as_rarely_as_the_settings_say():
     place = 47.5 + rng.uniform(0.0, 1.0, (lines, 1))
     pixels = measured(scene(place, [500.0], 1.5), rng, AMBIENT)
     # Only the lines' middles: the search looks at each pixel in turn.
-    found = fit_lines(np.ascontiguousarray(pixels[:, 16:80]), options, NOISE)
+    found = fit_scans(np.ascontiguousarray(pixels[:, 16:80]), options, NOISE)
     assert np.sum(found.count != 1) <= lines * 1e-3 + 5 * np.sqrt(lines * 1e-3)
     poor = np.sum((found.flags & PeakFlag.POOR_FIT) != 0)
     assert poor <= lines * 1e-3 + 5 * np.sqrt(lines * 1e-3)
@@ -180,7 +182,7 @@ def test_saturated_peaks_are_fitted_by_their_flanks():
     rng = np.random.default_rng(6)
     place = 47.5 + rng.uniform(0.0, 1.0, (lines, 1))
     pixels = measured(scene(place, [3.0 * FULL]), rng, AMBIENT, FULL)
-    found = fit_lines(pixels, KNOWN, NOISE)
+    found = fit_scans(pixels, KNOWN, NOISE)
     assert (found.flags[:, 0] == PeakFlag.SATURATED).mean() > 0.998
     error = found.position_px[:, 0] - place[:, 0]
     square = np.mean((error / found.sigma_px[:, 0]) ** 2)
@@ -198,7 +200,7 @@ def test_lines_over_the_end_are_flagged_and_not_drawn_inwards(side):
     inwards = rng.uniform(0.0, 1.0, (lines, 1))
     sign, place = (1.0, inwards) if side == "left" else (-1.0, PIXELS - 1 - inwards)
     pixels = measured(scene(place, [500.0]), rng, AMBIENT)
-    found = fit_lines(pixels, KNOWN, NOISE)
+    found = fit_scans(pixels, KNOWN, NOISE)
     error = sign * (found.position_px[:, 0] - place[:, 0])
     fitted = (found.flags[:, 0] & PeakFlag.UNFITTED) == 0
     assert fitted.mean() > 0.99
@@ -222,7 +224,7 @@ def test_each_sensor_has_its_own_shape():
         scene(place, [1000.0], 2.4),
     )
     noise = SensorNoise.of([GAIN, GAIN], READ, OFFSET)
-    found = fit_lines(measured(means, rng, AMBIENT), KNOWN, noise, shape)
+    found = fit_scans(measured(means, rng, AMBIENT), KNOWN, noise, shape)
     assert (found.count == 1).all()
     assert (found.flags == 0).mean() > 0.998
     square = np.mean(((found.position_px - place)[:, 0] / found.sigma_px[:, 0]) ** 2)
@@ -230,7 +232,7 @@ def test_each_sensor_has_its_own_shape():
     # The other way round it does not fit.
     wrong = LineSpreadFunction.from_cells(cells[::-1], edges[0], 1 / 16, unit_px=2.0)
     one = FitSettings(width_px=2.0, width_log_sigma=0.0, max_joint_peaks=1)
-    bad = fit_lines(measured(means, rng, AMBIENT), one, noise, wrong)
+    bad = fit_scans(measured(means, rng, AMBIENT), one, noise, wrong)
     assert (bad.flags[:, 0] & (PeakFlag.POOR_FIT | PeakFlag.UNFITTED) != 0).all()
 
 
@@ -245,7 +247,7 @@ def test_uneven_pixels_are_allowed_for():
         options = FitSettings(
             width_px=2.0, width_log_sigma=0.0, shape_error=allowed, max_joint_peaks=1
         )
-        found = fit_lines(pixels, options, NOISE)
+        found = fit_scans(pixels, options, NOISE)
         difference = (found.position_px[:, 0] - place[:, 0]) / found.sigma_px[:, 0]
         squares.append(np.mean(difference**2))
         poor = (found.flags[:, 0] & PeakFlag.POOR_FIT) != 0
@@ -257,7 +259,7 @@ def test_uneven_pixels_are_allowed_for():
 def test_whole_lines_near_the_end_are_not_flagged():
     rng = np.random.default_rng(12)
     line = measured(scene([[4.0, PIXELS - 5.0]], [500.0, 500.0]), rng, AMBIENT)
-    found = fit_lines(line, KNOWN, NOISE)
+    found = fit_scans(line, KNOWN, NOISE)
     assert found.flags[0, :2].tolist() == [0, 0]
 
 
@@ -267,9 +269,9 @@ def test_one_line_tells_what_the_batch_does_and_more():
     noise = SensorNoise.of([GAIN, 5.0], [READ, 10.0], [OFFSET, 0.0], FULL)
     lines = measured(scene([[20.3, 26.1, 70.0]] * 2, heights), rng, AMBIENT, FULL)
     for options in (KNOWN, FITTED, FitSettings(width_px=2.0, background="slope")):
-        batch = fit_lines(lines, options, noise)
+        batch = fit_scans(lines, options, noise)
         for sensor in (0, 1):
-            groups = fit_line(lines[sensor], options, noise, sensor=sensor)
+            groups = fit_scan(lines[sensor], options, noise, sensor=sensor)
             count = batch.count[sensor]
             for name in ("position_px", "sigma_px", "amplitude", "flags"):
                 told = np.concatenate([getattr(group, name) for group in groups])
@@ -299,7 +301,7 @@ def test_one_line_tells_what_the_batch_does_and_more():
                 )
                 assert (group.width_sigma_px == 0.0) == (options.width_log_sigma == 0.0)
                 assert group.values[0] == lines[sensor, group.first_px]
-    (first, *_, last) = fit_line(lines[0], FITTED, noise)
+    (first, *_, last) = fit_scan(lines[0], FITTED, noise)
     assert first.light_electrons == pytest.approx([light(h) for h in heights[:2]], rel=0.05)
     assert abs(last.position_px[0] - 70.0) < 5 * last.sigma_px[0]
     assert abs(first.width_px - 2.0) < 5 * first.width_sigma_px
@@ -308,16 +310,16 @@ def test_one_line_tells_what_the_batch_does_and_more():
 def test_a_batch_is_its_lines_one_by_one():
     lines = varied_lines(48, 128, np.random.default_rng(9))
     for options in (KNOWN, FITTED):
-        batch = fit_lines(lines, options, NOISE)
+        batch = fit_scans(lines, options, NOISE)
         for number in range(len(lines)):
-            one = fit_lines(lines[number : number + 1], options, NOISE)
+            one = fit_scans(lines[number : number + 1], options, NOISE)
             assert one.count[0] == batch.count[number]
             np.testing.assert_array_equal(one.flags[0], batch.flags[number])
             np.testing.assert_allclose(
                 one.position_px[0], batch.position_px[number], atol=1e-6, rtol=0
             )
         found = find_peaks_reference(lines, options.search, NOISE)
-        same(batch, fit_lines(lines, options, NOISE, candidates=found))
+        same(batch, fit_scans(lines, options, NOISE, candidates=found))
 
 
 def test_too_many_peaks_for_the_room():
@@ -327,7 +329,7 @@ def test_too_many_peaks_for_the_room():
     room = FitSettings(
         width_px=2.0, width_log_sigma=0.0, search=CentroidSettings(min_width_px=1, max_peaks=3)
     )
-    found = fit_lines(line, room, NOISE)
+    found = fit_scans(line, room, NOISE)
     assert found.count[0] == 3
     np.testing.assert_allclose(found.position_px[0], [26.0, 60.0, 66.0], atol=0.2)
     assert (found.flags[0] & PeakFlag.TRUNCATED != 0).all()
@@ -340,7 +342,7 @@ def test_chains_that_are_too_long_are_marked():
     rng = np.random.default_rng(11)
     place = np.array([[10.0, 20.0, 30.0, 41.0, 51.0]])
     line = measured(scene(place, [500.0] * 5), rng, AMBIENT)
-    found = fit_lines(line, KNOWN, NOISE)
+    found = fit_scans(line, KNOWN, NOISE)
     assert found.count[0] == 5
     merged = (found.flags[0, :5] & PeakFlag.MERGED) != 0
     np.testing.assert_array_equal(merged, [False, False, True, True, False])
@@ -349,20 +351,20 @@ def test_chains_that_are_too_long_are_marked():
 
 @pytest.mark.parametrize("value", [0, 300, FULL, 65535])
 def test_lines_of_one_value_have_no_peaks(value):
-    found = fit_lines(np.full((2, 128), value, np.uint16), FITTED, NOISE)
+    found = fit_scans(np.full((2, 128), value, np.uint16), FITTED, NOISE)
     assert (found.count == 0).all()
     assert np.isnan(found.position_px).all()
-    assert fit_line(np.full(128, value, np.uint16), FITTED, NOISE) == ()
+    assert fit_scan(np.full(128, value, np.uint16), FITTED, NOISE) == ()
 
 
 def test_a_hot_pixel_is_no_line_of_a_known_width():
     line = np.full(128, 120, np.uint16)
     line[50] = 3000
-    (group,) = fit_line(line, KNOWN, NOISE)
+    (group,) = fit_scan(line, KNOWN, NOISE)
     assert (group.flags & (PeakFlag.POOR_FIT | PeakFlag.UNFITTED)).all()
     assert abs(group.position_px[0] - 50.0) < 0.5
     line[50] = FULL
-    (group,) = fit_line(line, KNOWN, NOISE)
+    (group,) = fit_scan(line, KNOWN, NOISE)
     assert (group.flags & PeakFlag.UNFITTED).all()
     assert not group.fitted
     assert group.position_px[0] == 50.0
@@ -404,7 +406,7 @@ lines = st.one_of(
 @given(lines=lines, options=options, noise=noises)
 def test_any_line_gives_defined_peaks(lines, options, noise):
     with np.errstate(divide="raise", invalid="raise", over="raise"):
-        found = fit_lines(lines, options, noise)
+        found = fit_scans(lines, options, noise)
     count = int(found.count[0])
     assert count <= options.search.max_peaks
     place = found.position_px[0]
@@ -430,11 +432,11 @@ def test_any_line_gives_defined_peaks(lines, options, noise):
 )
 def test_what_is_no_line_is_refused(wrong):
     with pytest.raises(InvalidParameter):
-        fit_lines(wrong, FITTED, NOISE)
+        fit_scans(wrong, FITTED, NOISE)
 
 
 def test_candidates_of_other_lines_are_refused():
     lines = np.full((2, 128), 100, np.uint16)
     found = find_peaks_reference(lines[:1], CentroidSettings(), NOISE)
     with pytest.raises(InvalidParameter):
-        fit_lines(lines, FITTED, NOISE, candidates=found)
+        fit_scans(lines, FITTED, NOISE, candidates=found)

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 import compute.signal.fit.fisher_scoring as fit_solve
 from compute.signal.fit.fit_finder import FitFinder
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import CONVERGENCE_THRESHOLD_SIGMA, FitSettings
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
@@ -60,7 +60,7 @@ def test_bright_lines_of_another_shape_are_fitted(below, width_px, electrons, mo
     Ten times the last step's limit is allowed, which is by the misfit's own deviation.
     """
     lines = lines_of(below, electrons, width_px, 5)
-    found = fit_lines(lines, FREE, NOISE)
+    found = fit_scans(lines, FREE, NOISE)
     assert (found.count == 1).all()
     assert not (found.flags & PeakFlag.UNFITTED).any()
     assert (found.flags[:, 0] & PeakFlag.POOR_FIT != 0).mean() > 0.9
@@ -69,7 +69,7 @@ def test_bright_lines_of_another_shape_are_fitted(below, width_px, electrons, mo
 
     monkeypatch.setattr(fit_solve, "CONVERGENCE_THRESHOLD_SIGMA", 1e-8)
     monkeypatch.setattr(fit_solve, "MAX_ITERATIONS", 1000)
-    patient = fit_lines(lines, FREE, NOISE)
+    patient = fit_scans(lines, FREE, NOISE)
     assert not (patient.flags & PeakFlag.UNFITTED).any()
     off = np.abs(found.position_px - patient.position_px)[:, 0]
     misfit = np.sqrt(np.maximum(patient.reduced_chi2[:, 0], 1.0))
@@ -90,14 +90,14 @@ def test_sharp_lines_with_a_foot_are_fitted(noise, ambient, values, monkeypatch)
     line[0, 60:71] = values
     options = FitSettings(width_log_sigma=np.inf, max_joint_peaks=1)
     sensor = SensorNoise.of(*noise)
-    found = fit_lines(line, options, sensor)
+    found = fit_scans(line, options, sensor)
     assert found.flags[0, 0] == PeakFlag.POOR_FIT
     assert not lines_that_differ(
         FitFinder(1, 128, options, sensor, device="cpu").find(line), found
     ).any()
     monkeypatch.setattr(fit_solve, "CONVERGENCE_THRESHOLD_SIGMA", 1e-8)
     monkeypatch.setattr(fit_solve, "MAX_ITERATIONS", 1000)
-    patient = fit_lines(line, options, sensor)
+    patient = fit_scans(line, options, sensor)
     off = abs(found.position_px[0, 0] - patient.position_px[0, 0])
     misfit = np.sqrt(patient.reduced_chi2[0, 0])
     assert off <= 10.0 * CONVERGENCE_THRESHOLD_SIGMA * misfit * patient.sigma_px[0, 0]
@@ -111,7 +111,7 @@ def test_without_further_peaks_no_line_is_split(kernel):
     def fitted(options):
         if kernel:
             return FitFinder(len(lines), PIXELS, options, NOISE, device="cpu").find(lines)
-        return fit_lines(lines, options, NOISE)
+        return fit_scans(lines, options, NOISE)
 
     assert (fitted(replace(FREE, further_peaks=True)).count > 1).mean() > 0.9
     found, alone = fitted(FREE), fitted(replace(FREE, max_joint_peaks=1))
@@ -131,7 +131,7 @@ def test_without_further_peaks_overlapping_candidates_are_fitted_together(kernel
     if kernel:
         found = FitFinder(len(lines), PIXELS, options, NOISE, device="cpu").find(lines)
     else:
-        found = fit_lines(lines, options, NOISE)
+        found = fit_scans(lines, options, NOISE)
     assert (found.count == 2).all()
     assert (found.flags[:, :2] & PeakFlag.JOINT != 0).all()
     error = found.position_px[:, :2] - np.stack([first, first + 12.0], axis=1)

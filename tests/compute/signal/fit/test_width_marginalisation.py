@@ -9,7 +9,7 @@ from compute.signal.centroid_settings import CentroidSettings
 from compute.signal.fit.candidate_groups import background_levels, form_groups, initial_parameters
 from compute.signal.fit.fisher_scoring import solve
 from compute.signal.fit.fit_finder import FitFinder
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import NARROW_PX, WIDTH_LIMITS_PX, FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.fit.width_marginalisation import marginalise_width
@@ -48,7 +48,7 @@ def solved(lines, options, noise):
     candidates = find_peaks_reference(lines, options.search, noise)
     groups = form_groups(candidates, PIXELS, options)
     groups = groups[groups.count == 1]
-    windows = Windows.cut(lines, groups.line, groups.first_px, groups.last_px, noise)
+    windows = Windows.cut(lines, groups.scan, groups.first_px, groups.last_px, noise)
     layout, start = initial_parameters(
         groups, candidates, background_levels(lines), windows.sensor, options, shape
     )
@@ -144,7 +144,7 @@ def test_faint_lines_alone_and_in_pairs_agree_with_the_kernel():
     lines = measured(gaussian_counts(pixels, place, width, height) + second, rng)
     for spread, background in ((0.5, "slope"), (2.0, "level"), (np.inf, "level")):
         options = FitSettings(search=SEARCH, width_log_sigma=spread, background=background)
-        expected = fit_lines(lines, options, NOISE)
+        expected = fit_scans(lines, options, NOISE)
         found = FitFinder(count, pixels, options, NOISE, device="cpu").find(lines)
         assert not lines_that_differ(found, expected).any()
         assert ((expected.flags & PeakFlag.JOINT) != 0).any(axis=1).sum() > 10

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
-from compute.planning.cramer_rao import PixelNoise, position_bound
-from compute.signal.fit.cramer_rao import position_bounds
+from compute.planning.cramer_rao import PixelNoise
+from compute.signal.cramer_rao import joint_position_bounds, position_bound
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.fit.window_model import Layout, Windows, central_pixel_fraction, evaluate
@@ -85,34 +85,38 @@ def test_bounds_are_those_of_the_formulas():
     )
     slope = (ahead - behind) / (2 * step)
     variance = here + ambient + READ**2 + GAIN**2 / 12
-    strict = position_bounds(
+    strict = joint_position_bounds(
         [[place]], [light], ambient, PIXELS, settings, NOISE, only_positions=True
     )
     assert strict[0, 0, 0] == pytest.approx(1.0 / (slope**2 / variance).sum(), rel=1e-5)
     # Unknown brightness, too, is what planning asks; background and width cost next to nothing.
     noise = PixelNoise(READ, GAIN, ambient)
-    bright = position_bound(here, slope, noise)
-    nuisance = position_bounds([[place]], [light], ambient, PIXELS, settings, NOISE)
+    bright = position_bound(here, slope, noise.variance_electrons2)
+    nuisance = joint_position_bounds([[place]], [light], ambient, PIXELS, settings, NOISE)
     assert np.sqrt(strict[0, 0, 0]) == pytest.approx(bright, rel=1e-4)
     assert strict[0, 0, 0] < nuisance[0, 0, 0] < 1.01 * bright**2
     with pytest.raises(InvalidParameter):
-        position_bounds([place], [light], ambient, PIXELS, settings, NOISE)
+        joint_position_bounds([place], [light], ambient, PIXELS, settings, NOISE)
 
 
 def test_bounds_of_two_lines_meet_those_of_one_when_far_and_grow_when_near():
     known = FitSettings(width_px=2.0, width_log_sigma=0.0)
     free = FitSettings(width_px=2.0, width_log_sigma=np.inf)
-    single = position_bounds([[20.0]], [1e4], 200.0, PIXELS, known, NOISE)[0, 0, 0]
+    single = joint_position_bounds([[20.0]], [1e4], 200.0, PIXELS, known, NOISE)[0, 0, 0]
     variances = []
     for apart in (24.0, 8.0, 4.0, 2.0):
-        pair = position_bounds([[20.0, 20.0 + apart]], [1e4, 1e4], 200.0, PIXELS, known, NOISE)[0]
-        wide = position_bounds([[20.0, 20.0 + apart]], [1e4, 1e4], 200.0, PIXELS, free, NOISE)[0]
+        pair = joint_position_bounds(
+            [[20.0, 20.0 + apart]], [1e4, 1e4], 200.0, PIXELS, known, NOISE
+        )[0]
+        wide = joint_position_bounds(
+            [[20.0, 20.0 + apart]], [1e4, 1e4], 200.0, PIXELS, free, NOISE
+        )[0]
         assert wide[0, 0] >= pair[0, 0]
         for spread, low, high in ((1e-5, 0.0, 0.01), (0.02, 0.1, 0.9)):
             prior = FitSettings(width_px=2.0, width_log_sigma=spread)
-            some = position_bounds([[20.0, 20.0 + apart]], [1e4, 1e4], 200.0, PIXELS, prior, NOISE)[
-                0, 0, 0
-            ]
+            some = joint_position_bounds(
+                [[20.0, 20.0 + apart]], [1e4, 1e4], 200.0, PIXELS, prior, NOISE
+            )[0, 0, 0]
             assert pair[0, 0] + low * (wide - pair)[0, 0] <= some * (1 + 1e-9)
             assert some <= pair[0, 0] + high * (wide - pair)[0, 0] + 1e-9
         variances.append(pair[0, 0])
@@ -134,5 +138,5 @@ def test_windows_leave_saturated_pixels_out():
     windows = Windows.cut(lines, np.array([0, 1]), np.array([10, 18]), np.array([30, 22]), noise)
     assert windows.values.shape == (2, 21)
     np.testing.assert_array_equal(windows.count, [21, 4])
-    np.testing.assert_array_equal(windows.offset[:, 0], [100.0, 90.0])
+    np.testing.assert_array_equal(windows.noise.offset[:, 0], [100.0, 90.0])
     np.testing.assert_array_equal(windows.offset_from_centre[1, :5], [-2, -1, 0, 1, 2])

@@ -12,7 +12,7 @@ from compute.signal.thesis_pipeline.background_subtraction import (
     PolynomialBackground,
 )
 from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter
-from compute.signal.thesis_pipeline.scan_averaging import average_scans
+from compute.signal.thesis_pipeline.state import average_scans
 from tests.compute.signal.thesis_pipeline.pipeline_scans import compact_peak
 
 PIXELS = 400

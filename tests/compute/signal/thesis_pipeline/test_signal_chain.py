@@ -19,7 +19,8 @@ from compute.signal.thesis_pipeline.background_subtraction import (
     PolynomialBackground,
 )
 from compute.signal.thesis_pipeline.centroid import centre_of_gravity
-from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter, MedianFilter
+from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter
+from compute.signal.thesis_pipeline.median_filter import MedianFilter
 from compute.signal.thesis_pipeline.peak_separation import SlopeExtension, ValleyCut
 from compute.signal.thesis_pipeline.signal_chain import SignalChain
 from tests.compute.signal.thesis_pipeline.pipeline_scans import compact_peak, gaussian_lines
@@ -138,9 +139,9 @@ def test_every_step_is_seen() -> None:
     assert [stage.name for stage in result.stages] == [
         "raw", "averaged", "filtered", *("background", "subtracted", "filtered") * 2, "weighted",
     ]  # fmt: skip
-    assert result.stage("raw").lines.shape == (4, 128)
+    assert result.stage("raw").scans.shape == (4, 128)
     # Longer by 1.8 px and twice 2 px of delay, each to the next whole pixel.
-    assert result.stage("weighted").lines.shape == (2, 134)
+    assert result.stage("weighted").scans.shape == (2, 134)
     assert result.stage("weighted").shift_px == pytest.approx(smooth.delay_px + 2 * 2.0)
     assert chain.correction_px == pytest.approx(smooth.delay_px + 4.0)
     assert result.peaks.count.tolist() == [1, 1]

@@ -15,7 +15,7 @@ from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import CentroidSettings
 from compute.signal.detection.matched_filter import gaussian_filter
 from compute.signal.detection.peak_detector import DetectionSettings, PeakDetector
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.peaks import PeakBatch, PeakFlag
 from compute.signal.sensor_noise import SensorNoise
@@ -52,7 +52,7 @@ def check_peaks(found: dict[str, Any], batch: PeakBatch, line: int) -> None:
 
 def test_fitted_peaks_are_compute_s(sqlite_client: Any) -> None:
     answer = post(sqlite_client, body(FIT, detail=True))
-    batch = fit_lines(scenes(), FitSettings(width_px=WIDTH), MODEL)
+    batch = fit_scans(scenes(), FitSettings(width_px=WIDTH), MODEL)
     assert batch.count.tolist() == [3, 2]
     for line, found in enumerate(answer["scans"]):
         check_peaks(found, batch, line)
@@ -121,7 +121,7 @@ def test_the_chain_is_compute_s_step_by_step(sqlite_client: Any) -> None:
         assert names == ["raw", "filtered", "background", "subtracted"]
         for stage, ours in zip(found["stages"], result.stages, strict=True):
             # One line at a time rounds differently from all at once.
-            assert stage["values"] == pytest.approx(ours.lines[line], rel=1e-12, abs=1e-9)
+            assert stage["values"] == pytest.approx(ours.scans[line], rel=1e-12, abs=1e-9)
 
 
 def test_detections_are_compute_s(sqlite_client: Any) -> None:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.signal.fit.fit_reference import fit_lines
+from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from service.api.line_scans.line_spread import MAX_VALUES, Shape
@@ -83,7 +83,7 @@ def test_the_answer_is_compute_s() -> None:
     measured = LineSpreadFunction.from_cells(
         cells[None], FIRST_PX, 1 / CELLS, 50.0, 400.0, unit_px=width
     )
-    batch = fit_lines(
+    batch = fit_scans(
         values, FitSettings(width_px=width, width_log_sigma=0.0), line_noise(WIDE), measured
     )
     peaks = find_peaks(values, method, WIDE).scans[0].peaks

@@ -12,8 +12,8 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from compute.calibration.calibrate_and_assess import calibrate_and_assess
-from compute.calibration.measurement_noise import measurement_sigma
+from compute.calibration.calibrate import calibrate_and_assess
+from compute.calibration.result import measurement_sigma
 from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack

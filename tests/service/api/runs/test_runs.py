@@ -91,29 +91,6 @@ def test_a_run_makes_the_calibration_that_a_request_makes(client: Any):
     assert client.get("/api/v1/runs", params={"state": "failed"}).json()["total"] == 0
 
 
-def test_a_long_published_method_is_accepted_with_the_defaults(sqlite_client: Any):
-    posted = sqlite_client.post(URL, json=body(id="published", method="bundle-11"))
-    assert posted.status_code == 202, posted.text
-    assert sqlite_client.post("/api/v1/runs/published/cancel").status_code == 200
-
-
-def test_a_published_method_runs_with_the_defaults(
-    sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
-):
-    use_in_process_worker(monkeypatch)
-    method = "dlt-iterative"
-    posted = sqlite_client.post(URL, json=body(id="published", method=method))
-    assert posted.status_code == 202, posted.text
-    found = wait(sqlite_client, "published")
-    assert found["state"] == "succeeded", found
-    made = sqlite_client.get(found["result"]).json()["result"]
-    assert made["method"] == method
-    assert (made["settings"]["distortion"], made["settings"]["labels"]) == ("none", "report")
-    given = sqlite_client.post(URL, json=body(method=method, distortion="auto"))
-    assert given.status_code == 422
-    assert "as published" in given.json()["detail"]
-
-
 def test_a_run_that_has_ended_is_deleted(client: Any, computing: Any, tmp_path: Path):
     computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
     client.post(URL, json=body(id="old"))

@@ -1,0 +1,287 @@
+"""Measurements: the peaks of an exposure, weighed once by the flag policy."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.errors import InvalidParameter
+from compute.measurement.flag_policy import STANDARD_POLICY, FlagPolicy
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Up to K peaks of each of S sensors, of one exposure or (in front) of F exposures.
+
+    Args:
+        position_px: shape (S, K) or (F, S, K) [px]; NaN: no peak, or none that may be used.
+        variance_px2: variance of the position, flags weighed, of the same shape; 1 where there
+            is no usable peak.
+        flags: PeakFlag values, int32; 0 where there is no peak.
+        can_initiate: whether a track or the acquisition of a tool may rest on it.
+        suspect: whether points and tracks from it are marked ``suspect-peak``.
+        shared: whether it may be the peak of two markers.
+        found_px: positions of all peaks, refused ones included [px].
+        amplitude: maximum above the background [counts]; 0 where not known.
+        original_index: index of each peak before ``sort``, shape (S, K); None: not sorted.
+    """
+
+    position_px: Array
+    variance_px2: Array
+    flags: NDArray[np.int32]
+    can_initiate: NDArray[np.bool_]
+    suspect: NDArray[np.bool_]
+    shared: NDArray[np.bool_]
+    found_px: Array
+    amplitude: NDArray[np.floating]
+    original_index: NDArray[np.intp] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        position_px: Array,
+        sigma_px: Array,
+        flags: NDArray[np.int32] | None = None,
+        policy: FlagPolicy = STANDARD_POLICY,
+    ) -> "Measurements":
+        """Check the peaks of an exposure and weigh their flags.
+
+        A peak whose standard deviation is infinite or NaN is not used.
+
+        Args:
+            position_px: shape (S, K); NaN where there is no peak [px].
+            sigma_px: standard deviations, shape (S, K) [px].
+            flags: PeakFlag values, shape (S, K); None: no peak has one.
+            policy: what the flags mean.
+
+        Raises:
+            InvalidParameter: other shapes, or a peak's standard deviation is not positive.
+        """
+        position = np.asarray(position_px, dtype=np.float64)
+        sigma = np.asarray(sigma_px, dtype=np.float64)
+        marks = np.zeros(position.shape, np.int32) if flags is None else np.asarray(flags, np.int32)
+        if position.ndim != 2:
+            raise InvalidParameter(
+                f"position_px has the shape {position.shape}; it must be (sensors, peaks)"
+            )
+        for name, value in (("sigma_px", sigma), ("peak flags", marks)):
+            if value.shape != position.shape:
+                raise InvalidParameter(
+                    f"{name} has the shape {value.shape}; it must be {position.shape}"
+                )
+        bad = np.isfinite(position) & (sigma <= 0.0)
+        if bad.any():
+            sensor, peak = (int(index) for index in np.argwhere(bad)[0])
+            raise InvalidParameter(
+                f"sigma_px[{sensor}, {peak}] is {sigma[sensor, peak]}; it must be above 0"
+            )
+        return cls.weigh(position, sigma, marks, np.zeros(position.shape), policy)
+
+    @classmethod
+    def weigh(
+        cls,
+        position_px: Array,
+        sigma_px: Array,
+        flags: NDArray[np.int32],
+        amplitude: NDArray[np.floating],
+        policy: FlagPolicy,
+    ) -> "Measurements":
+        """Weigh the flags of peaks, all of shape (S, K) or (F, S, K), without checks.
+
+        Args:
+            position_px: NaN where there is no peak [px].
+            sigma_px: standard deviations [px].
+            flags: PeakFlag values; 0 where there is no peak.
+            amplitude: maxima above the background [counts].
+            policy: what the flags mean.
+        """
+        # Finite where both are.
+        usable = np.isfinite(position_px + sigma_px)
+        whole = np.count_nonzero(usable) == usable.size
+        variance = (sigma_px if whole else np.where(usable, sigma_px, 1.0)) ** 2
+        if not np.count_nonzero(flags):
+            none = np.zeros(position_px.shape, dtype=np.bool_)
+            position = position_px if whole else np.where(usable, position_px, np.nan)
+            return cls(position, variance, flags, usable, none, none, position_px, amplitude)
+        by_flags = policy.lookup
+        usable &= ~by_flags.refused[flags]
+        variance *= by_flags.variance_factor[flags]
+        variance += by_flags.added_variance_px2[flags]
+        return cls(
+            np.where(usable, position_px, np.nan),
+            np.where(usable, variance, 1.0),
+            flags,
+            usable & by_flags.initiates[flags],
+            usable & by_flags.suspect[flags],
+            usable & by_flags.shared[flags],
+            position_px,
+            amplitude,
+        )
+
+    def __len__(self) -> int:
+        """Return the number of sensors."""
+        return int(self.position_px.shape[-2])
+
+    def exposure(self, index: int | NDArray[np.intp]) -> "Measurements":
+        """Return one of several exposures, or some of them."""
+        return Measurements(
+            self.position_px[index],
+            self.variance_px2[index],
+            self.flags[index],
+            self.can_initiate[index],
+            self.suspect[index],
+            self.shared[index],
+            self.found_px[index],
+            self.amplitude[index],
+        )
+
+    @cached_property
+    def usable(self) -> NDArray[np.bool_]:
+        """Where there is a peak that may be used, shape (S, K)."""
+        return np.isfinite(self.position_px)
+
+    @cached_property
+    def sigma_px(self) -> Array:
+        """Standard deviations, flags weighed, shape (S, K) [px]; NaN where nothing is usable."""
+        sigma: Array = np.sqrt(self.variance_px2)
+        sigma[np.isnan(self.position_px)] = np.nan
+        return sigma
+
+    def only(self, chosen: NDArray[np.bool_]) -> "Measurements":
+        """Return the chosen ones of the peaks, shape (S, K), at their indices."""
+        if np.count_nonzero(chosen & self.usable) == np.count_nonzero(self.usable):
+            return self
+        return replace(
+            self,
+            position_px=np.where(chosen, self.position_px, np.nan),
+            variance_px2=np.where(chosen, self.variance_px2, 1.0),
+            can_initiate=self.can_initiate & chosen,
+            suspect=self.suspect & chosen,
+            shared=self.shared & chosen,
+        )
+
+    def sort(self) -> "Measurements":
+        """Return the usable peaks of an exposure in ascending order, those that are none behind.
+
+        Equal positions are ordered by their variances, then by their flags, so that the result does
+        not depend on the order of the peaks. Columns without any usable peak are left out.
+        """
+        position, columns = self.position_px, max(int(self.count.max(initial=0)), 1)
+        rows = np.arange(len(position))[:, None]
+        order = position.argsort(axis=-1, kind="stable")
+        ascending = position[rows, order]
+        if (ascending[:, 1:] == ascending[:, :-1]).any():
+            order = np.lexsort((self.flags, self.variance_px2, position), axis=-1)
+        order = order[:, :columns]
+        return Measurements(
+            ascending[:, :columns],
+            self.variance_px2[rows, order],
+            self.flags[rows, order],
+            self.can_initiate[rows, order],
+            self.suspect[rows, order],
+            self.shared[rows, order],
+            self.found_px[rows, order],
+            self.amplitude[rows, order],
+            order,
+        )
+
+    @property
+    def max_count(self) -> int:
+        """Number of columns K: no sensor has more peaks."""
+        return int(self.position_px.shape[-1])
+
+    @cached_property
+    def count(self) -> NDArray[np.intp]:
+        """Number of usable peaks of each sensor, shape (S,)."""
+        count: NDArray[np.intp] = self.usable.sum(axis=-1)
+        return count
+
+    @cached_property
+    def capacity(self) -> dict[int, int]:
+        """By ``sensor * K + peak``: how many markers may share it, where that is more than one."""
+        return dict.fromkeys(np.flatnonzero(self.shared).tolist(), 2)
+
+    def readings(self, choice: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Return positions and standard deviations of choices of peaks.
+
+        Args:
+            choice: index of each sensor's peak, -1: none, shape (N, S).
+
+        Returns:
+            Positions and standard deviations, each of shape (N, S) [px]; NaN where there is none.
+        """
+        sensor = np.arange(len(self))
+        none = choice < 0
+        readings = self.position_px[sensor, choice]
+        sigma = self.sigma_px[sensor, choice]
+        readings[none] = np.nan
+        sigma[none] = np.nan
+        return readings, sigma
+
+    def unambiguous_readings(self) -> tuple[Array, Array]:
+        """Return the readings of sensors with one usable peak, and their standard deviations.
+
+        Returns:
+            Two arrays of shape (S,) [px]; NaN for sensors with no peak or several.
+        """
+        one = self.count == 1
+        peak = self.usable.argmax(axis=1)
+        row = np.arange(len(peak))
+        reading = np.where(one, self.position_px[row, peak], np.nan)
+        return reading, np.where(one, np.sqrt(self.variance_px2[row, peak]), np.nan)
+
+    def is_near(self, reading_px: Array, distance_px: float) -> NDArray[np.bool_]:
+        """Return whether a usable peak lies near predicted readings.
+
+        Args:
+            reading_px: predicted readings, shape (T, S) [px].
+            distance_px: how near it must be [px].
+
+        Returns:
+            Shape (T, S).
+        """
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(self.position_px - reading_px[..., None])
+        return np.asarray((apart <= distance_px).any(axis=2))
+
+    def log_density(self, min_per_px: float, min_extent_px: float = 0.0) -> Array:
+        """Return the log of how densely each sensor's peaks lie, whoever's they are.
+
+        The number of gaps over the extent of the peaks; ``min_per_px`` for fewer than three
+        peaks and as the lower limit.
+
+        Args:
+            min_per_px: smallest density [1/px].
+            min_extent_px: smallest extent [px].
+
+        Returns:
+            Shape (S,) [log 1/px].
+        """
+        density = np.full(len(self), min_per_px)
+        many = np.flatnonzero(self.count >= 3)
+        if len(many):
+            place = self.position_px[many]
+            extent = np.nanmax(place, axis=1) - np.nanmin(place, axis=1)
+            with np.errstate(divide="ignore"):
+                found = (self.count[many] - 1) / np.maximum(extent, min_extent_px)
+            density[many] = np.maximum(density[many], found)
+        log: Array = np.log(density)
+        return log
+
+
+def check_sensors(measurements: Measurements, sensors: int) -> None:
+    """Refuse measurements of another number of sensors, or of several exposures.
+
+    Args:
+        measurements: of one exposure.
+        sensors: how many there must be.
+
+    Raises:
+        InvalidParameter: the measurements have another shape.
+    """
+    shape = measurements.position_px.shape
+    if len(shape) != 2 or shape[0] != sensors:
+        raise InvalidParameter(f"position_px has the shape {shape}; it must be ({sensors}, K)")

@@ -1,0 +1,122 @@
+"""Robust loss: outliers have no influence, clean readings lose little efficiency."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from compute.calibration.calibrate import calibrate
+from compute.calibration.settings import CalibrationSettings
+from compute.camera.stack import CameraStack
+from compute.errors import DegeneratePoints
+from compute.robust_statistics import (
+    BIWEIGHT_LIMIT,
+    EFFICIENCY_LOSS,
+    biweight,
+    huber,
+)
+from tests.compute.distorted_rig import (
+    distorted_rig,
+    field_points,
+    geometry_with_pitch,
+    seen_readings,
+)
+from tests.compute.rig import control_points, geometry, project, rig
+
+Array = NDArray[np.float64]
+
+ROBUST = CalibrationSettings(loss="robust")
+
+
+def test_the_loss_of_efficiency() -> None:
+    """E[psi^2] / E[psi']^2 by quadrature; psi' by differences."""
+
+    def psi(z: float) -> float:
+        return z * float(biweight(np.array(z)))
+
+    def slope(z: float) -> float:
+        return (psi(z + 1e-5) - psi(z - 1e-5)) / 2e-5
+
+    square = quad(lambda z: psi(z) ** 2 * norm.pdf(z), -BIWEIGHT_LIMIT, BIWEIGHT_LIMIT)[0]
+    gain = quad(lambda z: slope(z) * norm.pdf(z), -BIWEIGHT_LIMIT, BIWEIGHT_LIMIT)[0]
+    assert square / gain**2 == pytest.approx(EFFICIENCY_LOSS, abs=1e-4)
+
+
+def test_weights() -> None:
+    assert biweight(np.array([0.0, BIWEIGHT_LIMIT, -9.0])).tolist() == [1.0, 0.0, 0.0]
+    assert huber(np.array([0.0, -1.5, 3.0])).tolist() == [1.0, 1.0, 0.5]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_gross_errors_leave_no_trace(known: bool) -> None:
+    models, points = rig(), control_points(30)
+    rng = np.random.default_rng(5)
+    clean = project(models, points) + 0.2 * rng.standard_normal((30, 4))
+    wrong = clean.copy()
+    # Also the outermost point, which has the most leverage.
+    outer = int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmax())
+    for row in (outer, (outer + 7) % 30, (outer + 13) % 30):
+        wrong[row, 1] += 25.0
+    sigma = np.full(clean.shape, 0.2) if known else None
+    found = calibrate(points, wrong, geometry(models), sigma, ROBUST)
+    rest = clean.copy()
+    rest[~(np.abs(wrong - clean) < 1e-9)] = np.nan
+    without = calibrate(points, rest, geometry(models), sigma, ROBUST)
+    unseen = control_points(100, seed=9)
+    stacks = [CameraStack.of(one.models) for one in (found, without)]
+    assert np.abs(stacks[0].project(unseen) - stacks[1].project(unseen)).max() < 0.02
+    assert found.reading_weights is not None
+    assert found.reading_weights[outer][1] == 0.0
+    plain = calibrate(points, wrong, geometry(models), sigma)
+    misled = CameraStack.of(plain.models).project(unseen) - stacks[1].project(unseen)
+    assert np.abs(misled).max() > 1.0
+
+
+def test_gross_errors_beside_distortion() -> None:
+    models, points = distorted_rig(((1, 2), (3, 0))), field_points(80)
+    rng = np.random.default_rng(5)
+    clean = seen_readings(models, points) + 0.05 * rng.standard_normal((80, 4))
+    clean = np.where((clean > -0.5) & (clean < 2047.5), clean, np.nan)
+    wrong = clean.copy()
+    wrong[[3, 20, 41], 0] = np.clip(wrong[[3, 20, 41], 0] + [9.0, -30.0, 4.0], 0.0, 2047.0)
+    settings = CalibrationSettings(distortion="symmetric-3", loss="robust")
+    found = calibrate(points, wrong, geometry_with_pitch(models), None, settings)
+    unseen = field_points(100, seed=9)
+    error = CameraStack.of(found.models).project(unseen) - seen_readings(models, unseen)
+    assert np.sqrt(np.nanmean(error**2)) < 0.05
+    assert found.reading_weights is not None
+    moved = np.argwhere(np.abs(wrong - clean) > 1.0)
+    assert [found.reading_weights[row][column] for row, column in moved] == [0.0] * len(moved)
+
+
+def test_the_covariance_is_honest() -> None:
+    models, points = rig(1), control_points(40)
+    exact = project(models, points)
+    unseen = control_points(30, seed=9)
+    truth = CameraStack.of(models).project(unseen)[:, 0]
+    rng, ratios = np.random.default_rng(7), []
+    for _ in range(60):
+        noisy = exact + 0.3 * rng.standard_normal(exact.shape)
+        noisy[rng.choice(40, 3, replace=False), 0] += 40.0
+        given = points, noisy, geometry(models), np.full(exact.shape, 0.3), ROBUST
+        found = calibrate(*given)
+        stack = CameraStack.of(found.models)
+        slopes = stack.parameter_jacobian(unseen)[:, 0]
+        variance = np.einsum("np,pq,nq->n", slopes, np.array(found.covariance), slopes)
+        ratios.append(((stack.project(unseen)[:, 0] - truth) ** 2 / variance).mean())
+    error = np.std(ratios) / np.sqrt(len(ratios))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=5 * error)
+    assert error < 0.12
+
+
+def test_too_many_gross_errors_are_not_hidden() -> None:
+    """Where most readings are wrong nothing can be had, and no small deviation is claimed."""
+    models, points = rig(), control_points(12)
+    rng = np.random.default_rng(3)
+    readings = rng.uniform(100.0, 1900.0, (12, 4))
+    try:
+        found = calibrate(points, readings, geometry(models), None, ROBUST)
+    except DegeneratePoints:
+        return
+    assert max(fit.sigma_px for fit in found.sensors) > 10.0

@@ -1,0 +1,1 @@
+"""Calibration as the thesis publishes it: iterative DLT, stepwise eleven-parameter bundle."""

@@ -1,0 +1,1 @@
+"""Trackers of chapter 6 of the thesis: window, probabilistic and 8-state, for comparison."""

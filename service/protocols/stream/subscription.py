@@ -1,4 +1,4 @@
-"""Subscription: one client's reading position in a device's log, and the messages that it missed."""
+"""Subscription: one client's reading position in a device's log, and what it missed."""
 
 import asyncio
 from dataclasses import dataclass

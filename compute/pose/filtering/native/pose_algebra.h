@@ -1,4 +1,4 @@
-// Sums of vectors, and rotations: compute.pose.so3.
+// Sums of vectors, and rotations: compute.camera.rotation.
 #pragma once
 
 #include "compute/native/platform.h"

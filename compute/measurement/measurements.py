@@ -100,12 +100,17 @@ class Measurements:
         """
         # Finite where both are.
         usable = np.isfinite(position_px + sigma_px)
-        whole = np.count_nonzero(usable) == usable.size
-        variance = (sigma_px if whole else np.where(usable, sigma_px, 1.0)) ** 2
+        count = np.count_nonzero(usable)
+        variance = np.square(sigma_px if count == usable.size else np.where(usable, sigma_px, 1.0))
         if not np.count_nonzero(flags):
-            none = np.zeros(position_px.shape, dtype=np.bool_)
-            position = position_px if whole else np.where(usable, position_px, np.nan)
-            return cls(position, variance, flags, usable, none, none, position_px, amplitude)
+            position = position_px
+            if count + np.count_nonzero(np.isnan(position_px)) != usable.size:
+                position = np.where(usable, position_px, np.nan)
+            none = np.zeros(usable.shape, dtype=np.bool_)
+            weighed = cls(position, variance, flags, usable, none, none, position_px, amplitude)
+            # Known here: the cached property need not find it again.
+            vars(weighed)["usable"] = usable
+            return weighed
         by_flags = policy.lookup
         usable &= ~by_flags.refused[flags]
         variance *= by_flags.variance_factor[flags]

@@ -40,7 +40,7 @@ from benchmarks.mapped_reconstruction_peers import (
 from benchmarks.triangulation import rig
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable, Degree
-from compute.reconstruction.native.launch import CudaLaunch
+from compute.reconstruction.native.cuda_launch import CudaLaunch
 from compute.reconstruction.solver import PointSolver
 
 Array = NDArray[np.float64]

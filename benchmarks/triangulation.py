@@ -20,8 +20,7 @@ from scipy.optimize import least_squares
 
 from compute.camera.stack import CameraStack
 from compute.optics.sensor_placement import place_sensor
-from compute.reconstruction.linear_triangulation import triangulate_linear
-from compute.reconstruction.triangulation import reconstruct
+from compute.reconstruction.triangulation import reconstruct, triangulate_linear
 
 Array = NDArray[np.float64]
 Row = dict[str, str | int | float]

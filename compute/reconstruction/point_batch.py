@@ -3,12 +3,16 @@
 from dataclasses import dataclass
 from enum import IntFlag
 from math import isfinite
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.model import Vector3
 from compute.flags import flag_names
+
+POINT_BYTES: Final = 108
+"""Bytes of a point's position, covariance, chi2 and flags."""
 
 
 class PointFlag(IntFlag):
@@ -105,6 +109,23 @@ class PointBatch:
             np.empty(0),
             np.empty((0, sensors), dtype=np.bool_),
             np.empty(0, dtype=np.int32),
+        )
+
+    @classmethod
+    def allocate(cls, count: int, sensors: int) -> "PointBatch":
+        """Return a batch to be filled, in one block of memory.
+
+        Args:
+            count: number of points N.
+            sensors: number of sensors S.
+        """
+        block = np.empty(count * (POINT_BYTES + sensors), dtype=np.uint8)
+        return cls(
+            np.ndarray((count, 3), np.float64, block),
+            np.ndarray((count, 3, 3), np.float64, block, 24 * count),
+            np.ndarray((count,), np.float64, block, 96 * count),
+            np.ndarray((count, sensors), np.bool_, block, POINT_BYTES * count),
+            np.ndarray((count,), np.int32, block, 104 * count),
         )
 
     @classmethod

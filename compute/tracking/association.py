@@ -7,18 +7,12 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.tracking.clustering import split_clusters
-from compute.tracking.imm_states import (
-    CombinedState,
-    ImmStates,
-    combine_modes,
-    update_mode_probabilities,
-)
 from compute.tracking.joint_events import (
     SHARED_PEAK_REACH,
     ClusterTrack,
     Marginals,
     event_marginals,
+    split_clusters,
 )
 from compute.tracking.measurement_update import (
     Innovation,
@@ -27,7 +21,13 @@ from compute.tracking.measurement_update import (
     leave_one_out_residuals,
     pda_update,
 )
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import (
+    CombinedState,
+    ImmStates,
+    MotionModels,
+    combine_modes,
+    update_mode_probabilities,
+)
 from compute.tracking.settings import TrackerSettings
 
 Array = NDArray[np.float64]

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.tracking.imm_states import ImmStates, mean_positions, mix_and_predict
 from compute.tracking.max_weight_independent_set import (
     best_alternatives,
     max_weight_independent_set,
 )
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import ImmStates, MotionModels, mean_positions, mix_and_predict
 from compute.tracking.native.associator import Associator
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.track_management import MIN_SUPPORT_SENSORS

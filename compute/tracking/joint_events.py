@@ -4,11 +4,14 @@ All of a cluster's hypotheses that matter as long as there are few; beyond, the 
 ones are carried on, track by track, and the weight of what is given up is bounded.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import exp, log, pi, prod, sqrt
 
 from compute.tracking.settings import TrackerSettings
 
+Peak = tuple[int, float, float]
+"""Index, position [px] and variance [px^2]."""
 SHARED_PEAK_REACH = 2.0
 """Predictions nearer than so many ``resolution_px``, and two deviations, may share a peak."""
 _LOG_2 = log(2.0)
@@ -266,3 +269,37 @@ def _marginals(
 
 def _density(off_squared: float, variance: float) -> float:
     return exp(-0.5 * off_squared) / sqrt(2.0 * pi * variance)
+
+
+def split_clusters(
+    cluster_tracks: list[ClusterTrack], peaks: list[Peak], settings: TrackerSettings
+) -> Iterator[tuple[list[int], list[Peak]]]:
+    """Yield the members of each cluster, in order, and its peaks.
+
+    Tracks are in one cluster when a peak lies in the gates of both, or when they lie so near to
+    one another that they may share one, directly or through others.
+    """
+    if not cluster_tracks:
+        return
+    merge = SHARED_PEAK_REACH * settings.resolution_px
+
+    def reach(member: int) -> float:
+        return settings.gate_sigma * sqrt(cluster_tracks[member].variance_px2)
+
+    groups: list[list[int]] = []
+    end = -float("inf")
+    widest = max((sqrt(variance) for _, _, variance in peaks), default=0.0)
+    margin = settings.gate_sigma * widest
+    for member in sorted(
+        range(len(cluster_tracks)), key=lambda m: cluster_tracks[m].reading_px - reach(m)
+    ):
+        middle, half = cluster_tracks[member].reading_px, reach(member) + margin
+        if not groups or middle - half > end + 2.0 * merge:
+            groups.append([])
+            end = -float("inf")
+        groups[-1].append(member)
+        end = max(end, middle + half)
+    for group in groups:
+        low = min(cluster_tracks[m].reading_px - reach(m) for m in group) - margin - merge
+        high = max(cluster_tracks[m].reading_px + reach(m) for m in group) + margin + merge
+        yield sorted(group), [peak for peak in peaks if low <= peak[1] <= high]

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.imm_states import CombinedState, ImmStates
-from compute.tracking.motion_model import STATE_SIZE
+from compute.tracking.motion_model import STATE_SIZE, CombinedState, ImmStates
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,13 @@ from scipy.optimize import linear_sum_assignment
 
 from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.reconstruction.triangulation import chi2_limit
-from compute.tracking.imm_states import ImmStates, combine_modes, update_mode_probabilities
 from compute.tracking.measurement_update import Innovation, joint_update
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import (
+    ImmStates,
+    MotionModels,
+    combine_modes,
+    update_mode_probabilities,
+)
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.unassociated_points import UnassociatedPoints
 

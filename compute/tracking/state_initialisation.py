@@ -5,8 +5,7 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.triangulation import chi2_limit
-from compute.tracking.imm_states import ImmStates, mix_and_predict
-from compute.tracking.motion_model import STATE_SIZE, MotionModels
+from compute.tracking.motion_model import STATE_SIZE, ImmStates, MotionModels, mix_and_predict
 from compute.tracking.point_assignment import update_with_points
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.viterbi_linking import PointSequence

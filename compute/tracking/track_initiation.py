@@ -6,10 +6,8 @@ from numpy.typing import NDArray
 from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence import PredictedPoints
-from compute.tracking.associations import Associations
 from compute.tracking.candidate_tracks import ConfirmedCandidates
-from compute.tracking.imm_states import combine_modes, is_finite, mean_positions
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import MotionModels, combine_modes, is_finite, mean_positions
 from compute.tracking.multi_scan_initiation import MultiScanInitiator
 from compute.tracking.native.associator import Associator
 from compute.tracking.point_assignment import assign_points, update_with_points
@@ -26,7 +24,7 @@ from compute.tracking.track_management import (
     possibly_swapped,
     select_confirmed,
 )
-from compute.tracking.tracks import Tracks
+from compute.tracking.tracks import Associations, Tracks
 from compute.tracking.unassociated_points import UnassociatedPointFinder, UnassociatedPoints
 
 Array = NDArray[np.float64]

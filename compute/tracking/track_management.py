@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.reconstruction.triangulation import chi2_limit
-from compute.tracking.imm_states import ImmStates, combine_modes
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import ImmStates, MotionModels, combine_modes
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.tracks import Tracks
 

@@ -11,14 +11,17 @@ from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
 from compute.reconstruction.correspondence import MatchSettings
-from compute.tracking.associations import Associations
-from compute.tracking.imm_states import ImmStates, combine_modes, mean_positions, mix_and_predict
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import (
+    ImmStates,
+    MotionModels,
+    combine_modes,
+    mean_positions,
+    mix_and_predict,
+)
 from compute.tracking.prior_tracks import PriorTracks
-from compute.tracking.report import to_track_batch
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import states_from_prior
-from compute.tracking.track_batch import TrackBatch
+from compute.tracking.track_batch import TrackBatch, to_track_batch
 from compute.tracking.track_initiation import TrackInitiator, free_peaks
 from compute.tracking.track_management import (
     MIN_SUPPORT_SENSORS,
@@ -26,7 +29,7 @@ from compute.tracking.track_management import (
     indistinguishable_tracks,
     update_support,
 )
-from compute.tracking.tracks import Tracks
+from compute.tracking.tracks import Associations, Tracks
 from compute.tracking.unassociated_points import UnassociatedPointFinder
 from compute.tracking.unresolved_neighbours import (
     any_neighbour,

@@ -18,16 +18,15 @@ from compute.reconstruction.correspondence.candidates import (
     empty_candidates,
     solve_combinations,
 )
-from compute.reconstruction.correspondence.covering_design import covering_triples
 from compute.reconstruction.correspondence.incremental import all_triples, complete_triples
+from compute.reconstruction.correspondence.intersections import covering_triples
 from compute.reconstruction.correspondence.predicted_candidates import (
     PredictedPoints,
     predicted_candidates,
 )
-from compute.reconstruction.correspondence.result import Group
 from compute.reconstruction.correspondence.rigid_bodies import BodyMatch, body_matches
 from compute.reconstruction.correspondence.set_packing import SetPacking, solve_set_packing
-from compute.reconstruction.correspondence.settings import MatchSettings
+from compute.reconstruction.correspondence.settings import Group, MatchSettings
 
 if TYPE_CHECKING:
     from compute.reconstruction.point_batch import PointBatch

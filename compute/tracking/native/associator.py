@@ -9,11 +9,9 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.reconstruction.native.camera_arguments import fill_cameras
 from compute.reconstruction.native.kernel_arguments import row_length
-from compute.reconstruction.native.launch import address
-from compute.reconstruction.solver import term_capacity
+from compute.reconstruction.solver import address, term_capacity
 from compute.tracking.association import AssociationResult, associate
-from compute.tracking.imm_states import ImmStates
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import ImmStates, MotionModels
 from compute.tracking.native.kernel_arguments import JOB, MAX_OPTIONS, PARTIAL_BYTES
 from compute.tracking.settings import TrackerSettings
 

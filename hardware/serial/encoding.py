@@ -1,4 +1,4 @@
-"""The reference encoder: a message to the bytes that go over the line (docs/serial-protocol.md)."""
+"""The reference encoder: a message to the bytes that go over the line (docs/reference/serial-protocol.md)."""
 
 import struct
 import zlib

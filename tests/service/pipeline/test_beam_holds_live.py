@@ -21,7 +21,7 @@ from lumiline.client.stream import Stream
 from service.cli import app
 from tests.running_server import serving
 
-GUIDE = Path(__file__).parents[3] / "docs" / "holds.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "how-to" / "beam-holds.md"
 MARKERS = [[0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0], [20.0, 15.0, 40.0]]
 SCENE = {"kind": "moving-tools", "moving": False, "tools": [{"markers_mm": MARKERS}]}
 WATCH = {"kind": "strobed-markers", "markers": [0, 1, 2, 3]}

@@ -1,4 +1,4 @@
-"""Every route with every scope, and without: allowed exactly where docs/security.md says so."""
+"""Every route with every scope, and without: allowed where docs/how-to/security.md says so."""
 
 import time
 from collections.abc import Iterator

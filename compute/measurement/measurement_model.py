@@ -51,7 +51,12 @@ class PredictedMeasurements:
     common_jacobian_px: Array
 
     def part(self, first: int, last: int) -> "PredictedMeasurements":
-        """Return the points from ``first`` to before ``last``; the arrays are shared."""
+        """Return a range of the points; the arrays are shared.
+
+        Args:
+            first: index of the first point.
+            last: index after the last point.
+        """
         rows = slice(first, last)
         return PredictedMeasurements(
             self.reading_px[rows],

@@ -80,7 +80,12 @@ class PointBatch:
         return len(self.position_mm)
 
     def part(self, first: int, last: int) -> "PointBatch":
-        """Return the points from ``first`` to before ``last``; the arrays are shared."""
+        """Return a range of the points; the arrays are shared.
+
+        Args:
+            first: index of the first point.
+            last: index after the last point.
+        """
         rows = slice(first, last)
         return PointBatch(
             self.position_mm[rows],

@@ -65,7 +65,12 @@ class CpuLaunch:
         ]
 
     def solve(self, readings: Array, sigma: Array) -> PointBatch:
-        """Return the points of readings (N, S) and their standard deviations, C-contiguous."""
+        """Triangulate N points.
+
+        Args:
+            readings: shape (N, S) [px], C-contiguous; NaN where not seen.
+            sigma: their standard deviations, shape (N, S) [px], C-contiguous.
+        """
         count, sensors = len(readings), self._sensors
         points = PointBatch.allocate(count, sensors)
         base = address(points.position_mm)
@@ -205,7 +210,11 @@ class PointSolver:
 
 
 def load_kernels(sensors: int, device: str | None = None) -> None:
-    """Load what solvers for so many sensors need, with up to MIN_CAPACITY terms of distortion.
+    """Load the kernels for a number of sensors, with up to MIN_CAPACITY terms of distortion.
+
+    Args:
+        sensors: number of sensors S.
+        device: as of ``PointSolver``.
 
     Raises:
         InvalidParameter: no such device.

@@ -209,7 +209,12 @@ def _refine(
 
 @cache
 def chi2_limit(dof: int, probability: float) -> float:
-    """Return the chi2 that noise exceeds with this probability; infinite without freedom."""
+    """Return the chi2 that noise exceeds with a given probability.
+
+    Args:
+        dof: degrees of freedom; below 1 the limit is infinite.
+        probability: between 0 and 1.
+    """
     return float(chdtri(dof, probability)) if dof > 0 else float("inf")
 
 

@@ -187,7 +187,15 @@ class CandidateTracks:
         peaks: NDArray[np.int32],
         time_ns: int,
     ) -> None:
-        """Follow N more, seen now by these peaks (N, S)."""
+        """Begin N tentative tracks.
+
+        Args:
+            states: their states, N of them.
+            bias: covariance of the readings' constant errors, shape (N, S, S) [px^2].
+            position_mm: where that was evaluated, shape (N, 3) [mm].
+            peaks: index of each sensor's peak, -1: none, shape (N, S).
+            time_ns: time of the exposure [ns].
+        """
         rows = np.arange(len(states))
         sensors = len(self._model)
         history = np.full((len(rows), WINDOW_EXPOSURES, sensors), -1, dtype=np.int32)
@@ -208,7 +216,13 @@ class CandidateTracks:
         self._time_ns = time_ns
 
     def follow(self, time_ns: int, peaks: Measurements, free: NDArray[np.bool_]) -> None:
-        """Update all by the peaks that are free, shape (S, K); give up those that fail."""
+        """Predict and update all tentative tracks; delete those that fail.
+
+        Args:
+            time_ns: time of the exposure [ns].
+            peaks: measurements of the exposure, up to K peaks of each of S sensors.
+            free: peaks that may be used, shape (S, K).
+        """
         kept = self._kept
         if kept is None or len(kept) == 0:
             self._time_ns = time_ns

@@ -68,11 +68,16 @@ class _Partial:
 
 
 def merge_probability(apart_px: float, variance_px2: float, resolution_px: float) -> float:
-    """Return the chance that two peaks, so far apart, are found as one.
+    """Return the probability that two peaks are found as one.
 
     ``exp(-log 2 (d / resolution_px)^2)`` (W. Koch, G. van Keuk, Multiple hypothesis track
-    maintenance with possibly unresolved measurements, 1997), averaged over the distance's own
-    uncertainty.
+    maintenance with possibly unresolved measurements, 1997), averaged over the distribution of the
+    distance d.
+
+    Args:
+        apart_px: mean of the distance [px].
+        variance_px2: variance of the distance [px^2].
+        resolution_px: distance at which the probability is one half [px].
     """
     spread = 1.0 + 2.0 * _LOG_2 * variance_px2 / resolution_px**2
     return exp(-_LOG_2 * apart_px**2 / (resolution_px**2 * spread)) / sqrt(spread)
@@ -278,6 +283,14 @@ def split_clusters(
 
     Tracks are in one cluster when a peak lies in the gates of both, or when they lie so near to
     one another that they may share one, directly or through others.
+
+    Args:
+        cluster_tracks: predicted readings of one sensor.
+        peaks: usable peaks of that sensor.
+        settings: gate and resolution.
+
+    Yields:
+        Ascending indices into ``cluster_tracks``, and the peaks that may be theirs.
     """
     if not cluster_tracks:
         return

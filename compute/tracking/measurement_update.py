@@ -32,7 +32,14 @@ class Innovation:
     def of(
         cls, used: NDArray[np.bool_], jacobian: Array, variance: Array, bias: Array
     ) -> "Innovation":
-        """Mask what is not used."""
+        """Return the innovation with all readings masked that are not used.
+
+        Args:
+            used: shape (T, S).
+            jacobian: d reading / d position, shape (T, S, 3) [px/mm].
+            variance: variance of the readings' noise, shape (T, S) [px^2].
+            bias: covariance of the readings' constant errors, shape (T, S, S) [px^2].
+        """
         return cls(
             used,
             np.where(used[..., None], jacobian, 0.0),

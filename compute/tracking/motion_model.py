@@ -91,14 +91,28 @@ def _step(kind: tuple[tuple[bool, ...], tuple[float, ...]], t: float) -> tuple[A
 
 
 def cv_transition(t: float, noise_psd: float) -> tuple[Array, Array]:
-    """Return transition and noise of position, velocity (and no acceleration), each (3, 3)."""
+    """Return transition and process noise of the constant-velocity model, each (3, 3).
+
+    The state of one axis is position, velocity and acceleration; the last is held at zero.
+
+    Args:
+        t: time step [s].
+        noise_psd: spectral density of the white acceleration [mm^2/s^3].
+    """
     transition = np.array([[1.0, t, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
     noise = np.array([[t**3 / 3, t**2 / 2, 0.0], [t**2 / 2, t, 0.0], [0.0, 0.0, 0.0]])
     return transition, noise_psd * noise
 
 
 def ca_transition(t: float, noise_psd: float) -> tuple[Array, Array]:
-    """Return transition and noise of position, velocity and acceleration, each (3, 3)."""
+    """Return transition and process noise of the constant-acceleration model, each (3, 3).
+
+    The state of one axis is position, velocity and acceleration.
+
+    Args:
+        t: time step [s].
+        noise_psd: spectral density of the white jerk [mm^2/s^5].
+    """
     transition = np.array([[1.0, t, t**2 / 2], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
     noise = np.array(
         [
@@ -137,7 +151,12 @@ class ImmStates:
 
     @classmethod
     def empty(cls, models: int, sensors: int) -> "ImmStates":
-        """Return the states of no tracks."""
+        """Return the states of no tracks.
+
+        Args:
+            models: number of motion models M.
+            sensors: number of sensors S.
+        """
         return cls(
             np.empty((0, models, STATE_SIZE)),
             np.empty((0, models, STATE_SIZE, STATE_SIZE)),
@@ -155,7 +174,12 @@ class ImmStates:
         )
 
     def put(self, index: NDArray[np.intp] | NDArray[np.bool_], states: "ImmStates") -> None:
-        """Write these states over those of some tracks."""
+        """Overwrite the states of some tracks.
+
+        Args:
+            index: their rows, or a mask.
+            states: the new states, one for each of them.
+        """
         self.mean[index] = states.mean
         self.covariance[index] = states.covariance
         self.bias_cross_covariance[index] = states.bias_cross_covariance
@@ -187,11 +211,16 @@ class CombinedState:
 
 
 def mix_and_predict(models: MotionModels, states: ImmStates, step_s: Array) -> ImmStates:
-    """Return the states after times (T,) [s] of interacting models.
+    """Mix the models' states, then predict each by its own model.
 
-    Mixing, then every model's own step (H. A. P. Blom, Y. Bar-Shalom, 10.1109/9.1299). A model
-    without acceleration is given that of the one that has it when they mix: zeros would pull
-    every acceleration towards none.
+    The IMM's first two steps (H. A. P. Blom, Y. Bar-Shalom, 10.1109/9.1299). A model without
+    acceleration takes that of the one that has it when they mix: zeros would pull every
+    acceleration towards none.
+
+    Args:
+        models: M motion models.
+        states: of T tracks.
+        step_s: time step of each track, shape (T,) [s].
     """
     if len(models) > 1 and len(states):
         joint = states.probability[:, :, None] * models.mode_transition_probabilities(step_s)
@@ -220,7 +249,12 @@ def mix_and_predict(models: MotionModels, states: ImmStates, step_s: Array) -> I
 
 
 def combine_modes(models: MotionModels, states: ImmStates) -> CombinedState:
-    """Return the mixture of the models as one Gaussian for each track."""
+    """Return the mixture of the models as one Gaussian for each track.
+
+    Args:
+        models: M motion models.
+        states: of T tracks.
+    """
     if len(models) == 1:
         return CombinedState(
             states.mean[:, 0], states.covariance[:, 0], states.bias_cross_covariance[:, 0]
@@ -245,7 +279,12 @@ def is_finite(states: ImmStates) -> NDArray[np.bool_]:
 
 
 def update_mode_probabilities(states: ImmStates, log_likelihood: Array) -> None:
-    """Change the models' probabilities by the likelihoods of what was seen, logs (T, M)."""
+    """Update the models' probabilities by Bayes' rule, in place.
+
+    Args:
+        states: of T tracks.
+        log_likelihood: of each track's readings under each model, shape (T, M).
+    """
     log = np.log(states.probability) + log_likelihood
     raw = np.exp(log - log.max(axis=1, keepdims=True))
     raw = np.maximum(raw / raw.sum(axis=1, keepdims=True), MIN_MODE_PROBABILITY)

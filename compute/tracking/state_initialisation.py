@@ -97,9 +97,17 @@ def states_from_prior(
 def filter_sequence(
     model: MeasurementModel, motion: MotionModels, settings: TrackerSettings, points: PointSequence
 ) -> tuple[ImmStates, Array] | None:
-    """Return the state after a sequence of points, and the constant errors' covariance there.
+    """Filter a sequence of points into the state of a new track.
 
-    None: a point is off, it does not move as markers do.
+    Args:
+        model: the measurement model, of S sensors.
+        motion: M motion models.
+        settings: start values, detection probability and clutter density.
+        points: the sequence, the earliest first.
+
+    Returns:
+        The state at the last point and the covariance (1, S, S) [px^2] of the readings' constant
+        errors; None where a point does not fit the motion of a marker.
     """
     states, bias = states_from_points(
         model, motion, settings, points.position_mm[:1], points.sigma_px[:1]

@@ -112,7 +112,16 @@ def to_track_batch(
     peaks: Measurements,
     time_ns: int,
 ) -> TrackBatch:
-    """Return the tracks, predicted to ``time_ns`` where they were not looked for."""
+    """Return the tracks after an exposure, predicted to it where they were not updated.
+
+    Args:
+        model: the measurement model, of S sensors.
+        motion: M motion models.
+        tracks: T tracks.
+        seen: their associations in the exposure.
+        peaks: measurements of the exposure.
+        time_ns: time of the exposure [ns].
+    """
     states = tracks.states
     late = np.flatnonzero(tracks.time_ns != time_ns)
     if len(late):

@@ -63,7 +63,13 @@ class TrackInitiator:
     def set_cameras(
         self, model: MeasurementModel, finder: UnassociatedPointFinder, associator: Associator
     ) -> None:
-        """Go on with other cameras."""
+        """Switch to another calibration of the same sensors.
+
+        Args:
+            model: its measurement model.
+            finder: reconstructs points from unassociated peaks by it.
+            associator: associates peaks with tracks by it.
+        """
         self._model, self._finder, self._associator = model, finder, associator
         self._crowd = MultiScanInitiator(model, self._motion, self._settings, finder, associator)
 
@@ -368,7 +374,13 @@ class TrackInitiator:
 def free_peaks(
     peaks: Measurements, seen: Associations, unsupported: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which peaks no track explains that is to be relied on, shape (S, K)."""
+    """Return the usable peaks that no reliable track explains, shape (S, K).
+
+    Args:
+        peaks: measurements of the exposure.
+        seen: associations of T tracks.
+        unsupported: tracks that do not count as reliable, shape (T,).
+    """
     free = peaks.usable.copy()
     track, sensor = np.nonzero((seen.peaks >= 0) & ~unsupported[:, None])
     free[sensor, seen.peaks[track, sensor]] = False

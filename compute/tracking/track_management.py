@@ -38,13 +38,15 @@ _MOTION = 6
 
 
 def select_confirmed(tracks: Tracks, settings: TrackerSettings) -> NDArray[np.intp]:
-    """Return the rows of tentative tracks that are markers: seen so often, and so well.
+    """Return the rows of tentative tracks that are to be confirmed.
 
-    Three planes meet at ghosts too, and go on doing so: what no fourth sensor sees is none, where
-    there is a fourth sensor and more than one marker.
+    The log likelihood ratio of a marker to false peaks is a sequential test (A. Wald, Sequential
+    Analysis, 1947). Three planes meet at ghosts too, and go on doing so: a track that no fourth
+    sensor sees is not confirmed, where there is a fourth sensor and more than one marker.
 
-    The evidence is a sequential test of a marker against false peaks (A. Wald, Sequential
-    Analysis, 1947).
+    Args:
+        tracks: T tracks.
+        settings: number of exposures and significance of the confirmation.
     """
     enough = log((1.0 - settings.false_track_probability) / settings.false_track_probability)
     good = ~tracks.confirmed & (tracks.hits >= settings.confirm_hits)
@@ -200,10 +202,15 @@ def exclude_prior_duplicates(
 def indistinguishable_tracks(
     motion: MotionModels, tracks: Tracks, rows: NDArray[np.intp]
 ) -> NDArray[np.intp]:
-    """Return those of the rows whose place and velocity are not told from another one's.
+    """Return those rows whose position and velocity agree with another track's.
 
-    Two tracks that meet go on as two, each with its own velocity; where even that is the same
-    within what is known, either may be either from there on.
+    Two tracks that meet go on as two, each with its own velocity; where even that agrees within
+    its covariance, their identities may have been exchanged.
+
+    Args:
+        motion: M motion models.
+        tracks: T tracks.
+        rows: indices of the tracks to compare, shape (N,).
     """
     if len(rows) < 2:
         return np.empty(0, dtype=np.intp)
@@ -240,7 +247,16 @@ def _common(one: Array, two: Array, bias: Array) -> Array:
 
 
 def expired(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[np.bool_]:
-    """Return which tracks end: not confirmed in time, not seen for long, or not vouched for."""
+    """Return which tracks end, shape (T,).
+
+    Tentative ones that were not confirmed in time, and confirmed ones that were not seen, or not
+    supported by enough sensors, for too long.
+
+    Args:
+        tracks: T tracks.
+        settings: limits of confirmation and coasting.
+        time_ns: time of the exposure [ns].
+    """
     unsupported = tracks.unsupported >= UNSUPPORTED_EXPOSURES
     unseen_ns, coast_ns = time_ns - tracks.seen_ns, round(settings.coast_s * 1e9)
     if tracks.confirmed.all() and not unsupported.any():

@@ -113,10 +113,15 @@ class Tracker:
         parameter_covariance: Array | None = None,
         corrections: CorrectionTable | None = None,
     ) -> None:
-        """Go on with another calibration of the same sensors; tracks are kept.
+        """Switch to another calibration of the same sensors; tracks are kept.
 
         What the old calibration's errors had made of the tracks stays in their covariances; their
-        covariance with the new one's errors begins at none.
+        covariance with the new one's errors begins at zero.
+
+        Args:
+            cameras: S calibrated cameras.
+            parameter_covariance: joint covariance of their parameters, shape (P, P); None: exact.
+            corrections: correction table of the S sensors; None: none.
 
         Raises:
             InvalidParameter: another number of sensors, or as of the constructor.

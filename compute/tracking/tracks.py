@@ -59,7 +59,12 @@ class Tracks:
 
     @classmethod
     def empty(cls, models: int, sensors: int) -> Self:
-        """Return no tracks."""
+        """Return no tracks.
+
+        Args:
+            models: number of motion models M.
+            sensors: number of sensors S.
+        """
         return cls(
             ImmStates.empty(models, sensors),
             np.empty(0, np.int64),
@@ -165,7 +170,12 @@ class Associations:
 
     @classmethod
     def empty(cls, tracks: int, sensors: int) -> Self:
-        """Return that nothing was seen."""
+        """Return the associations of tracks that no sensor saw.
+
+        Args:
+            tracks: number of tracks T.
+            sensors: number of sensors S.
+        """
         return cls(
             np.full((tracks, sensors), -1, dtype=np.int32),
             np.zeros(tracks, dtype=np.bool_),

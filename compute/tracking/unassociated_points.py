@@ -107,6 +107,15 @@ class UnassociatedPointFinder:
         free: NDArray[np.bool_],
         part: SearchPart,
     ) -> tuple[IntersectionPoints, float]:
-        """Return all intersections of free peaks, ghosts included."""
+        """Return all intersections of free peaks, ghosts included.
+
+        Args:
+            peaks: measurements of the exposure, up to K peaks of each of S sensors.
+            free: peaks that may be used, shape (S, K).
+            part: part of the search that this exposure does.
+
+        Returns:
+            The points, and the first reading of the next part; minus infinity: all were tried.
+        """
         starting = peaks.only(free & peaks.can_initiate)
         return intersection_points(self.solve, self.model, starting, part, self.settings)

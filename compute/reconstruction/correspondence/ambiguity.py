@@ -102,7 +102,13 @@ class ErrorEstimate:
     def body_error_probability(
         self, match: BodyMatch, members: Candidates, misfit_density: MisfitDensity
     ) -> float:
-        """Return the expected number of wrong matches that fit as well as a body's does."""
+        """Return the expected number of wrong matches that fit as well as a body's does.
+
+        Args:
+            match: the body's match, with its chi2.
+            members: candidates that are its markers.
+            misfit_density: density of wrong distances between points.
+        """
         ways = float(((members.choice >= 0) @ np.log(self.unexplained)).sum())
         peaks = int((members.choice >= 0).sum())
         near = match.dof * log_misfit_density(misfit_density) + 0.5 * match.chi2

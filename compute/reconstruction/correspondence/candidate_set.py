@@ -103,7 +103,12 @@ class CandidateSet:
             self.cut += int(min(plain, 2.0**62))
 
     def add_body(self, index: int, markers_mm: Array) -> None:
-        """Add what may be a body among the candidates and the triples of what is left."""
+        """Add the matches of a rigid body among the candidates and the triples of other peaks.
+
+        Args:
+            index: index of the body.
+            markers_mm: its markers in its own coordinates, shape (M, 3) [mm].
+        """
         free = self.free.copy()
         for row in self._likeliest():
             for sensor, peak in enumerate(self.candidates.choice[row]):

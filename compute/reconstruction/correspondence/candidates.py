@@ -133,7 +133,13 @@ class SolvedCombinations:
 
 
 def solve_combinations(solve: Solve, peaks: Measurements, choice: Choice) -> SolvedCombinations:
-    """Reconstruct combinations (N, S) of three or more peaks."""
+    """Reconstruct combinations of three or more peaks.
+
+    Args:
+        solve: triangulates readings.
+        peaks: of the exposure.
+        choice: index of each sensor's peak, -1: none, shape (N, S).
+    """
     readings, sigma = peaks.readings(choice)
     points = solve(readings, sigma)
     dof = points.used.sum(axis=1) - 3
@@ -215,7 +221,12 @@ class MisfitDensity:
         self._width = np.zeros(len(MISFIT_BANDS))
 
     def add(self, hits: Array, width: Array) -> None:
-        """Add counts of misfits within each of the bands, and the bands' widths in deviations."""
+        """Add counts of misfits.
+
+        Args:
+            hits: misfits within each of the B bands, shape (B,).
+            width: widths of the bands, in standard deviations, shape (B,).
+        """
         self._hits += hits
         self._width += width
 

@@ -106,7 +106,12 @@ def _systematic_variance(
 
 
 def all_triples(free: NDArray[np.bool_], base: tuple[int, int, int]) -> Choice:
-    """Return all combinations of three sensors' free peaks, -1 elsewhere, shape (N, S)."""
+    """Return all combinations of three sensors' free peaks, shape (N, S); -1 elsewhere.
+
+    Args:
+        free: peaks that may be used, shape (S, K).
+        base: the three sensors.
+    """
     axes = [np.flatnonzero(free[sensor]) for sensor in base]
     chosen = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     choice = np.full((len(chosen), len(free)), -1)
@@ -154,13 +159,20 @@ def complete_triples(
 def extend_with_gated_peaks(
     start: Choice, gated: GatedPeaks, rows: NDArray[np.intp], min_peaks: int, max_combinations: int
 ) -> tuple[Choice, int]:
-    """Return the rows of ``start`` with every choice of the peaks in their gates.
+    """Extend combinations by every choice of the peaks in their gates.
 
-    At most one sensor whose gate holds a peak is left out: two of a marker's peaks that are
-    missing, with other markers' peaks in both places, are rarer than what is weighed.
+    At most one sensor whose gate holds a peak is left out: two missing peaks of a marker, with
+    other markers' peaks in both places, are rarer than what is weighed.
+
+    Args:
+        start: combinations of three peaks, shape (N, S).
+        gated: the peaks in the gates of each.
+        rows: which of the combinations to extend.
+        min_peaks: fewest peaks of a combination.
+        max_combinations: most combinations to return.
 
     Returns:
-        Combinations, shape (N, S), and how many were cut.
+        Combinations, shape (C, S), and how many were cut.
     """
     sensors = start.shape[1]
     choice = start[rows]

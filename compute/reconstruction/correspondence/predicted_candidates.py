@@ -77,6 +77,14 @@ def predicted_candidates(
     A prediction is an observation of all three coordinates, so that three sensors' peaks have
     three degrees of freedom with it, and none without.
 
+    Args:
+        solve: triangulates readings.
+        model: the measurement model.
+        peaks: of the exposure, sorted.
+        predicted: predicted points with their covariances.
+        max_combinations: most combinations to reconstruct.
+        misfit_density: counts the peaks in and beside the gates.
+
     Returns:
         The candidates, and how many combinations were cut.
     """

@@ -52,7 +52,12 @@ class CudaLaunch:
         self._uploaded = 0
 
     def solve(self, readings: Array, sigma: Array) -> PointBatch:
-        """Return the points of readings (N, S) and their standard deviations, C-contiguous."""
+        """Triangulate N points.
+
+        Args:
+            readings: shape (N, S) [px], C-contiguous; NaN where not seen.
+            sigma: their standard deviations, shape (N, S) [px], C-contiguous.
+        """
         count = len(readings)
         if count <= DIRECT_POINTS:
             host = self._direct_host
@@ -74,7 +79,12 @@ class CudaLaunch:
         return points
 
     def upload(self, readings: Array, sigma: Array) -> None:
-        """Bring up to POINTS_PER_LAUNCH readings to the device."""
+        """Copy the readings of up to POINTS_PER_LAUNCH points to the device.
+
+        Args:
+            readings: shape (N, S) [px].
+            sigma: their standard deviations, shape (N, S) [px].
+        """
         self._reserve(len(readings))
         self._uploaded = len(readings)
         for index, array in enumerate((readings, sigma)):

@@ -76,7 +76,13 @@ class Associator:
         )
 
     def associate(self, states: ImmStates, bias: Array, peaks: Measurements) -> AssociationResult:
-        """Return what ``compute.tracking.association.associate`` does of the same arguments."""
+        """Return what ``compute.tracking.association.associate`` returns, by the native kernel.
+
+        Args:
+            states: of T tracks, predicted to the exposure.
+            bias: covariance of the readings' constant errors, shape (T, S, S) [px^2].
+            peaks: measurements of the exposure.
+        """
         count, sensors = len(states), len(self._model)
         room = peaks.position_px.shape[1]
         job = self._job

@@ -105,7 +105,7 @@ class MeasurementModel:
         parameter_covariance: Array | None = None,
         corrections: CorrectionTable | None = None,
     ) -> "MeasurementModel":
-        """Return the measurement model of cameras; sensor models tell their numbers of pixels.
+        """Return the measurement model of cameras; sensor models give their numbers of pixels.
 
         Args:
             models: S calibrated cameras, one by one or stacked.
@@ -179,7 +179,7 @@ class MeasurementModel:
     def predict(
         self, points_mm: Array, *, with_common_errors: bool = False
     ) -> PredictedMeasurements:
-        """Predict raw readings, with all that is known about them.
+        """Predict raw readings with Jacobians, view, and the correction table's variance.
 
         Args:
             points_mm: shape (N, 3) [mm]; NaN: no point.

@@ -156,7 +156,7 @@ class Measurements:
         return sigma
 
     def only(self, chosen: NDArray[np.bool_]) -> "Measurements":
-        """Return the chosen ones of the peaks, shape (S, K), at their indices."""
+        """Return the chosen peaks, shape (S, K), at their indices; the others as not usable."""
         if np.count_nonzero(chosen & self.usable) == np.count_nonzero(self.usable):
             return self
         return replace(
@@ -169,7 +169,7 @@ class Measurements:
         )
 
     def sort(self) -> "Measurements":
-        """Return the usable peaks of an exposure in ascending order, those that are none behind.
+        """Return the usable peaks of an exposure in ascending order, empty places last.
 
         Equal positions are ordered by their variances, then by their flags, so that the result does
         not depend on the order of the peaks. Columns without any usable peak are left out.
@@ -206,7 +206,7 @@ class Measurements:
 
     @cached_property
     def capacity(self) -> dict[int, int]:
-        """By ``sensor * K + peak``: how many markers may share it, where that is more than one."""
+        """Number of markers that may share a peak, by ``sensor * K + peak``, where above one."""
         return dict.fromkeys(np.flatnonzero(self.shared).tolist(), 2)
 
     def readings(self, choice: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -253,7 +253,7 @@ class Measurements:
         return np.asarray((apart <= distance_px).any(axis=2))
 
     def log_density(self, min_per_px: float, min_extent_px: float = 0.0) -> Array:
-        """Return the log of how densely each sensor's peaks lie, whoever's they are.
+        """Return the log density of each sensor's peaks, of all markers and false ones.
 
         The number of gaps over the extent of the peaks; ``min_per_px`` for fewer than three
         peaks and as the lower limit.

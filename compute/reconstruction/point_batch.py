@@ -24,10 +24,10 @@ class PointFlag(IntFlag):
     DEGENERATE = 2
     """The planes meet in a line, not in a point: no position."""
     NO_CONVERGENCE = 4
-    """No position: the iteration left the cameras' field, did not settle, or rests at a place
-    that three sensors' readings, which always could, do not meet in."""
+    """No position: the iteration left the cameras' field, did not converge, or ended where the
+    planes of exactly three sensors do not meet, though three planes always could."""
     NO_REDUNDANCY = 8
-    """Exactly three sensors: the residual is zero and says nothing."""
+    """Exactly three sensors: the residual is zero whatever the errors are."""
     INCONSISTENT = 16
     """The residual is larger than the readings' noise explains."""
     AMBIGUOUS = 32
@@ -35,7 +35,7 @@ class PointFlag(IntFlag):
     SUSPECT_PEAK = 64
     """One of its peaks is suspect by the flag policy."""
     OUTSIDE_MAP = 128
-    """The correction table vouches for the reading of some used sensor not there."""
+    """It lies where the correction table is not valid for some used sensor."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class PointBatch:
 
     @classmethod
     def empty(cls, sensors: int) -> "PointBatch":
-        """Return the batch of no points, by so many sensors."""
+        """Return the batch of no points, for a number of sensors."""
         return cls(
             np.empty((0, 3)),
             np.empty((0, 3, 3)),

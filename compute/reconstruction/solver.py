@@ -29,12 +29,12 @@ POINTS_PER_THREAD: Final = 512
 
 
 def address(array: NDArray[Any]) -> int:
-    """Return where an array's memory begins."""
+    """Return the memory address of an array."""
     return int(array.__array_interface__["data"][0])
 
 
 class CpuLaunch:
-    """Runs the kernel on arrays where they are; large batches are shared by threads.
+    """Runs the triangulation kernel on arrays in place; threads share large batches.
 
     Args:
         wp: the module Warp.
@@ -111,7 +111,7 @@ class CpuLaunch:
 
 
 class PointSolver:
-    """What ``reconstruct`` does, in float64, by one kernel on the CPU or on CUDA.
+    """Triangulation as ``reconstruct`` does it, in float64, by one kernel on the CPU or on CUDA.
 
     Warp is not thread-safe: one thread makes the solver and calls it. Making it loads Warp and
     compiles the kernel for this number of sensors, with distortion or without, unless an earlier

@@ -20,7 +20,7 @@ CONDITION_LIMIT = 1e-10
 """Smallest ratio of singular values at which three planes still count as meeting in a point."""
 MAX_ITERATIONS = 30
 WEIGHTING_ITERATIONS = 2
-"""After the linear solution, before the readings are weighted by where the point is."""
+"""Iterations after the linear solution before the weights are computed at the point."""
 INITIAL_DAMPING = 1e-6
 MAX_DAMPING = 1e12
 STEP_TOLERANCE_MM = 1e-6
@@ -28,9 +28,9 @@ CHI2_ROUNDING_FACTOR = 1.0 + 1e-10
 """Steps near the end change chi2 by less than its rounding: growth up to this factor is none."""
 _DIAGONAL = np.arange(3)
 INCONSISTENCY_SIGNIFICANCE = 1e-4
-"""Chance that a good point is flagged as inconsistent."""
+"""Probability that a consistent point is flagged as inconsistent."""
 INTERSECTION_CHI2_TOLERANCE = 1e-6
-"""Of a point that three sensors' readings meet in: far above rounding, far below any noise."""
+"""Largest chi2 of an intersection of three planes: far above rounding, far below noise."""
 UNINFORMATIVE_SIGMA_RATIO = 1e3
 """A reading this many times less certain than the third best is not used."""
 DEGENERATE_RATIO = 1e-14
@@ -176,7 +176,7 @@ def _solve(gram: Array, damping: Array) -> Array:
 def _refine(
     equations: _Equations, whitening: Array, start: Array, max_iterations: int = MAX_ITERATIONS
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Levenberg-Marquardt for all points, of so many iterations at most.
+    """Levenberg-Marquardt for all points, up to ``max_iterations``.
 
     Returns:
         Positions (N, 3), A' A of the whitened equations there (N, 4, 4), which converged (N,).

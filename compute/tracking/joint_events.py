@@ -1,7 +1,7 @@
 """Joint association events of the tracks that compete for a sensor's peaks (JPDA).
 
-All of a cluster's hypotheses that matter as long as there are few; beyond, the most likely partial
-ones are carried on, track by track, and the weight of what is given up is bounded.
+All hypotheses of a cluster with non-negligible weight, as long as they are few; beyond, the most
+likely partial hypotheses are extended track by track, and the weight of the pruned ones is bounded.
 """
 
 from collections.abc import Iterator
@@ -13,19 +13,19 @@ from compute.tracking.settings import TrackerSettings
 Peak = tuple[int, float, float]
 """Index, position [px] and variance [px^2]."""
 SHARED_PEAK_REACH = 2.0
-"""Predictions nearer than so many ``resolution_px``, and two deviations, may share a peak."""
+"""Predictions nearer than this, in ``resolution_px``, and two deviations may share a peak."""
 _LOG_2 = log(2.0)
 MIN_MERGE_PROBABILITY = 1e-4
-"""Chance below which two tracks are not taken as one peak."""
+"""Probability below which two tracks are not considered merged into one peak."""
 NEGLIGIBLE_WEIGHT_RATIO = 1e-6
-"""Partial hypotheses that lead to nothing but such a part of the likeliest are not followed."""
+"""Partial hypotheses bounded by this fraction of the likeliest one's weight are pruned."""
 SHARE_FRACTION_VARIANCE = 1.0 / 12.0
-"""Of the share of one of two markers in their common peak, which nothing is known of."""
+"""Variance of one marker's unknown, uniformly distributed share in a merged peak."""
 
 
 @dataclass(frozen=True)
 class ClusterTrack:
-    """A track in a cluster: its predicted reading and that one's variance, one sensor."""
+    """A track in a cluster: its predicted reading by one sensor, and the variance of that."""
 
     reading_px: float
     variance_px2: float
@@ -33,7 +33,7 @@ class ClusterTrack:
 
 @dataclass(frozen=True)
 class Marginals:
-    """A possibility for a track's reading, as a measurement of that track's own reading.
+    """A peak as the reading of one track, with its marginal association probability.
 
     Args:
         peak: its index in the line.
@@ -52,7 +52,7 @@ class Marginals:
 
 @dataclass(frozen=True)
 class _Option:
-    """A way for one track, or for two that share a peak, to be read."""
+    """Assignment of a peak to one track, or to two that share it."""
 
     tracks: tuple[int, ...]
     peak: int
@@ -88,7 +88,7 @@ def event_marginals(
     peaks: list[tuple[int, float, float]],
     settings: TrackerSettings,
 ) -> tuple[list[list[Marginals]], float]:
-    """Return each contender's possible readings, and a bound on what was given up.
+    """Return each track's marginals, and a bound on the weight of pruned hypotheses.
 
     Each track is read as a peak of its own, shares one with another track, or is missed. Of
     hypotheses in which the same tracks have the same peaks only the likeliest counts: the average

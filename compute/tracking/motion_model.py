@@ -19,7 +19,7 @@ _ACCELERATION = slice(6, 9)
 
 @dataclass(frozen=True)
 class MotionModels:
-    """M models of one marker's motion, over the same nine states.
+    """M motion models of one marker, over the same nine states.
 
     Constant velocity: its acceleration is white noise of spectral density q; constant
     acceleration: its jerk is (Bar-Shalom, Li, Kirubarajan, Estimation with Applications to
@@ -62,10 +62,10 @@ class MotionModels:
         return np.stack([one[0] for one in each]), np.stack([one[1] for one in each])
 
     def mode_transition_probabilities(self, step_s: Array) -> Array:
-        """Return the chances to go from one model to another, shape (T, M, M), rows from.
+        """Return the transition probabilities of the models, shape (T, M, M); rows: from.
 
-        Switches are a Poisson process: over any time the chances are exact, as of a Markov chain
-        in continuous time with equal rates.
+        Switches are a Poisson process: those of a Markov chain in continuous time with equal rates,
+        exact for any time step.
         """
         if len(self) == 1:
             return np.ones((len(step_s), 1, 1))
@@ -126,16 +126,16 @@ def ca_transition(t: float, noise_psd: float) -> tuple[Array, Array]:
 
 @dataclass(eq=False)
 class ImmStates:
-    """What is believed of T markers; arrays of equal length, replaced as a whole.
+    """Means and covariances of T tracks under M models; arrays are replaced as a whole.
 
-    Each sensor's readings have a bias that the calibration's error makes. It is the same frame
-    after frame, so that no filtering removes it: its covariance with the state is carried along
-    and it is never estimated (S. F. Schmidt, Application of State-Space Methods to Navigation
+    The calibration's error biases each sensor's readings. The bias is the same in every frame, so
+    that no filtering removes it: its covariance with the state is propagated and the bias is never
+    estimated (S. F. Schmidt, Application of State-Space Methods to Navigation
     Problems, 1966; a "consider" filter).
 
     Args:
         mean: position, velocity, acceleration, shape (T, M, 9).
-        covariance: shape (T, M, 9, 9); with the calibration's error in it.
+        covariance: shape (T, M, 9, 9), the calibration's error included.
         bias_cross_covariance: covariance of the state with the sensors' biases, shape (T, M, 9, S).
         probability: of the models, shape (T, M).
     """
@@ -197,7 +197,7 @@ class ImmStates:
 
 @dataclass(frozen=True, eq=False)
 class CombinedState:
-    """The one Gaussian with mean and covariance of the models' mixture.
+    """Gaussian with the mean and covariance of the models' mixture.
 
     Args:
         mean: shape (T, 9).
@@ -263,7 +263,7 @@ def combine_modes(models: MotionModels, states: ImmStates) -> CombinedState:
 
 
 def mean_positions(states: ImmStates) -> Array:
-    """Return the mixtures' mean places alone, shape (T, 3)."""
+    """Return the mean positions of the mixtures, shape (T, 3) [mm]."""
     mean: Array = (states.probability[..., None] * states.mean[..., :3]).sum(axis=1)
     return mean
 

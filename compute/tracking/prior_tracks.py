@@ -16,7 +16,7 @@ _SYMMETRIC = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class PriorTracks:
-    """N markers whose places are known, not from the readings.
+    """Known positions and velocities of N markers, from other sources than the readings.
 
     Args:
         mean: place and velocity, shape (N, 6) [mm, mm/s].

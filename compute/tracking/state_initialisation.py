@@ -25,7 +25,7 @@ def states_from_points(
     position_mm: Array,
     sigma_px: Array,
 ) -> tuple[ImmStates, Array]:
-    """Return the states of markers just seen, and the covariance of the constant errors there.
+    """Return initial states at points, and the covariance of the readings' constant errors there.
 
     The place has the covariance of the readings' weighted least squares, and the covariance with
     the sensors' constant errors that this solution gives it.
@@ -69,7 +69,7 @@ def states_from_prior(
     covariance: Array,
     sensors: int,
 ) -> ImmStates:
-    """Return the states of markers whose place and velocity are given.
+    """Return initial states of markers with known position and velocity.
 
     Args:
         motion: M models, all as likely.

@@ -17,14 +17,14 @@ Array = NDArray[np.float64]
 
 
 class TrackState(IntEnum):
-    """Where a track is in its life."""
+    """State of a track between its start and its end."""
 
     TENTATIVE = 0
-    """Seen too few times yet to be told from a ghost or noise."""
+    """Seen too rarely yet to be told from a ghost or from false peaks."""
     CONFIRMED = 1
     """A marker."""
     COASTING = 2
-    """A confirmed track that nothing was seen of at this instant: its position is predicted."""
+    """Confirmed, but no sensor saw it at this instant: its position is predicted."""
 
 
 class TrackFlag(IntFlag):
@@ -34,13 +34,13 @@ class TrackFlag(IntFlag):
     MERGED = 1
     """At least one reading of it comes from a peak that it shares with another track."""
     AMBIGUOUS = 2
-    """It may have changed places with another track, or be a ghost: identity is not sure."""
+    """It may have been exchanged with another track, or be a ghost: identity is uncertain."""
     FEW_SENSORS = 4
-    """Fewer than three sensors saw it now: what the others would add is predicted."""
+    """Fewer than three sensors saw it now: its position rests partly on the prediction."""
     SUSPECT_PEAK = 8
     """One of its peaks is suspect by the flag policy."""
     OUTSIDE_MAP = 16
-    """The correction table vouches for the reading of some used sensor not there."""
+    """It lies where the correction table is not valid for some used sensor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class TrackBatch:
             where the motion model has no acceleration.
         peaks: index of the peak, in its line, that each sensor saw of each track; -1: none,
             int32, shape (T, S).
-        nis: normalised innovation squared of what was seen now, shape (T,); NaN: nothing was.
+        nis: normalised innovation squared, shape (T,); NaN where no sensor saw the track.
         dof: number of readings that ``nis`` sums over, int32, shape (T,).
     """
 
@@ -77,7 +77,7 @@ class TrackBatch:
 
     @classmethod
     def empty(cls, sensors: int) -> Self:
-        """Return the batch of no tracks, of so many sensors."""
+        """Return the batch of no tracks, for a number of sensors."""
         return cls(
             np.empty(0, np.int64),
             np.empty(0, np.int32),

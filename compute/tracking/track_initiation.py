@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 class TrackInitiator:
-    """Starts, confirms, finds again and ends tracks; counts their identity numbers.
+    """Initiates, confirms, recovers and deletes tracks; assigns their identity numbers.
 
     A track whose state is no longer finite ends: its marker is found anew.
 
@@ -74,12 +74,12 @@ class TrackInitiator:
         self._crowd = MultiScanInitiator(model, self._motion, self._settings, finder, associator)
 
     def reset(self) -> None:
-        """Forget when it was searched; numbers go on."""
+        """Reset the search; identity numbers continue."""
         self._searched_ns.clear()
         self._crowd.forget()
 
     def numbers(self, count: int) -> int:
-        """Return the first of so many identity numbers that nobody has had."""
+        """Reserve consecutive identity numbers and return the first."""
         first = self._next
         self._next += count
         return first
@@ -94,7 +94,7 @@ class TrackInitiator:
         marker: int | None,
         time_ns: int,
     ) -> tuple[Tracks, Associations]:
-        """Return the tracks after the search, and what they saw.
+        """Search the free peaks; return the tracks and their associations after it.
 
         Args:
             tracks: all; those that take part are changed.

@@ -48,7 +48,7 @@ BIAS_UPDATE_DISTANCE_MM = 5.0
 
 
 class Tracker:
-    """Follows markers from peaks alone: Kalman filters on readings, joint association.
+    """Tracks markers by Kalman filters on readings, with joint probabilistic data association.
 
     Identity numbers are never used again, also not after ``reset``. The same input gives the same
     bits.
@@ -137,7 +137,7 @@ class Tracker:
         self._tracks.bias_mm[:] = np.inf
 
     def reset(self) -> None:
-        """Forget all tracks; the next ones have new numbers."""
+        """Delete all tracks; identity numbers continue."""
         self._tracks = Tracks.empty(len(self.motion), len(self.model))
         self._time_ns = self._begun_ns = None
         self._newcomers.reset()
@@ -150,7 +150,7 @@ class Tracker:
         covariance: Array,
         marker: int | None = None,
     ) -> NDArray[np.int64]:
-        """Begin confirmed tracks of markers that are known to be there; return their numbers.
+        """Add confirmed tracks of markers with known positions; return their identity numbers.
 
         For places that are known by other means: from a set-up, or of a frame of markers (thesis,
         section 7.2.2). They are looked for in the exposures from then on; those that are not seen

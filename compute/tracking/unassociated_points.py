@@ -31,7 +31,7 @@ _NO_POINT = (
 
 @dataclass(frozen=True, eq=False)
 class UnassociatedPoints:
-    """N points of left-over peaks.
+    """N points from unassociated peaks.
 
     Args:
         position_mm: shape (N, 3).
@@ -54,7 +54,7 @@ class UnassociatedPoints:
 
 @dataclass(frozen=True, eq=False)
 class UnassociatedPointFinder:
-    """Finds points of left-over peaks.
+    """Reconstructs points from unassociated peaks.
 
     Args:
         solve: readings to points.
@@ -69,7 +69,7 @@ class UnassociatedPointFinder:
     def find(
         self, peaks: Measurements, free: NDArray[np.bool_], expected: PredictedPoints
     ) -> UnassociatedPoints | None:
-        """Return the points of the peaks that are free, shape (S, K); None where there are none.
+        """Return the points of free peaks; None where there are none.
 
         Args:
             peaks: of the frame.

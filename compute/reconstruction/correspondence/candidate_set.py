@@ -42,7 +42,7 @@ _ACCEPTED_ERROR_SHARE: Final = 0.5
 
 
 class CandidateSet:
-    """The candidates of a frame.
+    """Candidates of an exposure, and the groups chosen from them.
 
     Args:
         solve: reconstructs.
@@ -143,7 +143,7 @@ class CandidateSet:
             self.bodies.append((index, BodyMatch(rows, match.score, match.chi2, match.dof)))
 
     def finish(self) -> None:
-        """Turn the likeliest set into groups, and what leaves no choice into one more."""
+        """Make groups of the likeliest set, and one of single remaining peaks."""
         self._decide(inf)
         self._add_single()
 
@@ -317,7 +317,7 @@ class CandidateSet:
 
 @lru_cache(maxsize=256)
 def _all_choices(counts: tuple[int, ...], least: int) -> Choice:
-    """Return every choice of at least so many peaks, as indices, shape (C, S); do not change it."""
+    """Return all choices of a minimum number of peaks, shape (C, S); read-only."""
     seeing = sum(count > 0 for count in counts)
     axes = [np.arange(-1 if count == 0 or seeing > least else 0, max(count, 0)) for count in counts]
     choice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(counts))

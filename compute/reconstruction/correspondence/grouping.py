@@ -169,7 +169,7 @@ _HALF_LOG_TWO_PI: Final = 0.5 * log(2.0 * pi)
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """Every choice of four peaks, for so many on each sensor; of few, every choice of three too.
+    """All choices of four peaks for given counts; for few peaks, all choices of three too.
 
     ``family`` has for each of the ``whole`` fours its own row and those without a sensor each.
     """
@@ -183,7 +183,7 @@ class _Plan:
 def group_four_sensor_frame(
     solve: Solve, peaks: Measurements, settings: MatchSettings
 ) -> tuple[list[Group], PointBatch] | None:
-    """Return the groups of a small frame and their points; None: there is something to weigh.
+    """Return the groups of a small frame and their points; None where peaks are contested.
 
     Args:
         solve: reconstructs.

@@ -27,7 +27,7 @@ _ROUNDING_PX: Final = 0.01  # what a point that is a little off changes in a rea
 
 @dataclass(frozen=True, eq=False)
 class GatedPeaks:
-    """Which peaks lie where points would be seen, as ranges of each sensor's free peaks.
+    """Peaks in the gates of points, as ranges of each sensor's free peaks.
 
     Args:
         first, count: shape (N, S); count is 0 where no peak is, and for the sensors left out.
@@ -49,7 +49,7 @@ def find_gated_peaks(
     misfit_density: MisfitDensity,
     true: int,
 ) -> GatedPeaks:
-    """Find the peaks within the innovation's limit of what is predicted.
+    """Find the peaks within the gates about the predicted readings.
 
     Args:
         model: the measurement model.

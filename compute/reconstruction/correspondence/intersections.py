@@ -25,12 +25,12 @@ Array = NDArray[np.float64]
 MAX_TRIPLES: Final = 10_000
 """Combinations of three peaks that are tried in an exposure; more are tried part by part."""
 MAX_GHOSTS: Final = 40.0
-"""Combinations that may agree by chance, for so many sensors to be enough."""
+"""Most chance intersections for which a number of sensors suffices."""
 GATE_PX: Final = 1.0
-"""About how wide a reading's gate is."""
+"""Approximate width of a reading's gate."""
 MAX_PIXELS: Final = 4096.0
 MAX_PREDICTED: Final = 24_000
-"""Readings that are predicted for them, before another triple of sensors waits for its turn."""
+"""Most readings predicted in an exposure; further triples of sensors wait for the next."""
 MAX_INTERSECTION_POINTS: Final = 600
 """Points that are returned, the likeliest."""
 
@@ -64,7 +64,7 @@ class IntersectionPoints:
         return len(self.choice)
 
     def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "IntersectionPoints":
-        """Return some of them."""
+        """Return some of the points."""
         return IntersectionPoints(
             self.choice[index],
             self.position_mm[index],
@@ -78,7 +78,7 @@ class IntersectionPoints:
 
 @dataclass(frozen=True, eq=False)
 class SearchPart:
-    """Which part of a frame's combinations is tried.
+    """Part of an exposure's combinations that is tried.
 
     Args:
         base_index: which of the triples of sensors, that no marker escapes, to start from.

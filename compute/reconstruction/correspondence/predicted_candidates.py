@@ -32,11 +32,11 @@ _LEAST: Final = 3
 
 @dataclass(frozen=True, eq=False)
 class PredictedPoints:
-    """Where markers are expected, from their tracks.
+    """Predicted positions of markers, from their tracks.
 
     Args:
         position_mm: shape (T, 3) [mm].
-        covariance_mm2: shape (T, 3, 3) [mm^2], of the prediction, the motion since included.
+        covariance_mm2: shape (T, 3, 3) [mm^2], process noise included.
 
     Raises:
         InvalidParameter: shapes that do not fit, or values that are not finite.

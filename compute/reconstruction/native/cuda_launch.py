@@ -21,7 +21,7 @@ MOVED_WORDS: Final = 7
 
 
 class CudaLaunch:
-    """Runs the kernel on a CUDA device, in buffers of its own.
+    """Runs the triangulation kernel on a CUDA device, in buffers of its own.
 
     Args:
         wp: the module Warp.
@@ -92,7 +92,7 @@ class CudaLaunch:
             self._wp.copy(self._there[index], self._staged[index], count=array.size)
 
     def launch(self) -> None:
-        """Start the kernel on what was uploaded."""
+        """Start the kernel on the uploaded readings."""
         self._launch.set_dim(self._uploaded)
         self._launch.launch()
 
@@ -119,7 +119,7 @@ class CudaLaunch:
             part[...] = source[: part.size].reshape(part.shape)
 
     def _sizes(self, count: int) -> list[int]:
-        """Return how many values of each array so many points have."""
+        """Return the number of values of each array, for ``count`` points."""
         return [count * n for n in (self._sensors, self._sensors, 3, 9, 1, self._sensors, 1)]
 
     def _buffers(self, count: int, *, pinned: bool) -> list[Any]:

@@ -1,4 +1,4 @@
-"""The Warp kernels that make points of readings, one for each number of sensors.
+"""Warp kernels of the triangulation, one for each number of sensors.
 
 Only ``compute.reconstruction.solver`` imports this module, when a solver is made: it loads Warp.
 """

@@ -1,4 +1,4 @@
-"""What the kernel is given: records of addresses and sizes, for NumPy and for C++."""
+"""Arguments of the triangulation kernel: addresses and sizes, for NumPy and C++."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Associator: what ``associate`` does, by one kernel on the CPU."""
+"""Associator: association and filter update by one native kernel on the CPU."""
 
 from typing import Any, Final
 
@@ -22,15 +22,15 @@ _GROWN: Final = 64
 
 
 class Associator:
-    """Associates by the kernel; what it has no room for, the reference does.
+    """Associates by the kernel; clusters beyond its capacity are left to the NumPy code.
 
     Warp is not thread-safe: one thread makes it and calls it. The kernel is compiled when it is
-    first made for so many sensors (seconds), and stays on the disk.
+    first made for a number of sensors (seconds), and is cached on disk.
 
     Args:
         model: of the readings.
         motion: M models.
-        settings: what sensors miss and invent.
+        settings: detection probability, clutter density and gate.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The Warp kernels that associate peaks with tracks, one for each number of sensors.
+"""Warp kernels of the association of peaks with tracks, one for each number of sensors.
 
 Only ``compute.tracking.native.associator`` imports this module, when it is made: it loads Warp.
 """

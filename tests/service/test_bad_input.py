@@ -657,6 +657,7 @@ def test_every_row_has_a_builder_and_every_builder_a_row():
     assert set(names) == set(BUILDERS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", rows(), ids=lambda row: re.sub(r"\W+", "-", row.what))
 def test_bad_input(bad_input_client: Any, row: Row):
     before = everything(bad_input_client)

@@ -22,6 +22,7 @@ def test_version():
     assert (result.exit_code, result.output.splitlines()) == (0, [package_version(), DISCLAIMER])
 
 
+@pytest.mark.slow
 def test_openapi_prints_the_served_document():
     result = run("openapi")
     assert result.exit_code == 0

@@ -67,6 +67,7 @@ def wait_for(client: Client, held: bool) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_from_the_set_up_to_the_stop(client: Client) -> None:
     members: dict[str, Any] = {"rules": PATIENT_RULES}
     made = client.create_beam_hold("chest", "sim", WATCH, {"shift_mm": 3.0}, **members)
@@ -209,6 +210,7 @@ def lumiline(client: Client, *arguments: str, code: int = 0) -> str:
     return run.output
 
 
+@pytest.mark.slow
 def test_holds_on_the_command_line(client: Client, hold: str) -> None:
     wait_for(client, held=False)
     assert "on" in lumiline(client, "show", "chest")

@@ -53,6 +53,7 @@ def allowed(scope: str, key: str) -> bool:
     return scope not in key if key.startswith("all but ") else scope == key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", HTTP, ids=lambda row: row.operation)
 def test_every_operation(
     secured: Secured, keys: dict[str, str], invalid: list[str], row: Row

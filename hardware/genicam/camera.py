@@ -20,9 +20,9 @@ from hardware.genicam.aravis import (
     AravisError,
     library,
 )
-from hardware.genicam.buffer_timestamps import BufferTimestamps
 from hardware.genicam.pixel_formats import check_width, unpack_counts
 from hardware.genicam.settings import Feature, GenicamCamera, GenicamSettings
+from hardware.genicam.timestamps import BufferTimestamps
 
 _CONTINUOUS: Final = 0
 _MOST_BUFFERS: Final = 128

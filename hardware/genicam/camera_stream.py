@@ -8,10 +8,9 @@ from typing import Final
 from compute.errors import InvalidParameter
 from hardware.errors import DeviceChanged, DeviceNotConnected
 from hardware.genicam.camera import Buffer, Camera
-from hardware.genicam.frame_counter import FrameCounter
 from hardware.genicam.frame_sync import CameraScan
 from hardware.genicam.settings import GenicamCamera, GenicamSettings
-from hardware.genicam.timestamps import ScanTimestamps
+from hardware.genicam.timestamps import FrameCounter, ScanTimestamps
 
 RETRY_S: Final = (0.1, 0.25, 0.5, 1.0, 2.0)
 """How long to wait before a lost camera is opened again; the last for all that follow."""

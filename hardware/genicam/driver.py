@@ -15,8 +15,7 @@ from hardware.genicam.frame_sync import CameraScan, FrameSynchroniser
 from hardware.genicam.pixel_formats import bits_per_pixel
 from hardware.genicam.settings import GenicamSettings
 from hardware.line_frame import FrameFlag, LineFrame
-from hardware.link import LinkPhase, LinkState
-from hardware.link_report import LinkReport
+from hardware.link import LinkPhase, LinkReport, LinkState
 from hardware.timing import host_time_ns
 
 SILENCE_S: Final = 1.0

@@ -27,6 +27,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.driver import DeviceDescription
+
 FORMAT: Final = "lumiline-recording"
 VERSION: Final = 2
 COLUMNS_1: Final[dict[str, np.dtype[Any]]] = {
@@ -239,3 +241,32 @@ def result_checksums(
             found[number] = zlib.crc32(points[point : point + of_points].tobytes(), first)
             peak, point = peak + of_peaks, point + of_points
     return found
+
+
+@dataclass(frozen=True)
+class RecordingInfo:
+    """What a recording holds.
+
+    Args:
+        description: the device that it is of.
+        frames: number of frames.
+        duration_s: from the first exposure to the last, on the device's clock [s].
+        lost: exposures missing between the first frame and the last.
+        complete: whether the writer closed it; False while it is written, and after a crash.
+        version: of the layout.
+        lines: whether it holds lines.
+        results: whether it holds peaks and points.
+        provenance: what the writer said of how it was made; empty in version 1.
+        state: what was lost where, and why it ended; of version 1 it is little.
+    """
+
+    description: DeviceDescription
+    frames: int
+    duration_s: float
+    lost: int
+    complete: bool
+    version: int
+    lines: bool
+    results: bool
+    provenance: dict[str, Any]
+    state: RecordingState

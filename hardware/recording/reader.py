@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from compute.errors import InvalidParameter
 from hardware.driver import DeviceDescription
 from hardware.line_frame import FrameFlag, LineFrame
-from hardware.recording.columns import check_columns, read_column
 from hardware.recording.frame_block import FrameBlock, scan_shape
-from hardware.recording.hdf5_file import RecordingFile
-from hardware.recording.info import RecordingInfo
+from hardware.recording.hdf5_file import RecordingFile, check_columns, read_column
 from hardware.recording.layout import (
     CALIBRATION_EXTENT,
     CHUNK_FRAMES,
@@ -28,6 +26,7 @@ from hardware.recording.layout import (
     PEAK,
     STATE,
     VERSION,
+    RecordingInfo,
     RecordingState,
     frame_checksums,
     point_dtype,

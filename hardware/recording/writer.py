@@ -39,8 +39,7 @@ from hardware.recording.layout import (
     result_checksums,
     unfinished_path,
 )
-from hardware.recording.row_buffer import RowBuffer
-from hardware.recording.scan_chunks import ScanChunks
+from hardware.recording.write_buffers import RowBuffer, ScanChunks
 
 _ROWS: Final = 4096
 """Rows of a chunk of a column, and most that wait to be written."""

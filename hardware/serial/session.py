@@ -7,15 +7,13 @@ from threading import Lock
 from typing import Final
 
 from hardware.driver import DeviceDescription, SensorDescription
-from hardware.errors import DeviceNotConnected
+from hardware.errors import DeviceChanged, DeviceNotConnected
 from hardware.line_frame import LineFrame
 from hardware.link import LinkCounters, LinkPhase, LinkState
 from hardware.serial.connection import Connection
 from hardware.serial.decoder import Decoder
-from hardware.serial.describe_policy import DescribePolicy
 from hardware.serial.frame_builder import FrameBuilder
-from hardware.serial.identity_check import check_identity
-from hardware.serial.link_watchdog import LinkWatchdog
+from hardware.serial.link_watchdog import DescribePolicy, LinkWatchdog
 from hardware.serial.messages import Answer, Description, DeviceStatus, Lines, Message
 from hardware.serial.port import CloseSignal, PortDisconnected
 from hardware.serial.settings import SerialSettings
@@ -265,3 +263,31 @@ class SerialSession:
             self._connection.stop()
         self._release_connection()
         self._closing.close()
+
+
+_IDENTITY_VALUES: Final = (
+    ("pitch_um", "pixel pitch", "um"),
+    ("bits", "conversion", "bits"),
+    ("electrons_per_count", "gain", "electrons per count"),
+    ("read_noise_electrons", "read noise", "electrons"),
+    ("offset_counts", "offset", "counts"),
+    ("line_sigma_px", "line width", "px"),
+)
+"""What peaks and calibrations are computed with; its clock, delay and rate may be others."""
+
+
+def check_identity(before: Description, now: Description) -> None:
+    """Raise DeviceChanged when the sensors, or what is computed with, are others than before."""
+    if (now.sensors, now.pixels) != (before.sensors, before.pixels):
+        raise DeviceChanged(
+            f"{now.name} came back with the sensors {', '.join(now.sensors)} of {now.pixels} px; "
+            f"before there were {', '.join(before.sensors)} of {before.pixels} px; start the "
+            "device anew",
+        )
+    for name, words, unit in _IDENTITY_VALUES:
+        old, new = getattr(before, name), getattr(now, name)
+        if old != new:
+            raise DeviceChanged(
+                f"{now.name} came back with the {words} {new:g} {unit}; before it was {old:g} "
+                f"{unit}; start the device anew, and see whether its calibration still holds",
+            )

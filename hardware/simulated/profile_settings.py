@@ -10,7 +10,7 @@ from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.profiles.device_profile import DeviceProfile
 from compute.optics.profiles.profile_optics import OpticsMode
 from hardware.driver import PeakMethod
-from hardware.simulated.field_bounds import check_field_bounds
+from hardware.field_bounds import check_field_bounds
 from hardware.simulated.scenes import RotatingBar, Scene
 
 MAX_RATE_HZ: Final = 1000.0

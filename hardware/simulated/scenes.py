@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
+from hardware.field_bounds import check_field_bounds
 from hardware.simulated.calibration_target import calibration_target_points_mm
-from hardware.simulated.field_bounds import check_field_bounds
 
 Array = NDArray[np.float64]
 Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]

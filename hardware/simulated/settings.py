@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field
 from compute.errors import InvalidParameter
 from hardware.blink_schedule import BlinkSchedule
 from hardware.driver import PeakMethod
-from hardware.simulated.field_bounds import check_field_bounds
+from hardware.field_bounds import check_field_bounds
 from hardware.simulated.frame_batch import Timing
 from hardware.simulated.scenes import RotatingBar, Scene
 from hardware.strobe_schedule import StrobeSchedule

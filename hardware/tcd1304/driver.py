@@ -10,8 +10,7 @@ import numpy as np
 
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.line_frame import FrameFlag, LineFrame
-from hardware.link import LinkPhase, LinkState
-from hardware.link_report import LinkReport
+from hardware.link import LinkPhase, LinkReport, LinkState
 from hardware.serial.port import CloseSignal
 from hardware.tcd1304.board import BoardFault, BoardLink, BoardScan
 from hardware.tcd1304.dark_correction import dark_corrected_counts

@@ -8,8 +8,8 @@ from pydantic import ConfigDict, Field, StringConstraints
 
 from compute.errors import InvalidParameter
 from hardware.driver import PeakMethod
+from hardware.field_bounds import check_field_bounds
 from hardware.serial.settings import URL_PATTERN
-from hardware.simulated.field_bounds import check_field_bounds
 from hardware.tcd1304.dark_correction import OFFSET_COUNTS
 from hardware.tcd1304.protocol import (
     CLOCK_HZ,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hardware.serial.busy_retry import BUSY_LIMIT_NS, RETRY_INTERVAL_NS, BusyRetry
+from hardware.serial.connection import BUSY_LIMIT_NS, RETRY_INTERVAL_NS, BusyRetry
 from hardware.serial.messages import Answer, FromHost, MessageType, Result, Start, Strobe
 from hardware.serial.port import PortDisconnected
 

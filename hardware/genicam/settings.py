@@ -1,4 +1,4 @@
-"""Settings of a device of GenICam line-scan cameras."""
+"""Settings of the GenICam driver."""
 
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, get_args

@@ -1,4 +1,4 @@
-"""RecordingFile: the HDF5 file of a recording, read with errors that name what is damaged."""
+"""Validated access to the HDF5 file of a recording."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -12,14 +12,14 @@ from hardware.recording.layout import NO_CALIBRATION_ROW, NO_MARKER, RecordingIn
 
 _SWMR: Final = 4
 _FLAGS_AT: Final = 11
-"""Where the superblock of version 3 says that a file is being written, and can be read so."""
+"""Offset of the consistency flags in a superblock of version 3; _SWMR: open for writing."""
 
 
 class RecordingFile:
-    """An open file; one that is being written, or was when its writer died, as well.
+    """An open recording; also one still being written, or left open by a crashed writer.
 
     Raises:
-        InvalidRecording: it is not there, or not HDF5, or cut short.
+        InvalidRecording: it does not exist, is not HDF5, or is truncated.
     """
 
     def __init__(self, path: Path) -> None:
@@ -33,7 +33,7 @@ class RecordingFile:
             raise self.invalid(f"is not an HDF5 file, or is cut short ({error})") from error
 
     def __contains__(self, name: str) -> bool:
-        """Return whether there is a member of this name."""
+        """Return whether the file has a member of this name."""
         return name in self._file
 
     def close(self) -> None:
@@ -51,7 +51,7 @@ class RecordingFile:
             raise self.invalid(f"has damaged attributes ({error})") from error
 
     def rows(self, name: str, dtype: np.dtype[Any], row: tuple[int, ...] = ()) -> int:
-        """Return how many rows a dataset has now.
+        """Check a dataset's type and shape; return its current number of rows.
 
         Args:
             name: of the dataset.
@@ -82,12 +82,12 @@ class RecordingFile:
         return values
 
     def invalid(self, reason: str) -> InvalidRecording:
-        """Return the error that says so of this file."""
+        """Return an InvalidRecording for this file."""
         return InvalidRecording(f"{self._name} {reason}", file=self._name)
 
 
 def _being_written(path: Path) -> bool:
-    """Return whether a writer has the file open, or had when it died; raises OSError."""
+    """Return whether the file is marked as open for writing; raises OSError."""
     with path.open("rb") as file:
         start = file.read(_FLAGS_AT + 1)
     return len(start) > _FLAGS_AT and start[8] == 3 and bool(start[_FLAGS_AT] & _SWMR)
@@ -99,11 +99,11 @@ def read_column(file: RecordingFile, info: RecordingInfo, name: str) -> NDArray[
 
 
 def check_columns(file: RecordingFile, info: RecordingInfo) -> None:
-    """Look through what the frames say of themselves.
+    """Check the columns of the frames for consistency.
 
     Raises:
-        InvalidRecording: a column contradicts itself or the others; the message has the first
-            row that does.
+        InvalidRecording: a column contradicts itself or the others; the message names the first
+            such row.
     """
 
     def refuse_where(wrong: NDArray[np.bool_], name: str, right: str, offset: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""The description of a device as a recording keeps it: read as from a stranger."""
+"""Parses and validates the device description stored in a recording (untrusted input)."""
 
 import math
 from collections import Counter
@@ -13,7 +13,7 @@ from hardware.driver import DeviceDescription, PeakMethod
 
 @dataclass(frozen=True)
 class _StoredDescription(DeviceDescription):
-    """A description as it was written; before lines were fitted it named no method."""
+    """A stored description; old recordings name no method of peak detection."""
 
     peaks: PeakMethod = "centroid"
 
@@ -26,11 +26,11 @@ _FULL: Final = 2**16 - 1
 
 
 def read_description(text: str) -> DeviceDescription:
-    """Return the device that a recording's JSON describes.
+    """Return the device description in a recording's JSON.
 
     Raises:
-        InvalidParameter: it describes none, or an unusable one; the message goes on from the
-            file's name.
+        InvalidParameter: it is not a description, or an unusable one; the message continues a
+            sentence that begins with the file's name.
     """
     try:
         description = DeviceDescription(**vars(_DESCRIPTION.validate_json(text)))
@@ -45,7 +45,7 @@ def read_description(text: str) -> DeviceDescription:
 
 
 def _check_values(description: DeviceDescription) -> None:
-    """Check that the description's values mean something; NaN and infinities fit nowhere."""
+    """Check the ranges of the description's values; NaN and infinities are invalid."""
     rate, gain = description.frame_rate_hz, description.electrons_per_count
     noise, offset = description.read_noise_electrons, description.offset_counts
     names = Counter(sensor.name for sensor in description.sensors)

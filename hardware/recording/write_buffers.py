@@ -1,4 +1,4 @@
-"""ScanChunks: the lines of a recording, written to its file in whole chunks."""
+"""Write buffers of a recording: chunks of scans, and rows of frames and results."""
 
 from typing import Any, Literal
 
@@ -10,12 +10,12 @@ from hardware.recording.layout import CHUNK_BYTES, CHUNK_FRAMES, COLUMNS, PEAK
 
 
 class ScanChunks:
-    """The dataset of lines, and the chunk of it that is being filled.
+    """The dataset of scans and its current chunk; chunks are written whole.
 
     Args:
-        group: where the dataset is made.
-        shape: sensors, and pixels of each.
-        compression: as of RecordingWriter.
+        group: the group that gets the dataset.
+        shape: number of sensors and of pixels per sensor.
+        compression: as in RecordingWriter.
     """
 
     def __init__(
@@ -41,10 +41,10 @@ class ScanChunks:
         )
 
     def put(self, place: int, lines: NDArray[np.uint16]) -> None:
-        """Fill the chunk, and write it each time that it is full.
+        """Append scans; write each chunk that becomes full.
 
         Args:
-            place: frames that were put before.
+            place: number of frames appended before.
             lines: shape (F, S, P).
         """
         chunk, taken = self._chunk, 0
@@ -57,7 +57,7 @@ class ScanChunks:
                 self._write(place + taken - len(chunk), place + taken)
 
     def write_rest(self, frames: int) -> None:
-        """Write the chunk as far as it is filled; ``frames`` were put in all."""
+        """Write the partly filled chunk; ``frames`` is the number appended in all."""
         part = frames % len(self._chunk)
         if part:
             self._write(frames - part, frames)
@@ -65,9 +65,9 @@ class ScanChunks:
     def _write(self, first: int, end: int) -> None:
         """Write the chunk that begins with frame ``first``, filled up to ``end``.
 
-        A chunk that was written before is the same up to where it was filled then: nothing of it
-        is lost if the process dies meanwhile. (Compressed, it gets a new place each time, and the
-        old one is not used again.)
+        A chunk that was written before keeps its old contents: nothing of it is lost if the
+        process dies meanwhile. (A compressed chunk gets a new position each time; the old one
+        is not reused.)
         """
         # Looking it up, and h5py's own resize, would take a fifth of the writer's time.
         self._lines.id.set_extent((end, *self._shape))
@@ -78,7 +78,7 @@ class ScanChunks:
 
 
 class RowBuffer:
-    """What was appended and is not written yet but for the lines, and how much there is in all."""
+    """Rows of frames, peaks and points that are not written yet, and the totals."""
 
     def __init__(self, point: np.dtype[Any]) -> None:
         self.frames = self.peaks = self.points = self.rows = 0
@@ -92,7 +92,7 @@ class RowBuffer:
         peaks: NDArray[np.void],
         points: NDArray[np.void],
     ) -> None:
-        """Keep rows until they are taken."""
+        """Append rows."""
         for name, values in columns.items():
             self._columns[name].append(values)
         self._peaks.append(peaks)
@@ -105,7 +105,7 @@ class RowBuffer:
     def take(
         self,
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.void], NDArray[np.void]]:
-        """Return the rows that wait, which are forgotten; no columns where none wait."""
+        """Return and remove the buffered rows; no columns where there are none."""
         columns = {name: np.concatenate(kept) for name, kept in self._columns.items() if kept}
         peaks, points = np.concatenate(self._peaks), np.concatenate(self._points)
         for kept in self._columns.values():

@@ -1,1 +1,1 @@
-"""Line sensors on a serial port: the protocol of docs/serial-protocol.md, host and device side."""
+"""Line sensors on a serial port: both sides of the protocol in docs/serial-protocol.md."""

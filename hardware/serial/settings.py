@@ -1,4 +1,4 @@
-"""Settings of a device on a serial port."""
+"""Settings of the serial driver."""
 
 import re
 from dataclasses import dataclass

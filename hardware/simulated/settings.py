@@ -108,7 +108,7 @@ class SimulationSettings:
 
     @property
     def timing(self) -> Timing:
-        """When exposures are made, and which marker each lights."""
+        """Timing of the exposures, and the marker that each lights."""
         slots = self.strobe.slots if self.strobe else ()
         return Timing(
             self.frame_rate_hz,

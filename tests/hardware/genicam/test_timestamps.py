@@ -1,4 +1,4 @@
-"""Numbers and times of a camera go on: over 16 bits, lost buffers, restarts and late arrivals."""
+"""Timestamps and frame numbers: 16-bit wrap, lost buffers, resets, clock adjustments."""
 
 from itertools import pairwise
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""A busy device: told again for some seconds, then its connection counts as lost."""
+"""BusyRetry: commands are repeated for some seconds, then the connection counts as lost."""
 
 import pytest
 

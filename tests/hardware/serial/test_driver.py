@@ -1,4 +1,4 @@
-"""The driver against a simulated device on a bad line: nothing raises, everything is told."""
+"""SerialDriver with a simulated device and transmission faults."""
 
 import os
 import threading

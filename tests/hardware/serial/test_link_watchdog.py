@@ -1,8 +1,6 @@
-"""How a link is judged by what comes."""
+"""LinkWatchdog classifies a link; DescribePolicy queries and reconfigures its device."""
 
 from hardware.serial.link_watchdog import CONFIGURE_INTERVAL_NS, DescribePolicy, LinkWatchdog
-
-S = 1_000_000_000
 
 
 def watch() -> LinkWatchdog:
@@ -65,54 +63,54 @@ S = 1_000_000_000
 
 
 def silent() -> DescribePolicy:
-    """Of ten seconds, after frames."""
-    asking = DescribePolicy()
-    asking.begin(0)
-    asking.frames_came()
-    return asking
+    """Policy of a device that fell silent after frames."""
+    policy = DescribePolicy()
+    policy.begin(0)
+    policy.record_frames()
+    return policy
 
 
-def test_it_is_asked_each_second() -> None:
-    asking = silent()
-    asked = [tenth for tenth in range(100) if asking.ask(tenth * S // 10)]
+def test_a_silent_device_is_queried_each_second() -> None:
+    policy = silent()
+    asked = [tenth for tenth in range(100) if policy.should_describe(tenth * S // 10)]
     assert asked == list(range(11, 100, 11))
 
 
-def test_a_resting_device_is_told_once_and_then_every_ten_seconds() -> None:
-    asking = silent()
+def test_a_stopped_device_is_reconfigured_once_and_then_every_ten_seconds() -> None:
+    policy = silent()
     status = []
     for second in range(2, 60, 2):
-        assert asking.ask(second * S)
-        if asking.tell(second * S + 1):
+        assert policy.should_describe(second * S)
+        if policy.should_configure(second * S + 1):
             status.append(second)
     assert status == [2, 14, 26, 38, 50]
     assert CONFIGURE_INTERVAL_NS == 10 * S
 
 
 def resting() -> DescribePolicy:
-    """Told at 2 s, and not at 4 s."""
-    asking = silent()
-    assert asking.ask(2 * S)
-    assert asking.tell(2 * S)
-    assert asking.ask(4 * S)
-    assert not asking.tell(4 * S)
-    return asking
+    """Policy that resent the settings at 2 s, and not at 4 s."""
+    policy = silent()
+    assert policy.should_describe(2 * S)
+    assert policy.should_configure(2 * S)
+    assert policy.should_describe(4 * S)
+    assert not policy.should_configure(4 * S)
+    return policy
 
 
-def test_what_it_says_unasked_is_a_reset() -> None:
-    assert resting().tell(5 * S)
+def test_an_unsolicited_description_is_a_reset() -> None:
+    assert resting().should_configure(5 * S)
 
 
-def test_one_that_did_not_answer_may_have_been_reset() -> None:
-    asking = resting()
-    assert asking.ask(6 * S)
-    assert asking.ask(8 * S)
-    assert asking.tell(8 * S)
+def test_a_device_that_did_not_answer_may_have_been_reset() -> None:
+    policy = resting()
+    assert policy.should_describe(6 * S)
+    assert policy.should_describe(8 * S)
+    assert policy.should_configure(8 * S)
 
 
-def test_after_frames_and_connections_it_is_told_at_once() -> None:
-    for again in (DescribePolicy.frames_came, lambda asking: asking.begin(4 * S)):
-        asking = resting()
-        again(asking)
-        assert asking.ask(6 * S)
-        assert asking.tell(6 * S)
+def test_after_frames_and_connections_it_is_reconfigured_at_once() -> None:
+    for again in (DescribePolicy.record_frames, lambda policy: policy.begin(4 * S)):
+        policy = resting()
+        again(policy)
+        assert policy.should_describe(6 * S)
+        assert policy.should_configure(6 * S)

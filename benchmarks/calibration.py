@@ -131,7 +131,7 @@ def run(seconds: float = 0.3) -> list[Row]:
         solvers["pyceres, dense QR"] = pyceres_solver()
     except ImportError:
         solvers["pyceres, dense QR"] = "not installed: pip install pyceres"
-    least = [_least(frame) for frame in sets]
+    least = [_min_squares(frame) for frame in sets]
     rows = []
     for job, label in (
         *((MINIMUM, label) for label in STARTS),
@@ -232,7 +232,7 @@ def _starts(frame: Frame, label: str, seed: int) -> list[Array]:
     return [near_start(model, rng) for model in frame.models]
 
 
-def _least(frame: Frame) -> list[float]:
+def _min_squares(frame: Frame) -> list[float]:
     """Return each sensor's minimal sum of squares: from the true coefficients, or ours."""
     true = [to_array(collinearity_parameters_of(model)) for model in frame.models]
     return [

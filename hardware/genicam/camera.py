@@ -25,8 +25,8 @@ from hardware.genicam.settings import Feature, GenicamCamera, GenicamSettings
 from hardware.genicam.timestamps import BufferTimestamps
 
 _CONTINUOUS: Final = 0
-_MOST_BUFFERS: Final = 128
-_LEAST_BUFFERS: Final = 8
+_MAX_BUFFERS: Final = 128
+_MIN_BUFFERS: Final = 8
 _MEMORY_BYTES: Final = 64 * 2**20
 _EXPOSURES: Final = ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
 _LINE_RATES: Final = ("AcquisitionLineRate", "AcquisitionLineRateAbs")
@@ -103,7 +103,7 @@ class Camera:
         try:
             self._stream = call.camera_create_stream(self._camera, None, None)
             size = call.camera_get_payload(self._camera)
-            count = min(_MOST_BUFFERS, max(_LEAST_BUFFERS, _MEMORY_BYTES // max(1, size)))
+            count = min(_MAX_BUFFERS, max(_MIN_BUFFERS, _MEMORY_BYTES // max(1, size)))
             for _ in range(count):
                 call.stream_push_buffer(self._stream, call.buffer_new_allocate(size))
             call.camera_start_acquisition(self._camera)

@@ -20,8 +20,8 @@ class _StoredDescription(DeviceDescription):
 
 _DESCRIPTION = TypeAdapter(_StoredDescription)
 
-_MOST_HZ: Final = 1e6
-_MOST_UM: Final = 1000.0
+_MAX_HZ: Final = 1e6
+_MAX_UM: Final = 1000.0
 _FULL: Final = 2**16 - 1
 
 
@@ -50,7 +50,7 @@ def _check_values(description: DeviceDescription) -> None:
     noise, offset = description.read_noise_electrons, description.offset_counts
     names = Counter(sensor.name for sensor in description.sensors)
     checks = [
-        ("frame_rate_hz", rate, 0 <= rate <= _MOST_HZ, f"0 (not known) to {_MOST_HZ:g}"),
+        ("frame_rate_hz", rate, 0 <= rate <= _MAX_HZ, f"0 (not known) to {_MAX_HZ:g}"),
         ("bits", description.bits, 1 <= description.bits <= 16, "1 to 16"),
         ("electrons_per_count", gain, 0 < gain < math.inf, "positive"),
         ("read_noise_electrons", noise, 0 <= noise < math.inf, "0 or more"),
@@ -66,8 +66,8 @@ def _check_values(description: DeviceDescription) -> None:
             for name, count in names.items()
         ),
         *(
-            ("pitch_um", sensor.pitch_um, 0 < sensor.pitch_um <= _MOST_UM,
-             f"positive, at most {_MOST_UM:g}")
+            ("pitch_um", sensor.pitch_um, 0 < sensor.pitch_um <= _MAX_UM,
+             f"positive, at most {_MAX_UM:g}")
             for sensor in description.sensors
         ),
     ]  # fmt: skip

@@ -10,7 +10,7 @@ from hardware.serial.encoding import CRC, HEAD
 from hardware.serial.messages import MAX_BYTES, VERSION, Message
 from hardware.serial.parsing import MalformedMessage, parse
 
-_LEAST: Final = HEAD.size + CRC.size
+_MIN_BYTES: Final = HEAD.size + CRC.size
 
 
 @dataclass
@@ -56,7 +56,7 @@ class Decoder:
     def __init__(self, max_bytes: int = MAX_BYTES) -> None:
         self.counters = DecoderCounters()
         self.complaint: str | None = None
-        self._most = max_bytes
+        self._max_bytes = max_bytes
         self._tail = bytearray()
         self._skipping = False
         self._first = True
@@ -104,7 +104,7 @@ class Decoder:
     def _keep(self, rest: bytes) -> None:
         if self._skipping:
             return
-        if len(self._tail) + len(rest) > self._most:
+        if len(self._tail) + len(rest) > self._max_bytes:
             self._tail.clear()
             self._skipping = True
             self.counters.too_long += 1
@@ -112,14 +112,14 @@ class Decoder:
             self._tail += rest
 
     def _decode(self, line: bytes) -> Message | None:
-        if len(line) > self._most:
+        if len(line) > self._max_bytes:
             self.counters.too_long += 1
             return None
         try:
             content: bytes = cobs.decode(line)
         except cobs.DecodeError:
             content = b""
-        if len(content) < _LEAST or zlib.crc32(content) != _RESIDUE:
+        if len(content) < _MIN_BYTES or zlib.crc32(content) != _RESIDUE:
             self.counters.garbled += not self._first
             return None
         if content[0] != VERSION:

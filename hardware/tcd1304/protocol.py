@@ -26,7 +26,7 @@ CLOCK_HZ: Final = 2_000_000
 READOUT_CLOCKS: Final = 4 * ELEMENTS
 MIN_ICG_CLOCKS: Final = READOUT_CLOCKS
 MIN_EXPOSURE_US: Final = 10
-_MOST: Final = 2**32 - 1
+_MAX_CLOCKS: Final = 2**32 - 1
 _FLUSH_CLOCKS: Final = 4 * 15_000  # the firmware empties the CCD at this pace before it reads
 _PULSES_BEFORE: Final = 4  # ICG pulses from the new periods to the reading, at most
 _REQUEST: Final = struct.Struct(">2sIIBB")
@@ -56,16 +56,16 @@ class Request:
 
     def __post_init__(self) -> None:
         min_sh = -(-self.clock_hz * MIN_EXPOSURE_US // 1_000_000)
-        if not min_sh <= self.sh_clocks <= _MOST:
+        if not min_sh <= self.sh_clocks <= _MAX_CLOCKS:
             raise InvalidParameter(
-                f"SH period is {self.sh_clocks}; it must lie between {min_sh} and {_MOST} "
+                f"SH period is {self.sh_clocks}; it must lie between {min_sh} and {_MAX_CLOCKS} "
                 f"periods of {self.clock_hz} Hz: the CCD needs {MIN_EXPOSURE_US} us",
                 sh_clocks=self.sh_clocks,
             )
-        if not MIN_ICG_CLOCKS <= self.icg_clocks <= _MOST:
+        if not MIN_ICG_CLOCKS <= self.icg_clocks <= _MAX_CLOCKS:
             raise InvalidParameter(
                 f"ICG period is {self.icg_clocks}; it must lie between {MIN_ICG_CLOCKS}, what "
-                f"reading {ELEMENTS} elements takes, and {_MOST}",
+                f"reading {ELEMENTS} elements takes, and {_MAX_CLOCKS}",
                 icg_clocks=self.icg_clocks,
             )
         if self.icg_clocks % self.sh_clocks:

@@ -4,12 +4,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow lint serve clean help
+.PHONY: demo test test-slow lint docs serve clean help
 
 help:
 	@echo "make demo   the main job, end to end: real service, simulated device, measured frames"
 	@echo "make test   the test suite, without the few dearest tests: make test-slow"
 	@echo "make lint   ruff, mypy --strict, import contracts, the kernels' C++ headers"
+	@echo "make docs   the documentation site, in build/docs; warnings are errors"
 	@echo "make serve  the service on port 8000"
 
 $(STAMP): pyproject.toml lumiline/pyproject.toml constraints.txt
@@ -40,6 +41,12 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m tests.compute.native.lint
+
+# -E: links between pages are checked in pages that have not changed, too.
+docs: $(STAMP)
+	$(BIN)/python docs/generators/architecture.py
+	$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs build/docs
+	@echo "build/docs/index.html"
 
 serve: $(STAMP)
 	$(BIN)/lumiline serve

@@ -20,7 +20,7 @@ fail() {
 # What the images copy, and nothing else.
 mkdir "$work/src"
 for part in compute hardware service lumiline migrations validation benchmarks docker \
-    pyproject.toml constraints.txt README.md; do
+    pyproject.toml constraints.txt README.md LICENSE; do
     grep -qx "!$part" "$source_dir/docker/Dockerfile.dockerignore" || fail "$part is not copied"
     cp -R "$source_dir/$part" "$work/src/"
 done

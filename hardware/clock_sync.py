@@ -4,8 +4,8 @@ A frame arrives late, never early: the line, the operating system and a busy hos
 one sign. A regression averages them in; the earliest arrivals do not have them. So the clock is
 the highest straight line below the arrivals (Moon, Skelly, Towsley, "Estimation and removal of
 clock skew from network delay measurements", IEEE INFOCOM 1999, doi 10.1109/INFCOM.1999.749287),
-over the earliest arrival of each quarter of a second, older ones with less weight. docs/devices.md
-has the figures of both beside each other.
+over the earliest arrival of each quarter of a second, older ones with less weight.
+docs/how-to/devices.md compares both.
 """
 
 import math

@@ -1,6 +1,9 @@
-"""The version of the installed distribution."""
+"""The version of the installed distribution, and what it may be used for."""
 
 from importlib.metadata import PackageNotFoundError, version
+from typing import Final
+
+DISCLAIMER: Final = "For research use only. Not a medical device: see DISCLAIMER.md."
 
 
 def package_version() -> str:

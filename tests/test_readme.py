@@ -49,6 +49,7 @@ def test_linked_files_exist() -> None:
         assert (ROOT / link).exists(), link
 
 
+@pytest.mark.slow
 def test_the_calibration_as_it_is_written(tmp_path: Path) -> None:
     command = next(line for line in README.splitlines() if "frame-at-1-m.csv" in line)
     words = [

@@ -237,7 +237,7 @@ STANDARD_POLICY: Final = FlagPolicy()
 
 
 def policy_table() -> str:
-    """Return the rules as a Markdown table; docs/flags.md holds what this returns."""
+    """Return the rules as a Markdown table; docs/reference/flags.md holds what this returns."""
     rows = [
         "| flag | where | use | standard deviation | starts a track or tool | why |",
         "|---|---|---|---|---|---|",

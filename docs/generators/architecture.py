@@ -33,9 +33,7 @@ def module_list() -> str:
             lines += ["", f"### {folder.relative_to(ROOT)}", ""]
             if about:
                 lines += [about, ""]
-            lines += [
-                f"- `{path.stem}`: {first_line(path)}" for path in modules if path != own
-            ]
+            lines += [f"- `{path.stem}`: {first_line(path)}" for path in modules if path != own]
     return "\n".join(lines).strip() + "\n"
 
 

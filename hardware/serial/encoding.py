@@ -1,4 +1,4 @@
-"""Reference encoder of the serial protocol (docs/serial-protocol.md)."""
+"""Reference encoder of the serial protocol (docs/reference/serial-protocol.md)."""
 
 import struct
 import zlib

@@ -1,6 +1,6 @@
 """The messages of the line-scan protocol: their types, numbers and limits.
 
-Byte by byte in docs/serial-protocol.md; ``encoding`` writes them, ``parsing`` reads them.
+Byte by byte in docs/reference/serial-protocol.md; ``encoding`` writes them, ``parsing`` reads them.
 """
 
 from dataclasses import dataclass

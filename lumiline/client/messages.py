@@ -1,4 +1,4 @@
-"""Messages of a stream (docs/stream.md). Lengths mm, angles rad, times ns."""
+"""Messages of a stream (docs/reference/stream.md). Lengths mm, angles rad, times ns."""
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields

@@ -59,7 +59,7 @@ first, with that `result_id`; those of the key `examplekey00`: the server choose
 those of the recording `earlier.h5`: record one of that name; and those that look at a tool or
 calibrate one (`tool-captures`, `pivot-calibrations`, `spin-calibrations`), measure with it or by
 it (`points`, strobed markers of a registration), or measure a hold's reference: show the device the
-tool or the markers first, as docs/tools.md and docs/holds.md say.
+tool or the markers first, as docs/how-to/tools.md and docs/how-to/beam-holds.md say.
 """
 
 

@@ -17,7 +17,7 @@ from service.cli import (
     server_commands,
     tools_commands,
 )
-from service.version import package_version
+from service.version import DISCLAIMER, package_version
 
 app = typer.Typer(
     name="lumiline",
@@ -30,7 +30,7 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(package_version())
+        typer.echo(f"{package_version()}\n{DISCLAIMER}")
         raise typer.Exit
 
 

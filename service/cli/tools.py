@@ -99,7 +99,7 @@ def watch(
             client.device(device)  # to be told that there is none, not that it has no tools
         tools = client.tools(device)
         if not tools:
-            raise fail("there are no tools; POST /api/v1/tools makes one (docs/tools.md)")
+            raise fail("there are no tools; POST /api/v1/tools makes one (docs/how-to/tools.md)")
 
         def poses() -> Group:
             # In the frame of a tool that tool itself is left out: it is where it is.

@@ -43,7 +43,7 @@ def check_query(query: bytes) -> None:
         raise CredentialInQuery(
             "the address has a key or token in its query, where servers, proxies and browsers "
             "write it down; revoke it if it is a real one, and send another in the header "
-            "Authorization: Bearer (a websocket: docs/stream.md)"
+            "Authorization: Bearer (a websocket: docs/reference/stream.md)"
         )
 
 

@@ -134,7 +134,7 @@ class Guard:
             if reason is not None:
                 raise Unauthenticated(
                     f"{reason}; send a key in the header Authorization: Bearer "
-                    "(docs/security.md says how to make one)"
+                    "(docs/how-to/security.md says how to make one)"
                 )
             return LOCAL
         authenticator: Authenticator = scope["app"].state.authenticator

@@ -36,6 +36,7 @@ def test_signal_lines_have_their_peaks_where_they_say() -> None:
     assert np.abs(found.position_px - position).max() < 0.2
 
 
+@pytest.mark.slow
 def test_signal_methods_find_the_same_peaks() -> None:
     rows = signal.accuracy()
     errors = {str(row["method"]): float(row["rms_error_px"]) for row in rows}

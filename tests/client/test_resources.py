@@ -159,6 +159,7 @@ def test_frames_of_markers_and_surfaces(ask: Ask) -> None:
             ask("request", "DELETE", f"/api/v1/registrations/{name}")
 
 
+@pytest.mark.slow
 def test_a_recording_from_its_begin_to_a_file(ask: Ask, tmp_path: Path) -> None:
     begun = ask("start_recording", "sim", seconds=3000.0)
     with pytest.raises(ServerProblem, match="recording-in-progress"):

@@ -64,6 +64,7 @@ def test_tools_and_tracks_are_there_when_asked_for(collect: Collect) -> None:
     assert all((frame.tools, frame.tracks, frame.points) == ((), (), None) for frame in frames)
 
 
+@pytest.mark.slow
 def test_lossless_has_every_number_also_bundled_and_as_json(collect: Collect) -> None:
     messages = collect(60, "sim", mode="lossless", bundle_ms=50.0)
     hello, frames = messages[0], frames_of(messages)

@@ -151,6 +151,7 @@ def still(server: str) -> Iterator[None]:
             yield
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("still")
 def test_a_tool_that_is_shown(command: Command, server: str) -> None:
     """By the command and by both clients: markers lie as in the scene."""

@@ -45,6 +45,7 @@ def test_what_is_copied_is_all_that_is_installed():
         kept = {line[1:] for line in (DOCKER / ignored).read_text().splitlines() if line[0] == "!"}
         assert kept >= {name.rstrip("*") for name in packages}
         assert kept >= {"lumiline", "docker", "pyproject.toml", "constraints.txt", "README.md"}
+        assert "LICENSE" in kept
         assert not kept & {"shared", "tests", ".git"}
 
 

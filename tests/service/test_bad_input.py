@@ -1,4 +1,4 @@
-"""Walks the table of docs/bad-input.md: every row is sent, answered as it says, nothing stored."""
+"""Walks the table of docs/reference/bad-input.md: sends every row; nothing may be stored."""
 
 import copy
 import json
@@ -30,7 +30,7 @@ from tests.service.api.correction_tables.tables import content
 from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.renamed_profiles import renamed_profile
 
-TABLE = Path(__file__).parents[2] / "docs" / "bad-input.md"
+TABLE = Path(__file__).parents[2] / "docs" / "reference" / "bad-input.md"
 BODY_LIMIT_BYTES = 65536
 TABLE_LIMIT_BYTES = 262144
 Json = Any
@@ -657,6 +657,7 @@ def test_every_row_has_a_builder_and_every_builder_a_row():
     assert set(names) == set(BUILDERS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", rows(), ids=lambda row: re.sub(r"\W+", "-", row.what))
 def test_bad_input(bad_input_client: Any, row: Row):
     before = everything(bad_input_client)

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from service.application.app import create_app
 from service.cli import app
 from service.settings import Settings
-from service.version import package_version
+from service.version import DISCLAIMER, package_version
 
 
 def run(*arguments: str) -> Any:
@@ -19,9 +19,10 @@ def run(*arguments: str) -> Any:
 
 def test_version():
     result = run("--version")
-    assert (result.exit_code, result.output.strip()) == (0, package_version())
+    assert (result.exit_code, result.output.splitlines()) == (0, [package_version(), DISCLAIMER])
 
 
+@pytest.mark.slow
 def test_openapi_prints_the_served_document():
     result = run("openapi")
     assert result.exit_code == 0

@@ -59,6 +59,7 @@ def test_generated_readings_round_to_the_published_ones(number: str, cameras: st
     assert np.abs(generated - test.readings_mm).max() <= 0.0055
 
 
+@pytest.mark.slow
 def test_frame_at_1_m_as_measured() -> None:
     """The target for Test 5.4: 0.95 / 1.8 / 3.5 mm; the thesis: 3.57 / 4.60 / 16.04."""
     x, y, z = errors("test-5.4", METRIC).mean_absolute_mm
@@ -67,6 +68,7 @@ def test_frame_at_1_m_as_measured() -> None:
     assert z <= 3.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["test-5.3", "test-5.4"])
 def test_measured_frames_are_better_than_published_on_every_axis(name: str) -> None:
     ours, thesis = errors(name, METRIC), PUBLISHED[name][DLT]

@@ -19,6 +19,7 @@ def test_the_cases_are_there() -> None:
     assert {"partial-view", "pointer-tip", "strobed-tools"} <= set(ALL_CASES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("calibrated", [False, True])
 def test_partial_views_are_at_the_bound(calibrated: bool) -> None:
     seen = simulate_views(pairings(), calibrated=calibrated, trials=150, seed=5)

@@ -40,7 +40,7 @@ REFERENCES: Final[dict[str, Any]] = {
     "captured": {
         "summary": "The mean of the next 20 frames of each marker",
         "description": "The device shows the markers only once its scene has them: PATCH it first, "
-        "as docs/holds.md says.",
+        "as docs/how-to/beam-holds.md says.",
         "value": {"frames": 20, "timeout_s": 5},
     },
     "given": {

@@ -52,21 +52,21 @@ class ReplaySource(RequestModel):
 
 
 class SerialSource(RequestModel):
-    """A device on a serial port that speaks the line-scan protocol (docs/serial-protocol.md)."""
+    """A device on a serial port with the line-scan protocol (docs/reference/serial-protocol.md)."""
 
     kind: Literal["serial"]
     settings: SerialSettings
 
 
 class Tcd1304Source(RequestModel):
-    """Open TCD1304 boards, each at a serial port (docs/tcd1304.md)."""
+    """Open TCD1304 boards, each at a serial port (docs/how-to/tcd1304.md)."""
 
     kind: Literal["tcd1304"]
     settings: Tcd1304Settings
 
 
 class GenicamSource(RequestModel):
-    """GenICam line-scan cameras, GigE Vision or USB3 Vision (docs/genicam.md)."""
+    """GenICam line-scan cameras, GigE Vision or USB3 Vision (docs/how-to/genicam.md)."""
 
     kind: Literal["genicam"]
     settings: GenicamSettings

@@ -3,7 +3,8 @@
 from typing import Any, Final
 
 _LIVE: Final = (
-    "`sim` shows no tool until its scene has one: PATCH it first with the scene of docs/tools.md."
+    "`sim` shows no tool until its scene has one: "
+    "PATCH it first with the scene of docs/how-to/tools.md."
 )
 
 NEW_TOOLS: Final[dict[str, Any]] = {

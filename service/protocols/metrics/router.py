@@ -28,7 +28,7 @@ router = APIRouter(tags=["server"])
 def get_metrics(request: Request) -> Response:
     """All figures in Prometheus's text format, or OpenMetrics where `Accept` asks for it.
 
-    docs/operation.md says which to watch.
+    docs/how-to/operation.md says which to watch.
     """
     metrics: Metrics = request.app.state.metrics
     content, media_type = metrics.text(request.headers.get("accept", ""))

@@ -36,8 +36,8 @@ ACCESS_CHECK_INTERVAL_S: Final = 2.0
 async def stream(websocket: WebSocket) -> None:
     """Send a greeting, then frames and status messages, until the client or the service ends.
 
-    Query: see ``service.protocols.stream.query`` and docs/stream.md. A request that cannot be
-    served is answered with a problem document instead of a websocket.
+    Query: see ``service.protocols.stream.query`` and docs/reference/stream.md. A request that
+    cannot be served is answered with a problem document instead of a websocket.
     """
     principal: Principal = websocket.scope[ACT].principal
     with ExitStack() as stack:
@@ -80,7 +80,7 @@ def stream_by_http() -> None:
     """Answer a plain HTTP request: 426, this is a websocket."""
     raise UpgradeRequired(
         "this is a websocket: open it as ws://HOST:PORT/api/v1/stream?device=ID, "
-        "not as http:// (docs/stream.md describes its messages)"
+        "not as http:// (docs/reference/stream.md describes its messages)"
     )
 
 

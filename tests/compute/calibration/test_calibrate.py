@@ -58,6 +58,7 @@ def test_each_sensor_uses_the_points_that_it_saw() -> None:
     assert found.residuals_px[9][0] is not None
 
 
+@pytest.mark.slow
 def test_covariance_is_honest() -> None:
     """Normalised squared errors of the 7 parameters average 7 with given deviations.
 
@@ -102,6 +103,7 @@ def _parameter_error(found: SensorModel, true: SensorModel) -> Array:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise_px", "count", "extent"),
     [(0.5, 19, 1.0), (5.0, 19, 1.0), (30.0, 19, 1.0), (30.0, 14, 0.3)],

@@ -50,6 +50,7 @@ def test_exact_readings_give_the_lenses_back(terms: tuple[tuple[int, int], ...])
         assert fit.model.distortion.row_behind_mm == pytest.approx(36.0, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_the_covariance_of_predictions_is_honest(known: bool) -> None:
     """Errors of predicted readings squared over their variance average 1, known noise or not."""
@@ -94,6 +95,7 @@ def test_powers_of_u_leave_the_offset_along_the_slit_alone() -> None:
     assert (np.diag(covariance)[[*range(7), 8, 9, 10]] > 0.0).all()
 
 
+@pytest.mark.slow
 def test_auto_takes_no_terms_where_there_is_no_distortion() -> None:
     models, points = rig(), field_points(60)
     readings = seen_readings(models, points)

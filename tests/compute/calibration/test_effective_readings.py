@@ -27,6 +27,7 @@ def exchanged() -> tuple[np.ndarray, np.ndarray, np.ndarray, list[int]]:
     return points, clean, wrong, pair
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("policy", "count"), [("repair", 96), ("exclude", 94)])
 @pytest.mark.parametrize("known", [True, False])
 def test_labels_that_were_dealt_with_spoil_no_error(

@@ -55,6 +55,7 @@ def read_with_noise(points: Array, sigma_px: float, rng: np.random.Generator) ->
     return points, readings + sigma_px * rng.standard_normal(readings.shape), geometry(rig())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("data", [measured_frame, cube_corners, slab, nine_of_sixteen])
 def test_auto_takes_none_and_says_why_where_no_candidate_is_judged(data) -> None:
     given = data()

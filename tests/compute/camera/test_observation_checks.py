@@ -86,6 +86,7 @@ def test_two_points_at_one_place(pair, shift) -> None:
     refused(DuplicatePoint, words, points, readings)
 
 
+@pytest.mark.slow
 def test_very_many_points_at_one_place() -> None:
     words = "points 1 and 2 have"
     refused(DuplicatePoint, words, np.zeros((100_000, 3)), np.zeros((100_000, 2)))

@@ -53,6 +53,7 @@ def test_the_table_takes_the_misfit_away(built, calibration):
     assert built.table.sensors == tuple(model.name for model in calibration.models)
 
 
+@pytest.mark.slow
 def test_variances_are_honest_on_points_never_seen():
     # Over several maps: the errors within one are all alike.
     squares = []
@@ -65,6 +66,7 @@ def test_variances_are_honest_on_points_never_seen():
     assert 0.4 < np.mean(squares) < 1.4
 
 
+@pytest.mark.slow
 def test_variances_are_honest_where_noise_hides_the_misfit(monkeypatch):
     """How smooth the field is can hardly be told there, and that counts in the variance."""
     averaged, likeliest = [], []
@@ -130,6 +132,7 @@ def test_where_nothing_is_to_be_corrected_the_map_stays_empty():
     assert 0.3 < ((found.value_px - right) ** 2 / found.variance_px2).mean() < 2.0
 
 
+@pytest.mark.slow
 def test_other_measurements_than_the_calibrations_correct_its_error():
     """A calibration from few noisy points, mapped with many good ones: its error goes away."""
     few = measured(places(25, 20), 21, sigma=1.0, strength=0.0)
@@ -145,6 +148,7 @@ def test_other_measurements_than_the_calibrations_correct_its_error():
     assert 0.3 < ((found.value_px - right) ** 2 / found.variance_px2).mean() < 2.0
 
 
+@pytest.mark.slow
 def test_a_calibrations_error_is_weighed_alike_without_the_measurements_deviations():
     """A rough calibration and fine measurements: the deviation that they show is the weight."""
     calibration = calibrated(measured(places(12, 1), sigma=0.5, strength=0.0))
@@ -182,6 +186,7 @@ def test_validation_says_what_new_points_show(built, calibration):
         assert sensor.suspects == ()
 
 
+@pytest.mark.slow
 def test_deviations_that_are_not_given_are_estimated(control, calibration):
     unknown = MappingMeasurements(control.points_mm, control.readings_px)
     result = build_table(calibration.models, "", unknown)
@@ -200,6 +205,7 @@ def test_uncertain_places_count_as_noise_of_the_readings(control, calibration):
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_wrong_measurement_is_named(control, calibration):
     readings = control.readings_px.copy()
     readings[17, 1] += 3.0

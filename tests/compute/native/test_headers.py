@@ -61,6 +61,7 @@ def test_record_has_the_same_offsets_in_c(tmp_path) -> None:
     assert run(tmp_path, "-fsyntax-only", str(tmp_path / "record.cpp")) == ""
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize("header", headers())
 def test_header_compiles_alone_without_warnings(header: str, tmp_path) -> None:

@@ -138,6 +138,7 @@ def test_the_same_generator_gives_the_same_counts_and_another_seed_others() -> N
     assert (first[0] != first[1]).mean() > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bits", range(8, 17))
 def test_every_depth_clips_at_zero_and_full_scale(bits: int) -> None:
     detector = replace(REAL, bits=bits, electrons_per_count=0.6, offset_counts=0.0)

@@ -51,6 +51,7 @@ def excess(detector: Detector, lowest: float, mean: float, highest: float, offse
 DEFAULT = Detector(12, 12.0, 64.0, 30.0, 60_000.0, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("detector", "lowest", "mean", "highest", "offset"),
     [

@@ -18,8 +18,9 @@ from compute.planning.ghost_points import (
     ghost_probabilities,
     intersecting_points,
 )
-from compute.reconstruction.correspondence import FALSE_REJECTION, match_peaks
+from compute.reconstruction.correspondence import FALSE_REJECTION
 from compute.reconstruction.triangulation import chi2_limit, reconstruct
+from tests.compute.reconstruction.matching import match_peaks
 from tests.compute.rig import PIXELS, rig
 
 BOX = Box((0.0, 0.0, 1500.0), (400.0, 400.0, 400.0))

@@ -97,6 +97,7 @@ def test_the_second_of_a_product_is_turned_and_a_point_adds_its_own() -> None:
     assert (a @ a).covariance is None
 
 
+@pytest.mark.slow
 @given(vectors(1.0), vectors(1.0))
 def test_the_cross_matrix_crosses(one: Array, other: Array) -> None:
     assert np.allclose(cross_matrix(one) @ other, np.cross(one, other))

@@ -176,6 +176,7 @@ def test_twenty_markers_on_eight_sensors() -> None:
     assert wrong <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensors", "markers", "missed", "false"),
     [(4, 3, 0.0, 0.0), (4, 5, 0.05, 0.05), (5, 6, 0.05, 0.05), (6, 6, 0.2, 0.2)],

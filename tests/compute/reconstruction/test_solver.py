@@ -29,6 +29,7 @@ def solver_of(given_: Scene, threads: int | None = None) -> PointSolver:
     )
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(
     st.sampled_from([3, 4]),
@@ -148,6 +149,7 @@ def test_a_cubic_term() -> None:
     assert_same(solver_of(made).solve(made.readings_px, made.sigma_px), made.expected())
 
 
+@pytest.mark.slow
 def test_high_powers_and_many_terms() -> None:
     terms = tuple((i, j) for i in range(8) for j in range(8) if i + j > 2)[:40]
     models = [

@@ -97,6 +97,7 @@ def test_a_cubic_term_takes_corrected_readings() -> None:
     assert np.abs(batch.position_mm - points).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", [None, 1, 3])
 @pytest.mark.parametrize("sensors", [3, 4])
 def test_covariance_is_honest(degree: Degree | None, sensors: int) -> None:

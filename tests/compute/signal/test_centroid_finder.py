@@ -76,6 +76,7 @@ def test_kernel_matches_reference_on_any_counts(lines, options, noise):
     check(lines, options, noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 @pytest.mark.parametrize("pixels", [64, 2048, 4097])
 def test_kernel_matches_reference_on_many_lines(pixels, weighting):

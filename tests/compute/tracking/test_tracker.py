@@ -137,6 +137,7 @@ def crossing(frames: int, apart_mm: float) -> Array:
     return np.stack([one, two], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensors", [4, 6])
 def test_identity_is_kept_through_crossings(sensors: int) -> None:
     """Merged peaks, losses and false peaks on the way; no identity changes, no error is hidden."""

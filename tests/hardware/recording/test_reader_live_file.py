@@ -1,4 +1,4 @@
-"""The example in docs/recordings.md reads a live recording to its end."""
+"""The example in docs/how-to/recordings.md reads a live recording to its end."""
 
 import os
 import re
@@ -11,7 +11,7 @@ import pytest
 from hardware.recording.writer import RecordingWriter
 from tests.hardware.recording.blocks import block, described
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "recordings.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "how-to" / "recordings.md"
 
 
 def followed(capsys: pytest.CaptureFixture[str]) -> str:

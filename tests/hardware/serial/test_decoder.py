@@ -42,6 +42,7 @@ def test_after_anything_the_next_message_is_found(noise: bytes) -> None:
     assert len(before) + len(found) == 1
 
 
+@pytest.mark.slow
 def test_mutated_messages_give_nothing_that_was_not_sent() -> None:
     """Ten thousand here; `lumiline bench decoder` sends a million."""
     found = decode_mutated(10_000, seed=7)

@@ -32,7 +32,7 @@ from hardware.serial.messages import (
     Strobe,
 )
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "serial-protocol.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "reference" / "serial-protocol.md"
 
 EXAMPLES: dict[str, Message] = {
     "lines": Lines(

@@ -171,6 +171,7 @@ max_markers = 8
     assert lit[0] > 2 * lit[1]
 
 
+@pytest.mark.slow
 def test_tables_show_what_exact_rays_show():
     alike = replace(
         BAR, detector=replace(BAR.detector, response_nonuniformity=0.0, dark_nonuniformity=0.0)

@@ -186,6 +186,7 @@ def test_full_pixels_flag_the_frame() -> None:
     assert taken.frames[0].lines[0, 5] == 4095
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bad", "says"),
     [

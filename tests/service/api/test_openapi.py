@@ -106,6 +106,7 @@ def prepare(client: Any) -> None:
         )
 
 
+@pytest.mark.slow
 def test_every_example_works_on_a_new_server(
     sqlite_settings: Settings, monkeypatch: pytest.MonkeyPatch
 ):

@@ -81,6 +81,7 @@ def _begin_run(api: str) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_a_server_that_is_told_to_stop(tmp_path: Path):
     with server(tmp_path) as (process, port):
         url = f"ws://127.0.0.1:{port}/api/v1/stream?device=sim"
@@ -122,6 +123,7 @@ def test_a_server_that_is_told_to_stop(tmp_path: Path):
     assert read_recording(tmp_path / "recordings" / "a.h5").complete
 
 
+@pytest.mark.slow
 def test_calibrations_of_tools_that_wait_when_it_is_told(tmp_path: Path):
     """As many wait as may, which the answer to one more shows; each is answered at the end."""
     body = NEW_TOOLS["pointer"]["value"]
@@ -152,6 +154,7 @@ def test_calibrations_of_tools_that_wait_when_it_is_told(tmp_path: Path):
     assert "Traceback" not in log
 
 
+@pytest.mark.slow
 def test_a_second_signal_ends_it_at_once(tmp_path: Path):
     with (
         server(tmp_path) as (process, port),

@@ -75,6 +75,7 @@ def without_entry_of_restore(found: Rows) -> Rows:
     return found | {"audit_log": log[:-1]}
 
 
+@pytest.mark.slow
 def test_each_restored_into_each(filled: Database, target: Database, tmp_path: Path) -> None:
     counts = back_up(filled, tmp_path / "b")
     assert all(counts.values()), counts
@@ -98,6 +99,7 @@ def test_each_restored_into_each(filled: Database, target: Database, tmp_path: P
 SQLITE_SOURCE = pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 
 
+@pytest.mark.slow
 @SQLITE_SOURCE
 def test_what_was_there_is_kept(database: Database, target: Database, tmp_path: Path) -> None:
     back_up(database, tmp_path / "b")
@@ -115,6 +117,7 @@ def test_what_was_there_is_kept(database: Database, target: Database, tmp_path: 
     assert rows_of(target)["devices"] == before["devices"]
 
 
+@pytest.mark.slow
 @SQLITE_SOURCE
 def test_a_restore_that_fails_changes_nothing(
     database: Database, target: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -174,6 +177,7 @@ def add_key(database: Database, *, revoked: datetime | None = None) -> str:
         return row.id
 
 
+@pytest.mark.slow
 @SQLITE_SOURCE
 def test_a_revoked_key_stays_so(database: Database, target: Database, tmp_path: Path) -> None:
     earlier = datetime(2024, 1, 1, tzinfo=UTC)
@@ -200,6 +204,7 @@ def test_a_revoked_key_stays_so(database: Database, target: Database, tmp_path: 
     assert restore(target, again.kept, tmp_path / "kept").keys.valid == (late,)
 
 
+@pytest.mark.slow
 @SQLITE_SOURCE
 def test_not_under_a_server(database: Database, target: Database, tmp_path: Path) -> None:
     back_up(database, tmp_path / "b")
@@ -253,6 +258,7 @@ DAMAGE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DAMAGE)
 def test_a_damaged_backup_is_refused(backup: Path, tmp_path: Path, name: str) -> None:
     statement, complaint = DAMAGE[name]
@@ -307,6 +313,7 @@ def test_a_backup_is_one_moment_while_others_write(source: Database, tmp_path: P
         assert "Not yet" not in connection.execute("SELECT title FROM devices").fetchone()[0]
 
 
+@pytest.mark.slow
 def test_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("LUMILINE_DATABASE_URL", raising=False)

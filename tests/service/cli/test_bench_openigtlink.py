@@ -1,5 +1,7 @@
 """The benchmark runs, and its figures mean what they say."""
 
+import pytest
+
 from benchmarks.openigtlink_clients import Received, figures
 from service.cli.bench_openigtlink import RATE_HZ, TOOLS, measure
 
@@ -18,6 +20,7 @@ def test_figures_of_what_was_received():
     assert abs(found["jitter_ms"]["max"] - 2.0) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_short_run():
     found = measure(0.5, quiet=True)
     received, bare = found["received"], found["baseline"]

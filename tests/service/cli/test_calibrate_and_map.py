@@ -49,6 +49,7 @@ def mapping_csv(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_calibrate_writes_what_the_service_would_compute(frame_csv: Path, tmp_path: Path) -> None:
     output, report = tmp_path / "calibration.json", tmp_path / "report.html"
     figures = tmp_path / "figures"
@@ -92,6 +93,7 @@ def error_rows(shown: str) -> dict[str, list[str]]:
     return {row[0]: row[1:] for row in cells if len(row) == 8}
 
 
+@pytest.mark.slow
 def test_distortion_that_cannot_be_judged_is_not_taken_with_the_reasons(tmp_path: Path) -> None:
     output = tmp_path / "calibration.json"
     shown = here(
@@ -106,6 +108,7 @@ def test_distortion_that_cannot_be_judged_is_not_taken_with_the_reasons(tmp_path
         assert " ".join(one.note.split()) in text
 
 
+@pytest.mark.slow
 def test_errors_are_over_the_readings_that_the_calibration_used(tmp_path: Path) -> None:
     wrong = thesis_csv(tmp_path / "wrong.csv")
     right = thesis_csv(tmp_path / "right.csv", (14, 16))
@@ -152,6 +155,7 @@ def test_a_wide_field_is_calibrated_with_its_distortion(mapping_csv: Path, tmp_p
         assert model.principal_distance_px == pytest.approx(true.principal_distance_px, abs=3.0)
 
 
+@pytest.mark.slow
 def test_map_writes_a_table_that_mends_a_plain_calibration(
     mapping_csv: Path, tmp_path: Path
 ) -> None:

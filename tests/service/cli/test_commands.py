@@ -60,6 +60,7 @@ def test_reproduce_lists_the_cases() -> None:
     assert all(case["name"] in shown for case in cases)
 
 
+@pytest.mark.slow
 def test_reproduce_prints_both_figures_and_says_them_to_machines() -> None:
     text = lumiline("reproduce", "test-5.4").stdout
     assert re.search(r"thesis: DLT.* 3\.57 .* 4\.6 .* 16 ", text)
@@ -78,6 +79,7 @@ def test_bench_lists_what_there_is() -> None:
     assert "signal" in here("bench", "nothing", code=2).stderr
 
 
+@pytest.mark.slow
 def test_record_and_replay(frame_csv: Path, tmp_path: Path) -> None:
     """Frames recorded, calibrated from their own peaks elsewhere, replayed bit by bit."""
     recording, settings = tmp_path / "frame.h5", tmp_path / "settings.json"
@@ -121,6 +123,7 @@ def test_an_interrupted_recording_is_a_recording(tmp_path: Path) -> None:
     assert 100 < info.frames < 3_000_000
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     recording, nominal = tmp_path / "bar.h5", tmp_path / "nominal.json"
     nominal.write_bytes(nominal_document())
@@ -161,6 +164,7 @@ def nominal_document() -> bytes:
     return document
 
 
+@pytest.mark.slow
 def test_demo_runs_and_draws(tmp_path: Path) -> None:
     run = here("demo", "--output", tmp_path, "--seconds", "2")
     for part in ("Test 5.3", "Test 5.4", "frames/s", "p99", "bar length, mean"):

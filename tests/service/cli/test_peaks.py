@@ -158,6 +158,7 @@ def shadows(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_recorded_shadows_are_read_as_they_are_live(shadows: Path) -> None:
     with RecordingReader(shadows) as reader:
         device, frame = reader.info.description, reader.chunk(1)[0]
@@ -214,6 +215,7 @@ def test_an_offset_alone_mends_the_guess(array: Path) -> None:
     assert full["noise"] == blind["noise"] | {"full_scale_counts": 8191}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["centroid", "fit", "chain", "matched"])
 def test_a_picture_of_each_method(array: Path, method: str) -> None:
     pictures = []

@@ -17,6 +17,7 @@ def run(*arguments: str | Path, code: int = 0) -> Any:
     return result
 
 
+@pytest.mark.slow
 def test_tables_and_a_picture(tmp_path: Path) -> None:
     picture = tmp_path / "plan.png"
     text = run("bar", "--grid", "3", "--markers", "3", "--output", picture).output

@@ -36,6 +36,7 @@ def test_migrations_make_what_the_models_say(database: Database):
             assert keys == {tuple(key.column_keys) for key in table.foreign_key_constraints}
 
 
+@pytest.mark.slow
 def test_down_and_up_again(database: Database):
     migrate(database)
     with database.engine.begin() as connection:

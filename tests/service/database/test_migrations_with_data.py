@@ -1,5 +1,6 @@
 """Revisions down, and up again, with data in every table: what survives is what it was."""
 
+import pytest
 from alembic import command
 from alembic.script import ScriptDirectory
 from sqlalchemy import inspect
@@ -10,6 +11,7 @@ from service.database.models import Base
 from tests.service.database.sample_rows import common, fill, reflected
 
 
+@pytest.mark.slow
 def test_each_revision_down_and_up_again(database: Database) -> None:
     with database.engine.begin() as connection:
         fill(connection)

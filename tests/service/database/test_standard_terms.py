@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 from alembic import command
 from sqlalchemy import text
 from sqlalchemy.orm import Session
@@ -63,6 +64,7 @@ def tree(database: Database) -> str:
         return json.dumps([str(row[0]) for row in rows]).replace('\\"', '"').replace("'", '"')
 
 
+@pytest.mark.slow
 def test_documents_of_before_are_read_after_it_with_their_hashes(database: Database) -> None:
     tracking = Tracking.model_validate(
         {"jerk_psd": 1e7, "blinking": {"words": ["000000010111"], "off_level": 0.3}}
@@ -114,6 +116,7 @@ def test_a_device_of_a_tracker_of_the_thesis_is_tracked_on_readings(database: Da
         assert Tracking.model_validate(tracking).tracker() == TrackerSettings(jerk_psd=1e7)
 
 
+@pytest.mark.slow
 def test_members_that_calibrations_had_before_are_removed(database: Database) -> None:
     made = outcome()
     with Session(database.engine) as session:

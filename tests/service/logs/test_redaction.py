@@ -57,6 +57,7 @@ LENGTH = 300_000
 
 
 # Were it quadratic, this would take minutes; it takes milliseconds.
+@pytest.mark.slow
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize("name", HOSTILE)
 @pytest.mark.parametrize("before", ["", "bearer", "lumi_", "eyJ", "://", "key"])

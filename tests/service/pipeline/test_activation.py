@@ -79,6 +79,7 @@ def wait_for_more(frames: list[dict[str, Any]]) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_the_stream_switches_between_two_frames_and_loses_none(server: str, device: str):
     frames: list[dict[str, Any]] = []
     missed: list[dict[str, Any]] = []

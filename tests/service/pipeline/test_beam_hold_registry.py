@@ -563,6 +563,7 @@ def watchdog() -> Iterator[Callable[[BeamHoldRegistry], BeamHoldWatchdog]]:
         assert not one._thread.is_alive()
 
 
+@pytest.mark.slow
 def test_the_watchdog_holds_when_nobody_asks(watchdog: Any):
     """Real clocks; a device that sends a frame, settles at once, and falls silent."""
     import time

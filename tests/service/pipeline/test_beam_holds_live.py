@@ -21,7 +21,7 @@ from lumiline.client.stream import Stream
 from service.cli import app
 from tests.running_server import serving
 
-GUIDE = Path(__file__).parents[3] / "docs" / "holds.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "how-to" / "beam-holds.md"
 MARKERS = [[0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0], [20.0, 15.0, 40.0]]
 SCENE = {"kind": "moving-tools", "moving": False, "tools": [{"markers_mm": MARKERS}]}
 WATCH = {"kind": "strobed-markers", "markers": [0, 1, 2, 3]}
@@ -67,6 +67,7 @@ def wait_for(client: Client, held: bool) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_from_the_set_up_to_the_stop(client: Client) -> None:
     members: dict[str, Any] = {"rules": PATIENT_RULES}
     made = client.create_beam_hold("chest", "sim", WATCH, {"shift_mm": 3.0}, **members)
@@ -209,6 +210,7 @@ def lumiline(client: Client, *arguments: str, code: int = 0) -> str:
     return run.output
 
 
+@pytest.mark.slow
 def test_holds_on_the_command_line(client: Client, hold: str) -> None:
     wait_for(client, held=False)
     assert "on" in lumiline(client, "show", "chest")

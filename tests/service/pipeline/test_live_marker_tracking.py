@@ -176,6 +176,7 @@ def test_a_recording_is_tracked_again_with_the_settings_given(taken: Taken, tmp_
     assert texts[0] != texts[1]
 
 
+@pytest.mark.slow
 def test_a_running_device_takes_another_motion_model_and_streams_both_ends(server: str) -> None:
     """No track ever goes from one end of the bar to the other, whatever the machine loses."""
     api = f"{server}/api/v1/devices/sim"

@@ -97,6 +97,7 @@ def test_a_replay_has_the_same_peaks(tmp_path: Path, method: PeakMethod) -> None
     check_replay(SimulatedDriver("sim", settings), tmp_path / "bar.h5")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", [WINDOW, "bar"])
 def test_a_replay_knows_the_profile(tmp_path: Path, profile: str) -> None:
     settings = ProfileSettings(optics="exact", realtime=False, duration_s=0.1, frame_rate_hz=100)
@@ -175,6 +176,7 @@ def test_shadows_are_read_where_they_are() -> None:
     assert rms < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bar", "thesis-5.1", "thesis-5.9", "optotrak"])
 def test_traced_lines_are_read_better_by_fit(name: str) -> None:
     """Prints the errors of both methods, beside the centre of gravity of all light."""

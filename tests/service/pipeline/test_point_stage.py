@@ -114,6 +114,7 @@ def points_of(
     return solve_points(active, frames, weigh_peaks(active, frames, peaks, STANDARD_POLICY))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mapped", [False, True])
 @pytest.mark.parametrize(("markers", "strobed"), [(1, True), (1, False), (4, False)])
 def test_points_are_those_of_the_reference(markers: int, strobed: bool, mapped: bool) -> None:

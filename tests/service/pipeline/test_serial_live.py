@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 from websockets.sync.client import ClientConnection, connect
 
 from tests.running_server import serving
@@ -49,6 +50,7 @@ def until(stream: ClientConnection, **wanted: Any) -> dict[str, Any]:
             return message
 
 
+@pytest.mark.slow
 def test_a_device_that_is_unplugged_comes_back_to_its_clients(tmp_path: Path) -> None:
     port = free_port()
     told = {"url": f"socket://127.0.0.1:{port}", "silent_after_s": 0.5}

@@ -69,6 +69,7 @@ def tip_is_held(tool: dict[str, Any]) -> bool:
     return found is not None and bool(np.linalg.norm(np.subtract(found, PIVOTED.centre_mm)) < 5.0)
 
 
+@pytest.mark.slow
 def test_a_tool_from_rest_to_the_stream(server: str):
     api = f"{server}/api/v1"
     assert PIVOTED.markers_mm == MARKERS

@@ -1,4 +1,4 @@
-"""The table of access as docs/security.md has it."""
+"""The table of access as docs/how-to/security.md has it."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import NamedTuple
 _ROW = re.compile(
     r"^\| `([\w-]+)` \| (GET|POST|PUT|PATCH|DELETE|websocket)(.*?) \| `?([\w:]+)`? \|$"
 )
-_DOCUMENT = Path(__file__).parents[3] / "docs" / "security.md"
+_DOCUMENT = Path(__file__).parents[3] / "docs" / "how-to" / "security.md"
 
 
 class Row(NamedTuple):

@@ -74,7 +74,7 @@ def test_requests_say_so(sqlite_client: Any) -> None:
     refused = sqlite_client.get("/api/v1/devices", headers={"host": "rebound.example"})
     assert refused.status_code == 401
     assert "rebound.example" in refused.json()["detail"]
-    assert "docs/security.md" in refused.json()["detail"]
+    assert "docs/how-to/security.md" in refused.json()["detail"]
     # A key that is wrong is refused also where none is needed.
     wrong = sqlite_client.get("/api/v1/devices", headers={"authorization": "Bearer wrong"})
     assert wrong.status_code == 401

@@ -1,4 +1,4 @@
-"""Every route with every scope, and without: allowed exactly where docs/security.md says so."""
+"""Every route with every scope, and without: allowed where docs/how-to/security.md says so."""
 
 import time
 from collections.abc import Iterator
@@ -53,6 +53,7 @@ def allowed(scope: str, key: str) -> bool:
     return scope not in key if key.startswith("all but ") else scope == key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", HTTP, ids=lambda row: row.operation)
 def test_every_operation(
     secured: Secured, keys: dict[str, str], invalid: list[str], row: Row

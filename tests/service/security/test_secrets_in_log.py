@@ -24,6 +24,7 @@ PASSWORD = "s3cret-of-the-database"
 TOKEN = "eyJhbGciOiJSUzI1NiIsImtpZCI6InIxIn0.eyJzdWIiOiJhIn0.c2lnbmF0dXJl"
 
 
+@pytest.mark.slow
 @pytest.mark.postgres
 def test_no_secret_is_in_it(tmp_path: Path) -> None:
     schema = postgres_schema()

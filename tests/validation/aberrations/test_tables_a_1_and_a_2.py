@@ -32,6 +32,7 @@ def test_the_lens_predicts_both_measured_sides() -> None:
     assert np.sqrt(np.mean(straight**2)) > 1.2 * np.sqrt(np.mean(left_over**2))
 
 
+@pytest.mark.slow
 def test_the_fit_finds_the_set_up_that_readings_came_from(monkeypatch: pytest.MonkeyPatch) -> None:
     table = table_a2()
     truth = SetUp(28.0, 0.2, -0.02, 0.03)

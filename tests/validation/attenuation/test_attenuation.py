@@ -31,6 +31,7 @@ from validation.attenuation.peak_signals import (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", [10.0, 40.0])
 @pytest.mark.parametrize("focus", [0.0, -1.0])
 @pytest.mark.parametrize("spherical", [True, False])
@@ -83,6 +84,7 @@ def test_it_falls_with_the_target_and_a_turned_line_is_fainter() -> None:
     assert turned < straight
 
 
+@pytest.mark.slow
 def test_the_best_focus_is_the_brightest() -> None:
     sphere, cylinder = best_focus_mm(20.0)
     for shift in (-0.5, 0.5):
@@ -93,6 +95,7 @@ def test_the_best_focus_is_the_brightest() -> None:
     assert cylinder < 0.0
 
 
+@pytest.mark.slow
 def test_the_measured_ratio_comes_out_for_plausible_targets() -> None:
     size = target_for_measured_mm()
     assert ratio(Setting(size, *best_focus_mm(size))) == pytest.approx(MEASURED, rel=0.05)

@@ -28,6 +28,7 @@ def test_the_case_is_known_with_its_picture() -> None:
     assert ALL_CASES["marker-capacity"].picture is not None
 
 
+@pytest.mark.slow
 def test_the_picture_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(marker_capacity_picture, "MARKERS", (1, 2))
     marker_capacity_picture.draw(tmp_path / "capacity.png")

@@ -31,6 +31,7 @@ SURE = 4.5
 """Standard errors that one of 60 correlated points exceeds once in 2,000 seeds."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", [1000.0, 6000.0])
 def test_points_lie_on_the_theory(light: float) -> None:
     for matched, pixel in curve(Scene(light)):
@@ -104,6 +105,7 @@ def test_skewness_of_photon_noise() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_case_and_its_picture(tmp_path: Path) -> None:
     case = ALL_CASES["passive-detection"]
     assert isinstance(case, TablesCase)

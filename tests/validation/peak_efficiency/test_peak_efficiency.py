@@ -53,6 +53,7 @@ LINES = 2000
 SEED = 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", SETTINGS, ids=str)
 def test_the_fit_is_at_the_bound(setting):
     """RMS within 1.05 of the bound, bias within 0.002 px or 2 %, squares 0.95 to 1.05.
@@ -102,6 +103,7 @@ def test_the_worst_corner_by_more_lines():
         assert errors.bias_px < 0.002 + 3 * errors.bias_error_px
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [FITTED, DEFAULT])
 @pytest.mark.parametrize("setting", FAINT, ids=str)
 def test_faint_lines_of_unknown_width_are_not_biased(setting, name):
@@ -143,6 +145,7 @@ def test_bias_is_seen_where_there_is_one():
     assert error == pytest.approx(0.01 * np.sqrt(7 / len(place)), rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optics", OPTICS, ids=lambda optics: optics.title)
 @pytest.mark.parametrize("light", LIGHTS)
 def test_lines_that_are_no_gaussians_are_at_the_bound_by_their_shape(optics, light):
@@ -185,6 +188,7 @@ CLOSE = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", CLOSE, ids=str)
 def test_the_joint_fit_stays_at_its_bound(pair):
     """Within 1.2 of the bound down to two deviations at 1e5 electrons; in fact all of these."""

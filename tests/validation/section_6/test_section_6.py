@@ -172,6 +172,7 @@ def test_missing_peaks_are_as_many_as_assumed() -> None:
         assert 0 < sum(int(one.sum()) for one in alone[1:]) < 3 * most
 
 
+@pytest.mark.slow
 def test_case_6_1_and_its_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = tuple(replace(scene, frames=SOME) for scene in (SHARP, COVERED, MISSING))
     for name, scene in zip(("SHARP", "COVERED", "MISSING"), scenes, strict=True):
@@ -247,6 +248,7 @@ def test_hold_in_space_of_known_tracks() -> None:
     assert (found.false, found.false_life) == (1.0, 2.0)
 
 
+@pytest.mark.slow
 def test_case_6_2(monkeypatch: pytest.MonkeyPatch) -> None:
     tables, findings = section_6_2.compute_tables((SEED,), 60)
     detected = {str(row[0]): row[1:] for row in tables[0].rows}

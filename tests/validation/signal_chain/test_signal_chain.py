@@ -94,6 +94,7 @@ def test_the_matched_noise_scatters_as_table_c_2_does() -> None:
     assert abs(rms / published - 1.0) < 4.0 * np.sqrt(1 / (2 * 34) + 1 / (2 * 8 * REPEATS))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILTERS)
 def test_filters_do_not_bring_order_against_white_noise(name: str) -> None:
     raw, filtered = repeated("raw", MATCHED), repeated(name, MATCHED)
@@ -133,6 +134,7 @@ def test_chance_in_order() -> None:
     assert probability_in_order(1e6, 5) == pytest.approx(0.5, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["table-4.1", "table-4.2", "table-4.3"])
 def test_the_tables_stand_side_by_side(name: str) -> None:
     result = run(name)
@@ -144,6 +146,7 @@ def test_the_tables_stand_side_by_side(name: str) -> None:
     assert len(result.table("centroids").rows) == 10
 
 
+@pytest.mark.slow
 def test_table_c_lists_every_filter_and_what_it_moves() -> None:
     result = run("table-c")
     assert result.table("C.2").column("filter") == ("raw", *FILTERS)
@@ -185,6 +188,7 @@ def test_without_noise_the_laboratory_is_where_it_says() -> None:
     assert noisy[:, :200].std() == pytest.approx(np.hypot(MATCHED_COUNTS, 12**-0.5), rel=0.02)
 
 
+@pytest.mark.slow
 def test_table_4_4_theirs_and_ours() -> None:
     table = run("table-4.4").table("errors")
     truth = np.array(TRUE_PX)
@@ -217,6 +221,7 @@ def test_the_scene_of_close_markers_for_other_estimators() -> None:
     assert np.abs(error / spread).max() < 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("test", SCENES)
 def test_table_4_5_has_the_peaks_of_the_tests(test: str) -> None:
     table = run("table-4.5").table(f"Test {test}")

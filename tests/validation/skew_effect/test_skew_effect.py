@@ -98,6 +98,7 @@ def test_no_light_falls_beside_the_long_row(width: float, place: StopPlace) -> N
     assert (light[0] < 0.999 * light[1]).all()
 
 
+@pytest.mark.slow
 def test_without_a_stop_no_polynomial_follows_the_centroid() -> None:
     whole = stopped_lens(WIDTH_MM)
     known = traced_readings(whole, field_points((11, 7, 2)))

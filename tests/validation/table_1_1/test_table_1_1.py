@@ -144,6 +144,7 @@ def test_remarks_say_the_figures() -> None:
     assert remark(load_profile("bar"), planned("bar", 1500.0)) == ""
 
 
+@pytest.mark.slow
 def test_codas_templates_fit_their_distance() -> None:
     """The errors that the remark gives: those of the distance itself, and of another."""
     coda = load_profile("coda-mpx30")

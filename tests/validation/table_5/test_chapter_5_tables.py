@@ -31,6 +31,7 @@ def test_there_is_a_case_for_each_table() -> None:
     assert {f"table-5.{number}" for number in range(1, 15)} <= set(ALL_CASES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [n for n in range(1, 15) if n != 5])
 def test_each_has_figures_beside_the_thesis(number: int) -> None:
     found = result(f"table-5.{number}")
@@ -123,6 +124,7 @@ def test_table_5_13_is_that_of_the_real_lens() -> None:
         assert float(str(with_c[sensor])) == pytest.approx(float(str(thesis[sensor])), rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "sensor"), [("test-5.3", 3), ("test-5.4", 0)])
 def test_mended_labels_bring_the_principal_point_to_the_middle(name: str, sensor: int) -> None:
     found = ALL_CASES[name].run()

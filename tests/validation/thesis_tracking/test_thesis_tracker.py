@@ -201,6 +201,7 @@ def test_lost_exposures_are_scans_without_points(method: ThesisMethod) -> None:
     assert (held[8:] == held[8]).all()
 
 
+@pytest.mark.slow
 def test_tracks_that_were_exchanged_along_a_sensor_are_found_out_in_space() -> None:
     """With this limit the velocity test never goes over: each crossing exchanges the tracks.
 

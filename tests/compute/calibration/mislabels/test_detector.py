@@ -30,6 +30,7 @@ def ones(readings: np.ndarray) -> np.ndarray:
     return np.ones(readings.shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("question", ASKED, ids=lambda q: f"{q.frame}-{q.name}")
 def test_errors_are_found_exactly(question: object) -> None:
     """A part of `lumiline reproduce labels`, which has 100 frames of each kind."""
@@ -37,11 +38,13 @@ def test_errors_are_found_exactly(question: object) -> None:
     assert (outcome.exact, outcome.surplus) == (2, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("question", CLEAN, ids=lambda q: f"{q.frame}-{q.sigma_given}")
 def test_clean_frames_stay_clean(question: object) -> None:
     assert ask(question, 2, 91).exact == 2  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_exchanged_points_are_named_as_such() -> None:
     for question in (BESIDE[1], BESIDE[2]):  # two pairs of points, and one of a random frame
         assert ask(question, 1, 92).exact == 1, question
@@ -102,6 +105,7 @@ def test_a_missing_label() -> None:
     assert mended_sigma is not None
 
 
+@pytest.mark.slow
 def test_deviations_stated_too_small_are_no_label_errors() -> None:
     """A misfit of many deviations everywhere is the model's, not the labels'."""
     points = control_points(30)
@@ -127,6 +131,7 @@ def test_what_is_off_and_by_how_much() -> None:
     assert 30.0 < normalised_residual < residual_px  # more than a reading's own deviation, 1 px
 
 
+@pytest.mark.slow
 @settings(max_examples=3, deadline=None)
 @given(st.integers(0, 10**6))
 def test_excluding_and_repairing_leave_the_rest_alone(seed: int) -> None:
@@ -153,6 +158,7 @@ def test_the_search_repeats_itself() -> None:
     assert findings_of(frame) == findings_of(frame)
 
 
+@pytest.mark.slow
 def test_progress_is_told_and_may_stop_it() -> None:
     points = control_points(19)
     told: list[tuple[float, str]] = []
@@ -209,6 +215,7 @@ def test_a_lens_with_distortion_is_no_label_error() -> None:
     assert finding.points == (first + 1, second + 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "number"), [("none", 0), ("exchanged", 1), ("wrong", 1)])
 def test_a_wide_field_of_strong_lenses(kind: Errors, number: int) -> None:
     """A distortion of tens of pixels at 0.02 to 1 px of noise: a lens of five fixed columns fails.

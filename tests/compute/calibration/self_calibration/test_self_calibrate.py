@@ -61,6 +61,7 @@ def _known_cameras_rms(seed: int) -> float:
     return float(np.sqrt((away**2).sum(axis=1).mean()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [True, False])
 def test_wand_calibrates_nearly_as_well_as_if_the_cameras_were_known(sigma: bool) -> None:
     found = self_calibrate(rig(), [_recording(1, 200, sigma=sigma)])
@@ -74,6 +75,7 @@ def test_wand_calibrates_nearly_as_well_as_if_the_cameras_were_known(sigma: bool
     )
 
 
+@pytest.mark.slow
 def test_covariance_in_the_start_frame_is_honest() -> None:
     """Started from the right cameras the frame is theirs; over 8 runs errors fit covariances."""
     squares = [
@@ -87,6 +89,7 @@ def test_covariance_in_the_start_frame_is_honest() -> None:
     assert np.mean(squares) > 2.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.1, 0.2, 0.3])
 def test_wrong_starts_lead_to_the_same_solution(share: float) -> None:
     recording = _recording(3, 60)
@@ -100,6 +103,7 @@ def test_wrong_starts_lead_to_the_same_solution(share: float) -> None:
             assert one.principal_point_px == pytest.approx(other.principal_point_px, abs=1e-2)
 
 
+@pytest.mark.slow
 def test_wrong_and_missing_readings_do_no_harm_and_are_named() -> None:
     rng = np.random.default_rng(4)
     recording = _recording(4, 150)
@@ -127,6 +131,7 @@ def test_wrong_and_missing_readings_do_no_harm_and_are_named() -> None:
     assert distances_kept(found, rng) < 1.15 * distances_kept(clean, np.random.default_rng(51))
 
 
+@pytest.mark.slow
 def test_poses_with_two_wrong_readings_are_left_out_whole() -> None:
     recording = _recording(5)
     readings = recording.readings_px.copy()
@@ -152,6 +157,7 @@ def test_rigid_body_of_known_shape_sets_the_frame() -> None:
     assert 0.5 < nees < 8.0
 
 
+@pytest.mark.slow
 def test_first_pose_covariance_is_honest() -> None:
     squares = []
     for seed in range(8):

@@ -6,7 +6,7 @@ from pathlib import Path
 from compute.optics.profiles.deserialisation import KINDS
 from compute.optics.profiles.profile_loader import parse_profile, profile_names
 
-GUIDE = (Path(__file__).parents[4] / "docs" / "profiles.md").read_text("utf-8")
+GUIDE = (Path(__file__).parents[4] / "docs" / "how-to" / "profiles.md").read_text("utf-8")
 
 
 def test_the_example_is_a_profile() -> None:

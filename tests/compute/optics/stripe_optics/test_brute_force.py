@@ -26,6 +26,7 @@ OFF_AXIS = (150.0, -220.0, 1300.0)
 CORNER = (-330.0, 250.0, 1500.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("seen", [ON_AXIS, OFF_AXIS, CORNER], ids=["axis", "off-axis", "corner"])
 def test_line_is_that_of_all_rays(name, seen):

@@ -128,6 +128,7 @@ def test_line_that_leaves_the_row_keeps_its_light(place):
     np.testing.assert_allclose(found[lit], whole[lit], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_lines_end_where_the_lens_ends():
     """As much light as a plain sum of rays has; none where no ray meets the row.
 

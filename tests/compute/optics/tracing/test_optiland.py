@@ -92,6 +92,7 @@ def skew_rays(assembly, count, rng):
     return origin, (target - origin) / distance[:, None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_same_places_and_directions_at_the_sensor(name):
     from benchmarks.ray_tracing_peer import optiland_tracer

@@ -201,6 +201,7 @@ def test_one_wrong_reading_is_left_out_and_named() -> None:
     assert "do not fit the tool" in str(both.reason)
 
 
+@pytest.mark.slow
 def test_with_hardly_any_redundancy_no_right_reading_is_blamed() -> None:
     rng = np.random.default_rng(8)
     named = 0

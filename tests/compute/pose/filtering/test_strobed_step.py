@@ -148,6 +148,7 @@ cases = st.tuples(
 )
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=80)
 @given(cases, st.sampled_from([0, 1_000_000, 12_345_678]), st.sampled_from([0.0, 0.3, 1.0]))
 def test_any_step_is_taken_as_by_numpy(made: Made, after_ns: int, missing: float) -> None:
@@ -240,6 +241,7 @@ def test_readings_that_do_not_fit_one_another_are_left_to_numpy() -> None:
     assert case.by_kernel(0, lit, Measurements.of(told, sigma, flags)).readings == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn_rad", [0.02, 0.1, 0.3])
 @pytest.mark.parametrize("seed", range(8))
 def test_where_the_curvature_matters_it_is_taken_as_by_numpy(
@@ -315,6 +317,7 @@ def test_curvature_behind_a_lens_tells_nothing() -> None:
     assert (found.readings, wanted.readings) == (0, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", [(), ((0, 0),), ((0, None),)], ids=["all", "one", "marker"])
 @pytest.mark.parametrize("bent_mm", [0.0, 10.0], ids=["", "bent"])
 def test_exposures_of_all_markers_between_those_of_one_are_as_by_numpy(
@@ -389,6 +392,7 @@ def follow(kernel: bool, covariance: Array | None, with_table: bool, seed: int) 
     return poses
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("covariance", [None, CALIBRATION], ids=["exact", "calibrated"])
 @pytest.mark.parametrize("with_table", [False, True], ids=["", "table"])
 def test_long_runs_are_the_same(covariance: Array | None, with_table: bool) -> None:

@@ -63,6 +63,7 @@ def test_without_noise_it_is_exact(
     assert found.correspondence_errors is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [3, 5, 15])
 def test_the_covariance_is_what_the_transform_errs_by(count: int) -> None:
     squares, misfits, targets = [], [], []

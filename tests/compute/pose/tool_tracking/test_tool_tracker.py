@@ -115,6 +115,7 @@ def see(
     return pose
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strobed", [True, False])
 @pytest.mark.parametrize("covariance", [None, CALIBRATION], ids=["exact", "calibrated"])
 def test_moving_tools_are_as_uncertain_as_they_say(strobed: bool, covariance: Array | None) -> None:
@@ -195,6 +196,7 @@ def test_bursts_far_apart_are_followed_around_the_curve() -> None:
     assert max(ratios) < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_frames_are_lost_and_no_wrong_pose_is_ok(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -392,6 +394,7 @@ def bent_a_little(marker: int, axis: int, *, strobed: bool, seed: int) -> Scene:
     return one
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strobed", [True, False])
 def test_a_marker_that_is_bent_a_little_makes_no_wrong_pose_ok(strobed: bool) -> None:
     ok, reasons = 0, []
@@ -489,6 +492,7 @@ def test_a_strobed_tool_that_was_just_found_is_confirmed_first() -> None:
     assert "1 more exposure must fit" in str(found[-1].reason)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_strobed_through_false_peaks_and_lost_frames_no_wrong_pose_is_ok(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -617,6 +621,7 @@ def test_lines_that_merge_are_not_read() -> None:
     assert max(squares_) < 45.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_lit_together_through_lost_frames_and_clutter_no_wrong_pose_is_ok(seed: int) -> None:
     rng = np.random.default_rng(1000 + seed)

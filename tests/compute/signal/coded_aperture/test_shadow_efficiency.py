@@ -53,6 +53,7 @@ def noisy(light: float, draws: int, place: float = 0.0) -> tuple[np.ndarray, np.
     return counts, np.repeat(place + PHASES, draws)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", [150.0, 1000.0, 100000.0])
 def test_it_reaches_the_bound_and_says_so(light: float) -> None:
     """Prints, by the electrons of the brightest pixel, the deviation beside the bound."""
@@ -84,6 +85,7 @@ def test_it_reaches_the_bound_and_says_so(light: float) -> None:
     assert of_plain > 1.0
 
 
+@pytest.mark.slow
 def test_with_the_scale_free_too() -> None:
     """Off the axis, the pattern half off the line: there shift and scale are not independent."""
     place = 400.0
@@ -104,6 +106,7 @@ def test_with_the_scale_free_too() -> None:
     assert abs(fit.scale.mean() - 1.0) < 1e-4
 
 
+@pytest.mark.slow
 def test_where_the_noise_begins_to_hide_the_bars() -> None:
     """Prints how the fit goes past the bound, and is not found, as light fails."""
     fitter = ShadowFitter(woven(window_optics(), 4), PIXELS, NOISE)

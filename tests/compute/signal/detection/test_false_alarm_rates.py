@@ -47,6 +47,7 @@ def test_white_noise_without_a_filter_would_be_n_times_q() -> None:
     assert 0.3 < wide.expected(4.0) / simple < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "pixels"), [(0.6, 64), (1.0, 256), (2.0, 128), (3.0, 512)])
 def test_as_many_as_chosen_with_known_noise(width: float, pixels: int) -> None:
     """Short lines too, where the ends count."""
@@ -59,6 +60,7 @@ def test_as_many_as_chosen_with_known_noise(width: float, pixels: int) -> None:
         assert low < rate * len(lines) < high, (rate, found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["line", "larger"])
 def test_as_many_as_chosen_with_the_lines_own_noise(source: NoiseSource) -> None:
     """The uncertainty of the measured noise is reckoned with; the larger of two gives fewer."""
@@ -86,6 +88,7 @@ def test_a_wrong_model_is_seen_by_the_lines_own_noise() -> None:
         assert interval(alarms(lines, 0.01, source, quiet, 2.0))[0] < 0.01 * 5000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("electrons", [100, 1000, 10000])
 def test_photon_noise_has_more_by_its_skewness(electrons: int) -> None:
     """Prints how far the tail of photon noise bends the rate, beside Edgeworth's first term."""
@@ -114,6 +117,7 @@ def test_photon_noise_has_more_by_its_skewness(electrons: int) -> None:
         assert low / slack < expected * chosen < high * slack
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [0.2, 0.3, 0.5, 0.6, 0.8])
 def test_noise_that_counts_hardly_resolve(sigma: float) -> None:
     """Prints the rates of lines whose noise is a count or less, by where the level lies."""

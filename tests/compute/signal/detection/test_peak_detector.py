@@ -124,6 +124,7 @@ def test_faint_peaks_that_single_pixels_do_not_show() -> None:
     assert single < 0.01
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(
     lines=arrays(

@@ -42,6 +42,7 @@ def fitted(lines, options, noise=NOISE, shape=None, threads=None):
     return finder.find(lines)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pixels", [64, 300, 2048, 16384])
 @pytest.mark.parametrize("options", SETTINGS.values(), ids=SETTINGS.keys())
 def test_kernel_matches_the_reference(pixels, options):
@@ -55,6 +56,7 @@ def test_kernel_matches_the_reference(pixels, options):
     assert np.any(fits & PeakFlag.TRUNCATED) or options.search.max_peaks > 3 or pixels < 300
 
 
+@pytest.mark.slow
 def test_kernel_matches_the_reference_with_any_settings_noise_and_shape():
     """Of lines of every kind; ten in a thousand may differ: of 9,600 with other seeds 32 did, and
     10 of these 960 would be four deviations more. (Windows wider by a thousandth: 19.)
@@ -95,6 +97,7 @@ def test_single_peaks_in_float32_are_as_good_as_in_float64(width_px, electrons):
     assert not lines_that_differ(fitted(lines, options, noise), expected).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("width_px", "electrons", "read"),
     [(0.6, 1e4, 20.0), (0.6, 1e5, 5.0), (1.0, 3e3, 5.0), (1.5, 1e4, 50.0), (3.0, 1e5, 50.0)],

@@ -102,6 +102,7 @@ def test_it_is_the_root_of_the_score(options):
     assert group.width_px == pytest.approx(np.exp(p[4]), rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [30.0, 1000.0])
 @pytest.mark.parametrize("options", [KNOWN, FITTED])
 def test_one_peak_is_at_the_bound_and_says_so(height, options):
@@ -125,6 +126,7 @@ def test_one_peak_is_at_the_bound_and_says_so(height, options):
     assert np.mean(found.flags != 0) < 0.005
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("apart", [2.0, 2.5, 4.0, 8.0])
 def test_pairs_have_their_joint_covariance(apart):
     lines, height = 1500, 2000.0
@@ -164,6 +166,7 @@ def test_pairs_are_told_apart_as_soon_as_the_light_allows(apart, height):
     assert np.mean(found.count == 2) > 0.98
 
 
+@pytest.mark.slow
 def test_single_peaks_are_split_as_rarely_as_the_settings_say():
     lines = 10_000
     options = FitSettings(width_px=1.5, width_log_sigma=0.0, false_split_rate=1e-3)
@@ -193,6 +196,7 @@ def test_saturated_peaks_are_fitted_by_their_flanks():
     assert np.std(gravity - place[:200, 0]) > 2 * error.std()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_lines_over_the_end_are_flagged_and_not_drawn_inwards(side):
     lines = 1000
@@ -236,6 +240,7 @@ def test_each_sensor_has_its_own_shape():
     assert (bad.flags[:, 0] & (PeakFlag.POOR_FIT | PeakFlag.UNFITTED) != 0).all()
 
 
+@pytest.mark.slow
 def test_uneven_pixels_are_allowed_for():
     rng = np.random.default_rng(14)
     lines, error = 1500, 0.05
@@ -307,6 +312,7 @@ def test_one_line_tells_what_the_batch_does_and_more():
     assert abs(first.width_px - 2.0) < 5 * first.width_sigma_px
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_lines_one_by_one():
     lines = varied_lines(48, 128, np.random.default_rng(9))
     for options in (KNOWN, FITTED):
@@ -402,6 +408,7 @@ lines = st.one_of(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(lines=lines, options=options, noise=noises)
 def test_any_line_gives_defined_peaks(lines, options, noise):

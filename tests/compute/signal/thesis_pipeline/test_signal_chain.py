@@ -81,6 +81,7 @@ CHAINS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHAINS)
 def test_stated_standard_deviations_are_what_centroids_scatter_by(name: str) -> None:
     chain = CHAINS[name]

@@ -53,6 +53,7 @@ def send(client: Any, method: str, path: str, status: int, **options: Any) -> An
     return answer
 
 
+@pytest.mark.slow
 def test_every_change_of_a_device_and_its_calibration(client: Any) -> None:
     points = simulated_points(2.0 * calibration_target_points_mm()[::2])
     hash_ = client.get("/api/v1/calibrations/sim-nominal").json()["content_hash"]

@@ -30,6 +30,7 @@ def test_means_and_their_deviations_are_honest():
     assert 0.8 < np.mean(squares) < 1.08
 
 
+@pytest.mark.slow
 def test_rest_is_not_taken_for_movement():
     generator = np.random.default_rng(3)
     for _ in range(1500):

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import httpx
+import pytest
 
 from service.api.captures.examples import NEW_CAPTURES
 from service.api.devices.examples import NEW_DEVICES
@@ -10,6 +11,7 @@ from tests.running_server import serving
 from tests.service.api.runs.test_runs import QUICK, wait
 
 
+@pytest.mark.slow
 def test_the_frame_of_the_examples_calibrates(tmp_path: Path):
     """Its own rate would take 40 s; ten times as many frames a second are the same frames."""
     device = NEW_DEVICES["simulated"]["value"]

@@ -48,6 +48,7 @@ def history(client: Any) -> list[tuple[str, str | None]]:
     return [(item["calibration_id"], item["table_id"]) for item in items[::-1]]
 
 
+@pytest.mark.slow
 def test_a_table_is_stored_read_and_comes_back_as_it_was(client: Any):
     given = content(nominal_hash(client))
     made = send(client, given, id="map", note="first")  # by another process, as it is served
@@ -75,6 +76,7 @@ def test_a_table_is_stored_read_and_comes_back_as_it_was(client: Any):
     assert client.get(URL, params={"device": "other"}).json()["total"] == 0
 
 
+@pytest.mark.slow
 def test_a_table_is_used_with_its_calibration_and_no_other(
     client: Any, live: FakePipeline, quickly: None
 ):
@@ -123,6 +125,7 @@ def test_a_table_works_with_a_calibration_of_the_same_content(client: Any, quick
     assert history(client)[-1] == ("second", "map")
 
 
+@pytest.mark.slow
 def test_rolling_back_goes_back_step_by_step(client: Any, live: FakePipeline, quickly: None):
     made_calibration(client, "other")
     send(client, content(nominal_hash(client)), id="map")
@@ -207,6 +210,7 @@ def crash(_tell: Any, _data: bytes) -> None:
     slow_tasks.die(_tell)
 
 
+@pytest.mark.slow
 def test_a_crash_of_the_reading_library_costs_an_answer(
     sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
 ):

@@ -194,6 +194,7 @@ def member(file: h5py.File) -> None:
     file["extra"] = np.zeros(3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [

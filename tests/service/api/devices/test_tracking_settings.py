@@ -3,9 +3,9 @@
 from typing import Any
 
 import pytest
-from service.api.devices.blink_codes import Blinking
 
 from compute.tracking.settings import TrackerSettings
+from service.api.devices.tracking_settings import Blinking
 from tests.service.fake_pipeline import FakePipeline
 
 PATH = "/api/v1/devices/sim"

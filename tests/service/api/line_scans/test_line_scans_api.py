@@ -171,6 +171,7 @@ def long(pixels: int, lines: int = 1) -> list[list[int]]:
     return [[100] * pixels] * lines
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -251,6 +252,7 @@ METHODS: list[Method] = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([64, 200, 700]),

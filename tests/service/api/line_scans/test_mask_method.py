@@ -119,6 +119,7 @@ def test_the_thesis_s_correlation(sqlite_client: Any) -> None:
     assert answer["scans"][3]["peaks"] == []
 
 
+@pytest.mark.slow
 def test_a_profile_s_shadows_sensor_by_sensor(sqlite_client: Any) -> None:
     profile = load_profile("coda-mpx30")
     optics = mask_optics(profile, light_source(profile))
@@ -202,6 +203,7 @@ def test_profiles_that_are_of_no_use(sqlite_client: Any) -> None:
             assert words in answer.json()["detail"]
 
 
+@pytest.mark.slow
 def test_pictures(sqlite_client: Any) -> None:
     """One of the fit and one of the correlation; also where the reading is off the line."""
     pictures = [

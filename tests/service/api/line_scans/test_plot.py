@@ -4,6 +4,7 @@ import io
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -41,6 +42,7 @@ def drawn(line: Any, method: Method) -> bytes:
     return draw_scan(line, find_peaks(line[None], method, NOISE, detail=True), method, "line 0")
 
 
+@pytest.mark.slow
 def test_lines_are_drawn_over_http(sqlite_client: Any) -> None:
     answers = [sqlite_client.post(f"{PATH}?scan={line}", json=body(FIT)) for line in (0, 1, 0)]
     assert {answer.status_code for answer in answers} == {200}
@@ -63,11 +65,13 @@ def test_an_averaged_line_is_drawn_with_its_others(sqlite_client: Any) -> None:
     assert sqlite_client.post(f"{PATH}?scan=3", json=request).status_code == 200
 
 
+@pytest.mark.slow
 def test_each_method_has_a_picture_of_its_own() -> None:
     found = [drawn(scenes()[0], method) for method in METHODS.values()]
     assert len(set(found)) == len(found)
 
 
+@pytest.mark.slow
 def test_more_panels_make_a_higher_picture() -> None:
     """No peak, one row of panels, two rows; of more than eight windows the brightest count."""
     rng = np.random.default_rng(2)
@@ -84,6 +88,7 @@ def test_more_panels_make_a_higher_picture() -> None:
     assert heights[0] < heights[1] < heights[2]
 
 
+@pytest.mark.slow
 def test_all_that_was_found_is_drawn() -> None:
     """A change of any of these makes another picture."""
     method, line = METHODS["fit"], scenes()[0]
@@ -158,6 +163,7 @@ def test_titles_say_positions_and_flags() -> None:
     assert "guessed" in summary
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(METHODS)), st.sampled_from([64, 300]))
 @settings(max_examples=6, deadline=None)
 def test_any_line_has_a_picture(seed: int, name: str, pixels: int) -> None:

@@ -47,6 +47,7 @@ def test_a_plan_is_the_library_s(sqlite_client: Any) -> None:
     assert again.json() == found
 
 
+@pytest.mark.slow
 def test_a_plan_is_drawn(sqlite_client: Any) -> None:
     answer = sqlite_client.get(f"{PROFILES}/bar/plan.png?grid=3")
     assert answer.headers["content-type"] == "image/png"

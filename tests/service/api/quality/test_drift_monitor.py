@@ -153,6 +153,7 @@ def test_a_marker_that_moved_once_is_to_be_checked_and_for_good_to_be_calibrated
     assert "reference-x stays changed" in reasons
 
 
+@pytest.mark.slow
 def test_what_is_normal_is_not_forgotten(sqlite_client: Any) -> None:
     """The first values say it, however many come after a change."""
     quiet = noise(120, 4, 0.005)

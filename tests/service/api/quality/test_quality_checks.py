@@ -51,6 +51,7 @@ def test_a_tolerance_that_is_not_met(sqlite_client: Any) -> None:
     assert "not within 1 mm" in found["reasons"][0]
 
 
+@pytest.mark.slow
 def test_a_check_with_a_wrong_reference_is_not_the_last_word(sqlite_client: Any) -> None:
     wrong = BAR | {"reference_mm": 229.0, "tolerance_mm": 0.5}
     for right_follows in (False, True):
@@ -93,6 +94,7 @@ def test_markers_that_are_lit_together(sqlite_client: Any, live: FakePipeline) -
     assert answer.json()["type"] == "/problems/too-few-points"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "status", "kind", "words"),
     [

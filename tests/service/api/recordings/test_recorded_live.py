@@ -140,6 +140,7 @@ def record(
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("illumination", ["strobed", "simultaneous"])
 def test_a_recording_gives_the_same_bits_again(
     live: PipelineManager, recordings: RecordingManager, illumination: str

@@ -28,6 +28,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_a_recording_from_its_begin_to_its_end(tmp_path: Path) -> None:
     with serving(tmp_path) as url, httpx.Client(base_url=url, timeout=60.0) as api:
         wrong = api.post("/api/v1/devices/sim/recordings", json={"name": "../a.h5"})

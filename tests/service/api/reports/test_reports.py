@@ -286,6 +286,7 @@ def test_the_route_names_the_figures_that_there_are():
     assert set(get_args(FigureName)) == set(FIGURES)
 
 
+@pytest.mark.slow
 def test_a_stored_calibration_has_its_report(sqlite_client: Any, monkeypatch: pytest.MonkeyPatch):
     body = NEW_CALIBRATIONS["frame"]["value"] | {"note": EVIL}
     assert sqlite_client.post("/api/v1/calibrations", json=body).status_code == 201

@@ -23,6 +23,7 @@ def bent(position_mm: Any) -> float:
     return 1e-4 * float(x) * float(y)
 
 
+@pytest.mark.slow
 def test_a_run_makes_the_table_that_mends_a_known_error(
     client: Any, live: Any, monkeypatch: pytest.MonkeyPatch
 ):
@@ -88,6 +89,7 @@ def with_error(places: np.ndarray) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 def test_a_run_for_a_calibration_that_is_retired_meanwhile_stores_nothing(
     sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
 ):

@@ -66,6 +66,7 @@ def open_client(settings: Settings) -> Iterator[Callable[[], TestClient]]:
     return make
 
 
+@pytest.mark.slow
 def test_a_run_makes_the_calibration_that_a_request_makes(client: Any):
     posted = client.post(URL, json=body(id="first", result_id="made", note="by a run"))
     assert posted.status_code == 202
@@ -161,6 +162,7 @@ def test_a_process_that_dies_fails_its_run(sqlite_client: Any, computing: Any):
     assert "exit code 7" in found["problem"]["detail"]
 
 
+@pytest.mark.slow
 def test_cancelling_ends_the_process_and_stores_nothing(
     client: Any, computing: Any, tmp_path: Path
 ):
@@ -178,6 +180,7 @@ def test_cancelling_ends_the_process_and_stores_nothing(
     assert (again.status_code, again.json()["state"]) == (200, "cancelled")
 
 
+@pytest.mark.slow
 def test_runs_wait_for_their_turn(sqlite_client: Any, computing: Any, tmp_path: Path):
     computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
     sqlite_client.post(URL, json=body(id="first"))
@@ -204,6 +207,7 @@ def test_more_runs_than_may_wait_are_refused(sqlite_settings: Settings, computin
         assert client.get("/api/v1/runs/third").status_code == 404
 
 
+@pytest.mark.slow
 def test_what_ran_when_the_server_stopped_is_interrupted_and_what_waited_goes_on(
     open_client: Any, computing: Any, tmp_path: Path
 ):
@@ -244,6 +248,7 @@ def test_what_ran_when_the_server_died_is_interrupted(open_client: Any, settings
         assert client.get("/api/v1/runs/elsewhere").json()["state"] == "interrupted"
 
 
+@pytest.mark.slow
 def test_a_deleted_device_ends_its_runs(sqlite_client: Any, computing: Any, tmp_path: Path):
     computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
     sqlite_client.post(URL, json=body(id="first"))

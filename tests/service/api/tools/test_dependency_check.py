@@ -103,6 +103,7 @@ PARENTS: list[tuple[Do, tuple[int, str] | None]] = [
 ]
 
 
+@pytest.mark.slow
 def test_a_refined_registration_is_of_the_parent_that_it_began_with(
     tools: Any, monkeypatch: pytest.MonkeyPatch
 ):

@@ -57,6 +57,7 @@ def test_the_motions_are_chained(
     assert found.velocity_mm_s is None
 
 
+@pytest.mark.slow
 def test_the_uncertainty_is_that_of_errors_of_both():
     """Against the spread of thousands of poses that err as the covariances say."""
     rng = np.random.default_rng(3)

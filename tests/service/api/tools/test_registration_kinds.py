@@ -163,6 +163,7 @@ def patient(count: int, rotation: Array = TURN, at: Array = AT) -> list[ToolPose
     return [pose("patient", n, rotation, at) for n in range(count)]
 
 
+@pytest.mark.slow
 def test_three_strobed_markers_measured_now(client: Any, running: FakePipeline):
     running.batches = [strobed(patient(240))]
     answer = client.post(URL, json=NOW | {"strobe_markers": [4, 5, 6]})

@@ -58,6 +58,7 @@ def test_it_runs_where_settings_say_so(tmp_path: Path):
         socket.create_connection(address, timeout=1.0)
 
 
+@pytest.mark.slow
 def test_tools_of_a_device_that_never_ran(tmp_path: Path):
     app = create_app(Settings(data_dir=tmp_path, compute_device="cpu", ndi_port=0))
     with TestClient(app) as client:

@@ -172,6 +172,7 @@ def test_half_messages_and_slow_ones_are_ended():
     run(test)
 
 
+@pytest.mark.slow
 @both_loops
 def test_a_stalled_client_holds_up_nobody_and_goes_on_with_the_newest(loop: str):
     async def test() -> None:
@@ -202,6 +203,7 @@ def test_a_stalled_client_holds_up_nobody_and_goes_on_with_the_newest(loop: str)
     run(test, loop)
 
 
+@pytest.mark.slow
 @both_loops
 def test_a_client_that_stays_stalled_is_disconnected(loop: str):
     async def test() -> None:
@@ -218,6 +220,7 @@ def test_a_client_that_stays_stalled_is_disconnected(loop: str):
     run(test, loop)
 
 
+@pytest.mark.slow
 @both_loops
 def test_a_flood_of_questions_whose_answers_nobody_reads(loop: str):
     async def test() -> None:
@@ -244,6 +247,7 @@ def test_a_flood_of_questions_whose_answers_nobody_reads(loop: str):
     run(test, loop)
 
 
+@pytest.mark.slow
 def test_two_hundred_connections():
     async def test() -> None:
         async with serving(clients=16) as served:

@@ -40,6 +40,7 @@ def turned(number: int, tool: int) -> tuple[np.ndarray, np.ndarray]:
     return rotation_matrix(turn), np.array([number + 0.25, tool - 100.5, 1e-3 * number])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loop", LOOPS)
 def test_ten_tools_while_another_client_stalls_and_leaves(loop: str):
     async def test() -> None:

@@ -133,6 +133,7 @@ def test_a_lossless_client_lacks_only_what_is_not_kept() -> None:
     run(scenario())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.5, 0.8, 0.95])
 def test_a_lossless_client_that_is_a_little_too_slow_gets_nearly_what_it_can_take(
     share: float,

@@ -66,6 +66,7 @@ def running(server: str) -> None:
     change_source(server, {"frame_rate_hz": 200})
 
 
+@pytest.mark.slow
 def test_greeting_then_frames_without_a_gap(server: str) -> None:
     with streaming(server) as websocket:
         hello = receive(websocket)
@@ -88,6 +89,7 @@ def test_greeting_then_frames_without_a_gap(server: str) -> None:
     assert all(0 < now - frame["exposure_ns"] < 60e9 for frame in frames)
 
 
+@pytest.mark.slow
 def test_json_on_request_has_the_same_content(server: str) -> None:
     with (
         streaming(server, "device=sim&encoding=json&content=points,peaks") as as_json,
@@ -208,6 +210,7 @@ def test_activation_switches_the_stream_and_loses_no_frame(server: str) -> None:
     assert names == sorted(names, key=lambda name: name != nominal["id"])
 
 
+@pytest.mark.slow
 def test_a_stalled_client_slows_nobody_and_is_told_what_it_missed(query_timeout: str) -> None:
     server = query_timeout
     # 76 peaks a frame make messages of 10 kB: soon more than the sockets' buffers hold.

@@ -1,1 +1,1 @@
-"""Line sensors on a serial port: both sides of the protocol in docs/reference/serial-protocol.md."""
+"""Line sensors on a serial port: host and device (docs/reference/serial-protocol.md)."""

@@ -1,4 +1,4 @@
-"""Named sets of distortion terms and the candidates of automatic selection."""
+"""Named sets of distortion terms (add one here) and the candidates of automatic selection."""
 
 from collections.abc import Sequence
 from typing import Final, Literal, get_args

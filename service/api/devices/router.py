@@ -1,4 +1,4 @@
-"""REST resource /api/v1/devices."""
+"""REST resource /api/v1/devices: routes only; device_service does what they ask for."""
 
 from typing import Annotated
 

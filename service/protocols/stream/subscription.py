@@ -1,4 +1,4 @@
-"""Subscription: one client's reading position in a device's log, and when it is sent what."""
+"""Subscription: one client's reading position in a device's log, and what it missed."""
 
 import asyncio
 from dataclasses import dataclass

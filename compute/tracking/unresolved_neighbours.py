@@ -24,8 +24,8 @@ _HIDDEN: Final = 1.25
 """Distance within which a neighbour counts as merged, in ``resolution_px``."""
 _STEADY: Final = 1.0
 """Gate about a neighbour's predicted distance, in ``resolution_px``."""
-_LEAST_SEEN: Final = 2
-_MOST_SEEN: Final = 100.0
+_MIN_SEEN: Final = 2
+_MAX_SEEN: Final = 100.0
 
 
 def predict_merged(
@@ -40,7 +40,7 @@ def predict_merged(
     """
     ahead = neighbours[..., 0] + neighbours[..., 1] * step_s[:, None]
     near = np.abs(ahead) <= _HIDDEN * settings.resolution_px
-    hidden: NDArray[np.bool_] = near & (neighbours[..., 2] >= _LEAST_SEEN)
+    hidden: NDArray[np.bool_] = near & (neighbours[..., 2] >= _MIN_SEEN)
     return hidden
 
 
@@ -109,7 +109,7 @@ def update_neighbours(
     sensor = np.arange(own.shape[1])
     step = np.maximum(step_s, 1e-9)[:, None]
     ahead = neighbours[..., 0] + neighbours[..., 1] * step
-    known = neighbours[..., 2] >= _LEAST_SEEN
+    known = neighbours[..., 2] >= _MIN_SEEN
     after = np.zeros_like(neighbours)
     after[..., 0], after[..., 1], after[..., 2] = ahead, neighbours[..., 1], neighbours[..., 2]
     there = own >= 0
@@ -134,7 +134,7 @@ def update_neighbours(
     after[..., 0] = np.where(found, nearest, ahead)
     after[..., 1] = np.where(found & ~unknown, rate, np.where(unknown, 0.0, neighbours[..., 1]))
     after[..., 2] = np.where(
-        found, np.minimum(neighbours[..., 2] + 1.0, _MOST_SEEN), neighbours[..., 2]
+        found, np.minimum(neighbours[..., 2] + 1.0, _MAX_SEEN), neighbours[..., 2]
     )
     after[~found & ~hidden & there] = 0.0
     after[~np.isfinite(after).all(axis=2)] = 0.0

@@ -41,7 +41,7 @@ WARM_UP_FRAMES = 150
 class PacedSource:
     """Simulated frames, made before, that leave the driver one at a time when told to."""
 
-    waits = False
+    lossless = False
 
     def __init__(self, settings: SimulationSettings) -> None:
         driver = SimulatedDriver("sim", settings)

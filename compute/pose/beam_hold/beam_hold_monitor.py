@@ -269,7 +269,7 @@ class MarkerDeviationMonitor:
             )
         if limits.rotation_rad is not None:
             raise InvalidParameter("markers do not turn; watch the pose of a tool for rotation_rad")
-        self._limits, self._least = limits, min_markers
+        self._limits, self._min_markers = limits, min_markers
         self._names = names or tuple(str(one + 1) for one in range(len(self._reference)))
         self._gate = BeamHoldGate(limits.rules, latched=latched)
 
@@ -322,12 +322,12 @@ class MarkerDeviationMonitor:
             if (probability, size) > worst[:2]:
                 worst = (probability, size, int(one))
                 message = None if beyond is None else f'marker "{self._names[one]}" is {beyond}'
-        if len(seen) < self._least and message is None:
+        if len(seen) < self._min_markers and message is None:
             return _step_gate(time_ns, self._gate, None)
         since_ns = time_ns
         if times_ns is not None:
             # Of the newest that are enough, the oldest: one that moves unseen is not forgotten.
-            since_ns = int(np.sort(times_ns[seen])[max(len(seen) - self._least, 0)])
+            since_ns = int(np.sort(times_ns[seen])[max(len(seen) - self._min_markers, 0)])
         measured = LimitCheck(message, within, since_ns)
         return _step_gate(time_ns, self._gate, measured, shifts[worst[2]], None, worst[0])
 

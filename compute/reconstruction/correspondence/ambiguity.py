@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 _UNSEEN: Final = 0.25
 """Unexplained peaks of a sensor that are expected beside those that are there, and for each
 marker as many more as it has chances to be missed."""
-_LEAST: Final = -100.0
+_MIN_LOG_DENSITY: Final = -100.0
 _LOG_ROOT_TWO_PI: Final = 0.5 * log(2.0 * pi)
 
 
@@ -155,4 +155,4 @@ class ErrorEstimate:
 def log_misfit_density(misfit_density: MisfitDensity) -> float:
     """Return the log density of wrong misfits at zero over that of noise."""
     # Where nothing was counted nothing was tried, and the figure is not used.
-    return max(misfit_density.log_density() + _LOG_ROOT_TWO_PI, _LEAST)
+    return max(misfit_density.log_density() + _LOG_ROOT_TWO_PI, _MIN_LOG_DENSITY)

@@ -119,7 +119,7 @@ def intersection_points(
     candidates: list[Candidates] = []
     following = -inf
     if len(seeing) >= 4:
-        least = _least(peaks, seeing)
+        least = _min_sensors(peaks, seeing)
         bases = covering_triples(len(seeing), least)
         work = 0
         for base_index in range(len(bases)):
@@ -144,8 +144,8 @@ def intersection_points(
     return _merged(model, peaks, candidates, settings), following
 
 
-def _least(peaks: Measurements, seeing: NDArray[np.intp]) -> int:
-    """Return how many sensors must agree that not too many combinations do by chance."""
+def _min_sensors(peaks: Measurements, seeing: NDArray[np.intp]) -> int:
+    """Return the number of sensors that must agree to limit chance combinations."""
     sensors = len(seeing)
     count = float(peaks.count[seeing].mean())
     by_chance = float(np.exp(peaks.log_density(1.0 / MAX_PIXELS)[seeing].mean())) * GATE_PX

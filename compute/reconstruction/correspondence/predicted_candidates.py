@@ -27,7 +27,7 @@ from compute.reconstruction.triangulation import chi2_limit
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_LEAST: Final = 3
+_MIN_SENSORS: Final = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +92,8 @@ def predicted_candidates(
     place, spread = predicted.position_mm, predicted.covariance_mm2
     gated = find_gated_peaks(model, peaks, free, place, spread, (), misfit_density, len(place))
     start = np.full((len(place), len(peaks)), -1)
-    rows = np.flatnonzero((gated.count > 0).sum(axis=1) >= _LEAST)
-    choice, cut = extend_with_gated_peaks(start, gated, rows, _LEAST, max_combinations)
+    rows = np.flatnonzero((gated.count > 0).sum(axis=1) >= _MIN_SENSORS)
+    choice, cut = extend_with_gated_peaks(start, gated, rows, _MIN_SENSORS, max_combinations)
     if len(choice) == 0:
         return empty_candidates(len(peaks)), cut
     meets = solve_combinations(solve, peaks, np.unique(choice, axis=0)).candidates

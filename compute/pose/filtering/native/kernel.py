@@ -1,6 +1,7 @@
 """The Warp kernels of a strobed tool's step, one for each number of sensors.
 
-Only ``compute.pose.filtering.native.strobed_step`` imports this module, when a step is made: it loads Warp.
+Only ``compute.pose.filtering.native.strobed_step`` imports this module, when a step is made: it
+loads Warp.
 """
 
 from functools import cache
